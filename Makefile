@@ -6,6 +6,7 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
+GENERATED := build/.generated
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints clean
@@ -56,7 +57,7 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 	@deploy/test-fleet
 
 # Of those that stand in for a compiled class by one of their own, none is among them.
-TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/dynamics/test_straight.py \
+TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/dynamics/test_recorded_step.py \
 	tests/policy/test_fast_policy.py tests/policy/test_goal_seeker.py tests/robots/test_robot_physics.py \
 	$(addprefix tests/bus/test_,coalescing.py greeting.py inbox.py intake.py joint_transport.py service_loop.py slot.py)
 
@@ -64,9 +65,11 @@ test-compiled: $(BUILT)  ## the tests of the compiled modules, on a wheel that h
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'
 	@PYTHONPATH=$(COMPILED) $(BIN)/pytest -q --numprocesses $(TESTERS) --dist loadfile $(TESTS_OF_COMPILED)
 
-lint: environment  ## ruff: rules and format
+lint: environment  ## ruff: rules and format; codespell: spelling, and the words that the project does not write
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/codespell -D - -D tests/architecture/dictionary.txt shared services sim deploy docs *.md Makefile
+	@$(BIN)/codespell -D tests/architecture/dictionary.txt tests
 
 types: environment  ## mypy, strict
 	@$(BIN)/mypy
@@ -81,7 +84,7 @@ docs: environment  ## the pages as a site, in build/site: open index.html there,
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "Built: build/site/index.html"
 
-environment: $(INSTALLED)  ## creates .venv, or brings it up to date
+environment: $(INSTALLED) $(GENERATED)  ## creates .venv, or brings it up to date; generates code from the equations
 
 # Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
 # Links, not copies, of the product and its laboratory are installed, so the environment changes only with these files.
@@ -94,6 +97,12 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(ENVIRONMENT)
 	@$(PIP) --no-compile torch==2.13.0
 	@($(BYTECODE)) & $(PIP) --no-compile --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
+	@touch $@
+
+# Takes a second, and leaves files as they are that come out the same.
+$(GENERATED): $(INSTALLED) $(shell find shared/safedpa -type f -not -name 'generated_*' -not -name '*.pyc')
+	@$(BIN)/python -m safedpa.generate
+	@mkdir -p build
 	@touch $@
 
 # Kubernetes' own schemas, 22 MiB, in an environment of their own.
@@ -145,3 +154,4 @@ constraints:  ## writes constraints.txt again from the newest releases
 clean:  ## removes everything that was made here, the environment included
 	@rm -rf $(ENVIRONMENT) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	@find shared sim services tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find shared -name 'generated_*.py' -delete

@@ -1,10 +1,11 @@
-"""Compiles a few modules with mypyc while a wheel is built; from the same source, so that there is one implementation.
+"""Generates the modules of recorded equations while a wheel is built, and compiles them and a few others with mypyc.
 
-    SAFEDPA_COMPILE=0   never: a wheel of Python source alone
-    SAFEDPA_COMPILE=1   always: the build fails where it cannot be done
-    unset               where a C compiler is at hand; otherwise the wheel of Python source, and a line that says so
+    SAFEDPA_COMPILE=0   never compiles: a wheel of Python source alone
+    SAFEDPA_COMPILE=1   always compiles: the build fails where that is not possible
+    unset               compiles if a C compiler is found; otherwise the wheel holds Python source, and a line says so
 
-An editable installation is never compiled: what stands next to a source file could not change with it.
+An editable installation gets neither: ``python -m safedpa.generate`` generates the modules next to their sources, and a
+compiled module would not follow when its source is edited.
 """
 
 from __future__ import annotations
@@ -23,28 +24,36 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 __all__ = ["CompilingHook"]
 
 _SOURCES = {"safedpa": Path("shared"), "safedpa_sim": Path("sim")}
-"""Where the packages stand."""
+"""The folder of each package."""
 _LIST = _SOURCES["safedpa"] / "safedpa" / "compiled.py"
 _OPTIONS = "--follow-imports=skip", "--ignore-missing-imports", "--python-version=3.11"
-"""What the modules import from others stays what it is in Python; so nothing else need be installed to build."""
+"""Imported modules are not compiled along, so nothing else need be installed to compile."""
 _FLAGS = "-ffp-contract=off"
-"""No a * b + c in one operation, where a processor has it: its bits would not be those of Python."""
+"""No fused multiply-add: it rounds once where Python rounds twice, so results would differ from the source's."""
 
 
 class CompilingHook(BuildHookInterface[Any]):
-    """Adds the compiled modules to a wheel."""
+    """Adds generated and compiled modules to a wheel."""
 
     PLUGIN_NAME = "custom"
 
     def dependencies(self) -> list[str]:
-        """The compiler of Python, only where the one for C is there."""
-        return list(self.config["requires"]) if self._wanted() and self._reason() is None else []
+        """What the generator imports, and mypyc where there is a C compiler."""
+        compiler = self.config["requires"] if self._wanted() and self._reason() is None else []
+        return [*self.config["generator"], *compiler]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compiles, and says in one line whether the wheel holds compiled modules."""
-        if version == "editable" or not self._wanted():
+        """Generates, compiles, and reports in one line whether the wheel holds compiled modules.
+
+        Raises RuntimeError where nothing can be generated, or where a demanded compilation fails.
+        """
+        if version == "editable":
             return
-        problem = self._reason() or self._compiled(build_data)
+        self._work = work = Path(tempfile.mkdtemp(prefix="safedpa-"))
+        self._generate(work, build_data)
+        if not self._wanted():
+            return
+        problem = self._reason() or self._compiled(work, build_data)
         if problem is None:
             self.app.display_info("safedpa: the modules of every decision are compiled")
         elif self._forced():
@@ -59,18 +68,29 @@ class CompilingHook(BuildHookInterface[Any]):
         return os.environ.get("SAFEDPA_COMPILE", "") == "1"
 
     def _reason(self) -> str | None:
-        """Why it cannot be done; None: it can."""
+        """Why nothing can be compiled; None: it can."""
         found = any(shutil.which(name) for name in (os.environ.get("CC", "cc").split()[0], "gcc", "clang"))
         return None if found else "no C compiler"
 
-    def _compiled(self, build_data: dict[str, Any]) -> str | None:
-        """Puts the compiled modules into the wheel; what went wrong, or None."""
+    def _generate(self, work: Path, build_data: dict[str, Any]) -> None:
+        """Puts the generated modules into the wheel."""
+        # pip's isolated environments come by PYTHONPATH as well: the sources are put before what is there
+        sources = str(Path(self.root) / _SOURCES["safedpa"])
+        path = os.pathsep.join(filter(None, (sources, os.environ.get("PYTHONPATH"))))
+        command = [sys.executable, "-m", "safedpa.generate", str(work)]
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        if done.returncode != 0:
+            raise RuntimeError(f"safedpa: python -m safedpa.generate failed: {done.stderr.strip()}")
+        build_data["force_include"].update({str(file): str(file.relative_to(work)) for file in work.rglob("*.py")})
+
+    def _compiled(self, work: Path, build_data: dict[str, Any]) -> str | None:
+        """Puts the compiled modules into the wheel. Returns what went wrong, or None."""
         files = [name.replace(".", "/") + ".py" for name in listed(Path(self.root) / _LIST)]
-        work = Path(tempfile.mkdtemp(prefix="safedpa-"))
-        self._work = work
         for file in files:
-            (work / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(Path(self.root) / _SOURCES[Path(file).parts[0]] / file, work / file)
+            if not (work / file).exists():  # those that exist are generated
+                (work / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(Path(self.root) / _SOURCES[Path(file).parts[0]] / file, work / file)
             for folder in (work / file).parents:
                 if folder == work:
                     break
@@ -87,13 +107,13 @@ class CompilingHook(BuildHookInterface[Any]):
         return None
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Removes what was made on the way."""
+        """Removes the temporary folder."""
         if hasattr(self, "_work"):
             shutil.rmtree(self._work, ignore_errors=True)
 
 
 def listed(path: Path) -> list[str]:
-    """The modules that ``compiled.py`` names, without importing it."""
+    """Returns the modules that ``compiled.py`` names, without importing it."""
     for statement in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "MODULES":
             return [str(name) for name in ast.literal_eval(statement.value)]

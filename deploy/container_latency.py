@@ -43,7 +43,7 @@ def measured(seconds: float, rate: float) -> dict[str, Any]:
         image = _run("docker", "inspect", "--format", "{{.Config.Image}}", _container(compose, "router"))
         before = _chain(image, half, rate)
         _run(*compose, "up", "-d", "--no-build", *SERVICES)
-        time.sleep(_START_SECONDS)  # who is not there yet is late, which tells nothing
+        time.sleep(_START_SECONDS)  # who is not there yet is late, which reports nothing
         _run(*compose, "up", "-d", "--no-build", "robot")
         time.sleep(seconds)
         _run(*compose, "stop", "--timeout", str(_STOP_SECONDS), "robot")

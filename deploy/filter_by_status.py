@@ -49,7 +49,7 @@ def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Va
         for case in range(CASES):
             while True:
                 state = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0))
-                if case % 2 or 0.0 <= min(float(part.values(state).min()) for part in barriers) < EDGE:
+                if case % 2 or 0.0 <= min(float(part.h(state).min()) for part in barriers) < EDGE:
                     break
             nominal = random.uniform((-0.6, -0.34), (2.0, 0.34)) * random.choice([1.0, 1.4])
             drawn.append((state, nominal, latent, barriers))
@@ -85,21 +85,21 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
 
 @contextmanager
 def looked_at(counts: bool) -> Iterator[list[None]]:
-    """Grows by one with each action whose outcome is predicted; a compiled class lets no one count."""
+    """Grows by one with each action that is evaluated; a compiled class lets no one count."""
     from safedpa.safety.solver.constraints import Constraints
 
-    outcome: Any = Constraints.outcome
+    evaluate: Any = Constraints.evaluate
     looks: list[None] = []
 
     def counted(*arguments: Any) -> Any:
         looks.append(None)
-        return outcome(*arguments)
+        return evaluate(*arguments)
 
     if counts:
-        setattr(Constraints, "outcome", counted)  # noqa: B010 - assigned by name it is a change of type
+        setattr(Constraints, "evaluate", counted)  # noqa: B010 - assigned by name it is a change of type
     yield looks
     if counts:
-        setattr(Constraints, "outcome", outcome)  # noqa: B010
+        setattr(Constraints, "evaluate", evaluate)  # noqa: B010
 
 
 class Tree:

@@ -2,7 +2,7 @@
 
     python deploy/fleet_budget.py RECORDING.mcap --robots 1000 --regions 20
 
-From the recording come messages and bytes of each topic, per robot and second. Who reads a topic stands in the table
+From the recording come messages and bytes of each topic, per robot and second. Who reads a topic is in the table
 of roles. A region's router takes every message of its robots once and hands it to each reader in the region; over the
 link to the centre goes what the recorder and the dashboard there read, once for both of them; the centre's router hands
 it to each. A message on the wire costs its payload and ``--overhead`` bytes: headers of Zenoh, TLS, TCP and IP.

@@ -50,7 +50,7 @@ def region(namespace: str, robots: int = 0, certificates: Path | None = None, ou
     if not re.fullmatch(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", namespace):
         raise ValueError(f"--namespace '{namespace}': wanted at most 63 small letters, digits and '-' within")
     if robots < 0 or not {*names} <= {*services[ROUTER]["command"]}:
-        raise ValueError(f"--robots {robots}: wanted 0 to as many as {COMPOSE.name} tells its router to let join")
+        raise ValueError(f"--robots {robots}: wanted 0 to as many as {COMPOSE.name} lets its router accept")
     documents: list[Document] = [_namespace(namespace)]
     if certificates is not None:
         documents += [_secret(f"{_dns(role)}-key", certificates, (role,)) for role in (*services, HEALTH)]

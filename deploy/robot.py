@@ -4,7 +4,7 @@ A scaled service has one command for all its containers. So the robot asks the n
 its own address, ``PROJECT_robot_3``, and is ``robot-3`` from then on; SAFEDPA_NAME in the environment overrules that.
 The name is kept in /tmp/name for the health check. Its load and its scene come from the number: SAFEDPA_LOAD may name
 several loads, separated by commas, which the robots take in turn; SAFEDPA_SEED is the first robot's scene. With
-SAFEDPA_LASER=1 they are told no obstacles and have a laser: someone has to run perception.
+SAFEDPA_LASER=1 they are given no obstacles and have a laser: someone has to run perception.
 With ``--certificates DIR`` it makes a key there, unless there is one, and has it signed by the authority; see
 authority.py. Every argument is handed on to ``python -m safedpa_sim.robots``.
 """

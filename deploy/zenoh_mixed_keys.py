@@ -4,7 +4,7 @@
 
 One router says each of some keys again and again, with the key as the payload; sessions that cannot keep up lose their
 links (a lease of half a second) and connect again. Prints for each session how many messages came, how many of them
-under another key than they were sent under, and how many of those the bus told those who listen to it (the key goes
+under another key than they were sent under, and how many of those the bus reported those who listen to it (the key goes
 next to each message as a stamp: none); then the same once all is quiet. Zenoh names keys by numbers
 that each link agrees on again: what came over the old link seems to be read by the numbers of the new one.
 """
@@ -70,7 +70,7 @@ def measure(seconds: float, sessions: int) -> list[str]:
         router = ZenohTransport(ZenohSettings("router", (endpoint,), (), Certificates(Path(folder), "router")))
         card = Certificates(Path(folder), "recorder")
         members = [
-            ZenohTransport(ZenohSettings("client", (), (endpoint,), card, patience=30.0)) for _ in range(sessions)
+            ZenohTransport(ZenohSettings("client", (), (endpoint,), card, connect_timeout=30.0)) for _ in range(sessions)
         ]
         return notice(router, members, seconds)
 

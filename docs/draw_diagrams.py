@@ -51,7 +51,7 @@ def draw() -> None:
 def _drawn(texts: dict[str, str]) -> dict[str, str]:
     from playwright.sync_api import sync_playwright
 
-    from safedpa_services.workbench.pictures import browser_at_hand
+    from safedpa_services.workbench.screenshots import find_browser
 
     nicegui = importlib.util.find_spec("nicegui")
     assert nicegui is not None
@@ -60,7 +60,7 @@ def _drawn(texts: dict[str, str]) -> dict[str, str]:
     serve = functools.partial(_Quiet, directory=str(brought))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serve) as server, sync_playwright() as play:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        browser = play.chromium.launch(executable_path=browser_at_hand(), args=["--no-sandbox"])
+        browser = play.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])
         page = browser.new_page()
         page.goto(f"http://127.0.0.1:{server.server_address[1]}/")
         drawn = {name: str(page.evaluate(SCRIPT, text)) for name, text in texts.items()}

@@ -36,12 +36,10 @@ from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
-from safedpa_lab.experiments import (
-    pendulum_report,
-    point_learning_report,
-    point_relinearised_report,
-    point_report,
-)
+from safedpa_lab.experiments.pendulum import report as pendulum_report
+from safedpa_lab.experiments.point import learning as point_learning_report
+from safedpa_lab.experiments.point import relinearised as point_relinearised_report
+from safedpa_lab.experiments.point import report as point_report
 from safedpa_services.command_line.group import COMMANDS, LABORATORY
 from safedpa_services.metrics.exporter import FAMILIES
 
@@ -153,9 +151,7 @@ def commands() -> str:
     own = {name: f"{COMMANDS_PACKAGE}.{name.replace('-', '_')}" for name in COMMANDS}
     for name, module in sorted((own | brought).items()):
         rows.append(f"| `safedpa {name}` | {_first_sentence(module)} |")
-    for name in EXPERIMENTS:
-        module = f"safedpa_lab.commands.experiments.{name.replace('-', '_')}"
-        rows.append(f"| `safedpa experiment {name}` | {_first_sentence(module)} |")
+    rows += [f"| `safedpa experiment {name}` | {each.summary} |" for name, each in EXPERIMENTS.items()]
     return "\n".join(rows)
 
 

@@ -1,7 +1,7 @@
 """What README and pages promise, and what holds each promise.
 
-A promise is a paragraph, an item of a list or a table in which a number stands, or a word that leaves no way out. It
-is held by a test or a command that is named in it, or in a remark below it that a reader of the page does not see:
+A promise is a paragraph, an item of a list or a table in which a number stands, or a word that leaves no exception. It
+is covered by a test or a command that is named in it, or in a remark below it that a reader of the page does not see:
 ``<!-- held: tests/safety/test_verdict.py::test_it, safedpa experiment safety -->``. A remark right below a heading is
 said of everything below it that has none of its own. What only sounds like a promise says so: ``<!-- no
 promise: what the reader does himself -->``.
@@ -56,7 +56,7 @@ class Promise:
 
     @property
     def open(self) -> bool:
-        """Nothing holds it, and no one said that it is none."""
+        """Nothing holds it, and nothing marks it as no promise."""
         return not self.held_by and not self.no_promise
 
 
@@ -90,7 +90,7 @@ def _of(page: str, blocks: list[str]) -> Iterator[Promise]:
 
 
 def _rows(block: str) -> list[str]:
-    """Of a table, without its head; a remark below it is said of every row."""
+    """Of a table, without its head; a remark below it applies to every row."""
     lines = block.split("\n")
     below = "\n".join(line for line in lines if not line.startswith("|"))
     rows = [line for line in lines if line.startswith("|")]

@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from safedpa import robot as declared
 from safedpa.bus import logging
 from safedpa.bus.transport import ports
 from safedpa.dynamics import bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.systems import registry
+from safedpa.systems import robots as declared
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -171,7 +171,7 @@ def _process_as_it_was_found() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _events_of_one_test_alone() -> Iterator[None]:
-    """Of events that come together the later ones are told a second after the first: not to the test that is next."""
+    """Of events that come together the later ones are reported a second after the first: not to the test that is next."""
     yield
     logging.EVENT_LOG.reset_rate_limits()
 

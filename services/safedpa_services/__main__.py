@@ -1,4 +1,4 @@
-"""``python -m safedpa_services``: the command line, where the script ``safedpa`` is not on the path."""
+"""``python -m safedpa_services``: the command line, if the script ``safedpa`` is not on the path."""
 
 from safedpa_services.command_line import main
 

@@ -1,4 +1,4 @@
-"""A progress bar on a terminal, nothing in a pipe."""
+"""Progress bars on standard error; nothing is shown unless it is a terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["progress", "progress_with_notes"]
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Yields ``tell(done, all)``; with the expected end, on standard error, and only there on a terminal."""
+    """Yields ``report_progress(done, total)``, which updates a bar with the remaining time."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -30,8 +30,10 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]:
-    """Yields ``tell(done, all, said)`` for work of which no one knows how much is left: the seconds that passed are
-    shown, none that are to come, and what is ``notice`` stands above the bar whenever it changes. Only on a terminal."""
+    """Yields ``report_progress(done, total, notice)``, for work whose duration cannot be predicted.
+
+    The bar shows the elapsed instead of the remaining time. A changed ``notice`` is printed above the bar.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -1,4 +1,4 @@
-"""What is drawn on a terminal: names and sentences of others move no cursor, colour nothing and hide nothing."""
+"""Safe terminal output with Rich: text from the bus cannot move the cursor, change colours or hide other text."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["SanitizedRenderable", "terminal"]
 
 
 def terminal(**options: Any) -> Console:
-    """A console on which text is text: no markup, and no control characters from what is printed.
+    """Returns a console that prints text literally: without markup, and without control characters.
 
-    Nor does it look for numbers and addresses to colour: for that a word of 100 000 letters takes it minutes.
+    Highlighting is off, because Rich's patterns take minutes on a word of 100 000 letters.
     """
     console = Console(**{"markup": False, "emoji": False, "highlight": False, **options})
     console.push_render_hook(_Hook())
@@ -25,13 +25,13 @@ def terminal(**options: Any) -> Console:
 
 @final
 class SanitizedRenderable:
-    """Something drawn, each character of its text that is not printable replaced; the width stays."""
+    """Wraps a renderable and replaces its unprintable characters; the width does not change."""
 
     def __init__(self, drawn: Any) -> None:
         self._drawn = drawn
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
-        """The segments of what is drawn; those by which the console itself moves the cursor stay as they are."""
+        """Yields the segments. Control segments, by which the console itself moves the cursor, are not changed."""
         for segment in console.render(self._drawn, options):
             text = segment.text
             if segment.control or text.isprintable() or text == "\n":
@@ -44,7 +44,7 @@ class SanitizedRenderable:
 @final
 class _Hook(RenderHook):
     def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
-        """All of them, as they are shown."""
+        """Returns the renderables, each wrapped in ``SanitizedRenderable``."""
         wrapped: list[ConsoleRenderable] = []
         for item in renderables:
             plain = item.__rich__() if isinstance(item, RichCast) else item

@@ -1,4 +1,4 @@
-"""A number that a robot's barriers take from the filter's settings."""
+"""A parameter of a robot's barriers in the filter's settings."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ __all__ = ["BarrierSetting"]
 @final
 @dataclass(frozen=True)
 class BarrierSetting:
-    """``name`` is its key in a settings file, next to those of the filter; ``default`` holds where it is left out."""
+    """A numeric parameter: ``name`` is its key in a settings file, ``default`` its value if the key is missing."""
 
     name: str
     unit: str
     default: float
     meaning: str
     positive: bool = False
-    """More than 0; else 0 or more, or anything where ``signed``."""
+    """Whether it must be positive; otherwise it must be non-negative, or any number if ``signed``."""
     signed: bool = False
     above: str = ""
-    """Another one that it must exceed."""
+    """Name of another parameter that it must exceed."""
 
     def checked(self, value: Any) -> float:
-        """The number. Raises InputError with the key, what was got and what was wanted."""
+        """Returns the value as a float. Raises InputError, which names the key, for an invalid value."""
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise InputError(f"{self.name}: got {value!r}, wanted a finite number")
         low = -inf if self.signed else 0.0

@@ -1,7 +1,7 @@
-"""Whether a robot that someone declares is complete and safe to filter: each part tried, a sentence about each.
+"""Checks whether a declared robot is complete and can be filtered safely; returns one sentence per part.
 
-The stand-in is driven by nominal actions drawn at random behind the robot's own filter; barriers, backup and margin are then
-probed at the states that it met (``check_filter``), and settings of another robot must be refused.
+Drives the stand-in with random nominal actions behind the robot's own filter. Then tests barriers, backup and margin at
+the visited states (``check_filter``), and checks that settings of another robot are rejected.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from safedpa.effects import effects_of
 from safedpa.errors import InputError, SafedpaError
 from safedpa.networks.frame import Frame
 from safedpa.policy.controller import controller_for
-from safedpa.robot import AbstractRobot, robots
 from safedpa.runtime.scene import AbstractScene, scene_of
 from safedpa.safety.checks.check_filter import check_filter
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.validation import checked_output
 from safedpa.stand_in import AbstractStandIn
+from safedpa.systems.robots import Robot, robots
 
 __all__ = ["PartFinding", "check_robot"]
 
 
 _TICKS = 200
+# States of the drive at which barriers and backup are tested.
 _PROBED = 5
-"""Moments of the drive at which barriers and backup are probed."""
+# Median one-step error in measurement deviations above which there is a note on the model.
 _FAR_OFF = 5.0
-"""Measurement deviations; a model that misses single steps by more at the median is told."""
 
 
 @final
 @dataclass(frozen=True)
 class PartFinding:
-    """What was seen of one part."""
+    """Result of the check of one part."""
 
     part: str
     verdict: Literal["fine", "note", "missing", "wrong"]
@@ -49,14 +49,14 @@ class PartFinding:
 
     @property
     def ends_well(self) -> bool:
-        """Whether the robot can be driven with it."""
+        """Whether the robot can be driven with this part."""
         return self.verdict in ("fine", "note")
 
 
-def check_robot(robot: AbstractRobot, seed: int = 0) -> list[PartFinding]:
-    """Every part of a robot in the order in which they build on each other; ends where the next cannot be tried.
+def check_robot(robot: Robot, seed: int = 0) -> list[PartFinding]:
+    """Checks the parts of a robot in order of their dependencies; ends at a part on which the next ones depend.
 
-    Raises nothing for whatever the robot's own code does.
+    Exceptions of the robot's own code are reported in the result.
     """
     found: list[PartFinding] = []
     try:
@@ -73,16 +73,16 @@ class _EndError(Exception):
 
 
 def _tried(part: str, function: Callable[[], Any]) -> Any:
-    """What a function of the robot answers; whatever it raises ends the check with a sentence."""
+    """Calls a function of the robot; an exception ends the check with a sentence."""
     try:
         return function()
     except SafedpaError as error:
         raise _EndError(PartFinding(part, "wrong", str(error))) from error
-    except Exception as error:  # a user's own code may raise anything, and that is what is asked for
+    except Exception as error:  # a user's code may raise anything; reporting it is the purpose of the check
         raise _EndError(PartFinding(part, "wrong", f"raised {type(error).__name__}: {error}")) from error
 
 
-def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
+def _parts(robot: Robot, seed: int) -> Iterator[PartFinding]:
     system = robot.system
     notice = _message_of_deviations(robot)
     if notice:
@@ -92,12 +92,12 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     )
     model: PhysicsModel = _tried("model", lambda: load_model(str(robot.model)))
     if model.system != system:
-        notice = f"{robot.model} is of a '{model.system.name}' with {', '.join(model.system.action_names)}"
+        notice = f"{robot.model} is a model of '{model.system.name}' with {', '.join(model.system.action_names)}"
         raise _EndError(PartFinding("model", "wrong", f"{notice}, wanted this robot's system"))
     free = ", ".join(model.latent_names) or "nothing"
     yield PartFinding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
     effects = _tried("effects", lambda: effects_of(robot.name))
-    notice = f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS"
+    notice = f"{len(effects)} that a diagnosis may find" if effects else "none; declare EFFECTS"
     yield PartFinding("effects", "fine" if effects else "missing", notice)
     settings: FilterSettings = _tried("settings", robot.settings)
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
@@ -116,8 +116,8 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     yield _drawing(robot, drive)
 
 
-def _message_of_deviations(robot: AbstractRobot) -> str:
-    """What is wrong with them; empty: nothing."""
+def _message_of_deviations(robot: Robot) -> str:
+    """Returns what is wrong with the measurement deviations; empty if they are valid."""
     names, given = robot.system.state_names, robot.measurement_deviation
     try:
         numbers = checked_output("measurement_deviation", given)
@@ -126,12 +126,12 @@ def _message_of_deviations(robot: AbstractRobot) -> str:
     if numbers.shape != (len(names),):
         return f"got {numbers.size} entries, wanted one for each of {', '.join(names)}"
     if not (np.isfinite(numbers).all() and (numbers > 0.0).all()):
-        return f"got {given!r}, wanted more than 0 for each of {', '.join(names)}: steps are told in these"
+        return f"got {given!r}, wanted a positive number for each of {', '.join(names)}"
     return ""
 
 
-def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> PartFinding:
-    """Settings of every other robot must be refused."""
+def _foreign_settings(robot: Robot, model: PhysicsModel) -> PartFinding:
+    """Checks that settings of every other robot are rejected."""
     accepted = []
     for name, other in robots().items():
         if name == robot.name:
@@ -143,15 +143,15 @@ def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> PartFinding:
         accepted.append(name)
     if accepted:
         return PartFinding("foreign settings", "wrong", f"those of {', '.join(accepted)} are accepted; set system")
-    return PartFinding("foreign settings", "fine", "refused, those of every other robot")
+    return PartFinding("foreign settings", "fine", "settings of every other robot are rejected")
 
 
 class _Drive:
-    """The stand-in behind the robot's filter, requested at random; keeps what it met."""
+    """A drive of the stand-in behind the robot's filter with random nominal actions; records what occurs."""
 
     def __init__(
         self,
-        robot: AbstractRobot,
+        robot: Robot,
         model: PhysicsModel,
         settings: FilterSettings,
         scene: AbstractScene,
@@ -164,10 +164,11 @@ class _Drive:
         self.problems: list[str] = []
         self.touched = ""
         self.count = 0
-        """Barriers met at most at once."""
+        """Maximum number of barriers at a state."""
 
     def run(self, ticks: int, seed: int) -> _Drive:
-        """Drives; each nominal action is held for half a second, so that it leads somewhere."""
+        """Runs the drive."""
+        # Each nominal action is held for half a second; with a new one in each tick, the robot would hardly move.
         random = np.random.default_rng(seed)
         low, high = self.settings.low, self.settings.high
         held = max(1, round(0.5 * self.robot.rate))
@@ -216,8 +217,8 @@ class _Drive:
         )
 
 
-def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterator[PartFinding]:
-    """Stand-in, model, barriers and backup, from the drive."""
+def _driven(robot: Robot, model: PhysicsModel, drive: _Drive) -> Iterator[PartFinding]:
+    """Checks stand-in, model, barriers and backup from the drive."""
     for message in drive.states:
         if not model.system.is_plausible(np.array(message.values)):
             yield PartFinding("stand_in", "wrong", f"its state {message.values} is out of the system's bounds")
@@ -226,7 +227,7 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
         yield PartFinding("barriers", "wrong", drive.problems[0])
         return
     if not drive.count:
-        yield PartFinding("barriers", "missing", "none at any state of a drive; there is nothing to keep")
+        yield PartFinding("barriers", "missing", "none at any state of a drive; the filter has nothing to enforce")
         return
     yield PartFinding("barriers", "fine", f"up to {drive.count} at once in {len(drive.states)} ticks")
     yield _nothing_perceived(drive)
@@ -245,18 +246,18 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
 
 
 def _nothing_perceived(drive: _Drive) -> PartFinding:
-    """Some barrier must be there where nothing is near: the filter judges by nothing else."""
+    """Checks that there is a barrier without obstacles; without any barrier the filter always takes the backup."""
     barriers = drive.scene.of(replace(drive.states[0], obstacles=()))
     if isinstance(barriers, str):
         return PartFinding("barriers", "note", f"without obstacles: {barriers}; the backup acts then")
     if not barriers.names:
         return PartFinding(
-            "barriers", "wrong", "none without obstacles, where the backup would act for ever; add a limit"
+            "barriers", "wrong", "none without obstacles, where the backup would act forever; add a limit"
         )
     return PartFinding("barriers", "fine", f"{len(barriers.names)} without obstacles")
 
 
-def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
+def _probed(robot: Robot, drive: _Drive) -> Iterator[PartFinding]:
     latent = drive.model.latent if drive.model.latent_names else None
     notice: dict[str, str] = {}
     for message in drive.states[:: max(1, len(drive.states) // _PROBED)]:
@@ -268,7 +269,7 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
             message.values,
             barriers=barriers,
             latent=latent,
-            stationary_for=robot.stationary_for,
+            can_stop=robot.can_stop,
             ticks=20,
         )
         for issue in report:
@@ -278,7 +279,7 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
 
 
 def _nominal_part(model: PhysicsModel, drive: _Drive) -> PartFinding:
-    """The default controller at a state that was met."""
+    """Checks the default controller at a visited state."""
     answer = _tried(
         "controllers",
         lambda: controller_for(model)().nominal_action(drive.states[0], model.latent if model.latent_names else None),
@@ -299,10 +300,10 @@ def _nominal_part(model: PhysicsModel, drive: _Drive) -> PartFinding:
     return PartFinding("controllers", "fine", f"'{name}' returned {tuple(round(float(entry), 3) for entry in nominal)}")
 
 
-def _drawing(robot: AbstractRobot, drive: _Drive) -> PartFinding:
+def _drawing(robot: Robot, drive: _Drive) -> PartFinding:
     shapes = _tried("draw", lambda: dict(robot.draw(drive.states[0])))
     if not shapes:
-        return PartFinding("draw", "note", "no shapes; the dashboard shows curves alone")
+        return PartFinding("draw", "note", "no shapes; the dashboard shows curves only")
     foreign = [name for name, shape in shapes.items() if not isinstance(shape, (Discs, Lines, Rings))]
     if foreign:
         return PartFinding("draw", "wrong", f"'{foreign[0]}' is none of Discs, Lines, Rings (safedpa.drawing)")

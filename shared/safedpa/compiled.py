@@ -1,8 +1,8 @@
-"""Whether the modules that every decision runs through are the compiled ones of a built wheel, or Python source."""
+"""The modules that a wheel compiles with mypyc, and whether this installation has the compiled ones."""
 
 from __future__ import annotations
 
-import importlib
+from importlib.util import find_spec
 
 __all__ = ["MODULES", "compiled_modules"]
 
@@ -10,14 +10,14 @@ MODULES = (
     "safedpa.bus.service.service_loop",
     "safedpa.bus.service.robot_slot",
     "safedpa.bus.transport.inbox",
-    "safedpa.dynamics.written_steps",
+    "safedpa.dynamics.generated_steps",
     "safedpa.networks.plain_rows",
     "safedpa.safety.prediction.predictor",
     "safedpa.robots.car.controllers.goal_seeker",
     "safedpa.robots.car.perception",
     "safedpa.robots.car.barriers.reverse_odometer",
     "safedpa.robots.car.barriers.pruning",
-    "safedpa.robots.car.written_barriers",
+    "safedpa.robots.car.generated_barriers",
     "safedpa.equations.chain_rule",
     "safedpa.safety.solver.constraints",
     "safedpa.safety.decision",
@@ -38,10 +38,10 @@ MODULES = (
     "safedpa.safety.deadlock.escape",
     "safedpa_sim.ground_forces",
 )
-"""What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
+"""Modules on the path of every decision. ``hatch_build.py`` compiles them; an editable installation runs the source."""
 
 
 def compiled_modules() -> tuple[str, ...]:
-    """Those of ``MODULES`` that are compiled in this installation: all of them or none."""
-    files = ((name, importlib.import_module(name).__file__ or "") for name in MODULES)
-    return tuple(name for name, file in files if not file.endswith(".py"))
+    """Returns those of ``MODULES`` that are compiled in this installation: all of them or none."""
+    found = ((name, find_spec(name)) for name in MODULES)  # None: a generated module, in an installation without them
+    return tuple(name for name, spec in found if spec is not None and not str(spec.origin).endswith(".py"))

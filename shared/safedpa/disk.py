@@ -1,4 +1,4 @@
-"""Files that outlive a crash, and what the disk says when it cannot take something, in words."""
+"""Crash-safe writing of files, and readable reasons for failed writes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def why_not_written(error: OSError) -> str:
-    """The reason of a failed write as part of a sentence; that the disk is full is said so."""
+    """Returns the reason of a failed write as part of a sentence."""
     if error.errno in _FULL:
-        return "the disk is full: make room"
+        return "the disk is full: free some space"
     return os.strerror(error.errno) if error.errno else str(error) or type(error).__name__
 
 
 def write_through(path: Path, text: str) -> None:
-    """All of it or nothing, whenever the process or the machine ends, and on the disk before it returns.
+    """Writes a file atomically and durably: after a crash it has either the old or the new contents.
 
-    Raises OSError; then what was there before stays.
+    Raises OSError; the old contents then remain.
     """
     alongside = path.with_name(path.name + ".new")
     try:
@@ -35,6 +35,7 @@ def write_through(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             alongside.unlink()
         raise
+    # The new name is durable only once the folder itself is on the disk.
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

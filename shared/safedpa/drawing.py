@@ -1,4 +1,4 @@
-"""Plain shapes: what a robot looks like, without a word about who draws it."""
+"""Plain shapes that describe the look of a robot, independent of the viewer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Rings:
     radii: tuple[float, ...]
     colour: int
     width: float
-    """m."""
+    """Line width in m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ class Lines:
 
     strips: tuple[tuple[Point, ...], ...]
     colours: tuple[int, ...]
-    """One for all, or one for each."""
+    """One colour for all lines, or one for each."""
     width: float
-    """m."""
+    """Line width in m."""
     on_top: bool = False
-    """Whether they are drawn over discs."""
+    """Whether the lines are drawn over discs."""
 
 
 Shape = Discs | Rings | Lines

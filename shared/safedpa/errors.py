@@ -1,17 +1,17 @@
-"""What can go wrong, as classes.
+"""The exception classes of the project.
 
     SafedpaError
-    ├── InputError            someone gave us something unusable: exit code 2, one line
-    │   ├── ModelFileError    a model file: the key stands in the message
-    │   ├── ColumnMapError    a column map: the key stands in the message
+    ├── InputError            unusable input: exit code 2, one line
+    │   ├── ModelFileError    a model file; the message names the key
+    │   ├── ColumnMapError    a column map; the message names the key
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
-    ├── MissingExtraError     something that `pip install safedpa` alone does not bring
-    ├── BusError              the bus cannot be opened or a name on it is taken
-    │   └── JoinError         no one lets this process in, now; it may be otherwise in a moment
-    └── RecordingError        a recording could not be written (disk full, say)
+    ├── MissingExtraError     a package that `pip install safedpa` alone does not install
+    ├── BusError              the bus cannot be opened or a name on it is in use
+    │   └── JoinError         the bus cannot be joined now; a later attempt may succeed
+    └── RecordingError        a recording could not be written, for example because the disk is full
 
-Every message says what was got, what was wanted and what to do.
+Every message says what was received, what was expected, and what to do.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ __all__ = [
     "near_files",
 ]
 
+# Maximum number of names listed in a message; a wide table has thousands of columns. Beyond it, only the most similar.
 _NAMED: Final = 60
-"""Names that one reads in a sentence at most; a broad table has thousands of columns."""
 _LIKE: Final = 12
 
 
 class SafedpaError(Exception):
-    """Root of every error that this project raises on purpose."""
+    """Base class of all errors that this project raises on purpose."""
 
 
 class InputError(SafedpaError):
-    """Bad input from a person or a file; the command line turns it into one line and exit code 2."""
+    """Invalid input from a user or a file; the command line prints one line and exits with code 2."""
 
 
 class ModelFileError(InputError):
@@ -66,15 +66,15 @@ class MessageError(InputError):
 
 
 class MissingExtraError(SafedpaError):
-    """Something that ``pip install safedpa`` alone does not bring; the message names the extra."""
+    """A package is missing that ``pip install safedpa`` alone does not install; the message names the extra."""
 
 
 class BusError(SafedpaError):
-    """The bus cannot be opened, or a name on it is taken."""
+    """The bus cannot be opened, or a name on it is in use."""
 
 
 class JoinError(BusError):
-    """No one lets this process in now: no router is there, or it has no room."""
+    """The bus cannot be joined now: the router is missing or has no capacity. A later attempt may succeed."""
 
 
 class RecordingError(SafedpaError):
@@ -82,9 +82,9 @@ class RecordingError(SafedpaError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Sentence that lists what exists, with the nearest name first: for look-up errors.
+    """Returns a sentence for look-up errors, with the most similar name first and a list of the known names.
 
-    Of more than ``_NAMED`` names those most like ``name`` are listed, and how many there are besides.
+    If there are many names, only the most similar ones are listed.
     """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1)
@@ -96,9 +96,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
-    """``did you mean 'drive.csv'? ``, of the files next to one that is not there and of names that ship; else empty.
+    """Returns ``did you mean 'drive.csv'? `` for a missing file, from the files next to it and the shipped names.
 
-    Never raises: what cannot be listed has no names.
+    Empty without a similar name. Never raises.
     """
     try:
         alongside = [item.name for item in path.parent.iterdir() if item.name != path.name]

@@ -1,7 +1,7 @@
-"""What a plain ``pip install safedpa`` leaves out, by the name of the extra that brings it.
+"""Optional packages by the name of the extra that installs them.
 
-The core holds the library, the filter, the services of a loop and the command line. Everything else is asked for by
-name, ``pip install 'safedpa[sim,view]'``, and what is missing is said in one line before any work begins.
+The core has the library, the filter, the services of the control loop and the command line. Everything else is an
+extra, as in ``pip install 'safedpa[sim,view]'``. Commands check for missing extras before they begin.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "gym": ("gymnasium",),
     "ros": ("rosbags", "pyulog"),
 }
-"""Modules that each extra brings by itself."""
+"""Modules that each extra installs."""
 
 INCLUDED: dict[str, tuple[str, ...]] = {"workbench": ("diagnosis",), "train": ("sim", "diagnosis")}
-"""Extras that another one brings along."""
+"""Extras that another extra includes."""
 
 
 def missing(extra: str, *, alone: bool = False) -> tuple[str, ...]:
-    """The modules of an extra that cannot be found; unless ``alone``, of those that it includes, too.
+    """Returns the missing modules of an extra and, unless ``alone``, of the extras that it includes.
 
-    Nothing is imported.
+    Does not import them.
     """
     names = EXTRAS[extra] if alone else _modules(extra)
     return tuple(name for name in names if importlib.util.find_spec(name) is None)
 
 
 def need(*extras: str, what: str = "this", instead: str = "", alone: bool = False) -> None:
-    """Returns where every module of the extras is there; ``alone``: whatever they include besides is not asked for.
+    """Raises MissingExtraError if a module of the extras is missing; ``alone`` ignores the extras that they include.
 
-    ``what`` says what needs them, ``instead`` how to go on without. Raises MissingExtraError, one line that names them.
+    ``what`` names the feature that needs them, ``instead`` an alternative.
     """
     lacking = {extra: missing(extra, alone=alone) for extra in extras}
     wanted = [extra for extra, modules in lacking.items() if modules]
@@ -59,7 +59,7 @@ def need(*extras: str, what: str = "this", instead: str = "", alone: bool = Fals
 
 
 def needs(*extras: str) -> Callable[[Function], Function]:
-    """Decorates a command: its first line is ``need(*extras)``."""
+    """Decorator of a command that calls ``need(*extras)`` first."""
 
     def decorated(function: Function) -> Function:
         @wraps(function)
@@ -73,7 +73,7 @@ def needs(*extras: str) -> Callable[[Function], Function]:
 
 
 def extra_of(module: str) -> str | None:
-    """The first extra that brings a module, or a part of it; None where no extra does."""
+    """Returns the first extra that installs a module or its top-level package; None without one."""
     top = module.split(".", 1)[0]
     return next((extra for extra, modules in EXTRAS.items() if top in modules), None)
 

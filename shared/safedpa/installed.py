@@ -1,4 +1,4 @@
-"""What other distributions bring by entry points, looked up once: each look reads a file of every one installed."""
+"""Cached entry points of installed distributions; reading them opens a file of every distribution."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ __all__ = ["entry_points_of_group"]
 
 
 def entry_points_of_group(group: str) -> tuple[EntryPoint, ...]:
-    """The entry points of a group, as they were when this process first asked for any."""
+    """Returns the entry points of a group, as read at the first call in this process."""
     return tuple(_all().select(group=group))
 
 
 @cache
-def _all() -> Any:  # of Python 3.11 another class than of 3.12, with the same ``select``
+def _all() -> Any:  # the class differs between Python 3.11 and 3.12; both have ``select``
     return entry_points()

@@ -1,14 +1,14 @@
-"""One equation, several kinds of numbers.
+"""Elementary functions for several types of numbers, so that each equation is written once.
 
-Physics in this project is written once, over named scalars. The same lines then run on
+The same equations run on
 
-- Python floats (one robot, no array overhead: the services),
-- numpy arrays (many windows of a recording at once: comparison and diagnosis),
+- Python floats (one robot without array overhead: the services),
+- NumPy arrays (many windows of a recording at once: comparison and diagnosis),
 - torch tensors (thousands of robots with gradients: training),
-- complex numbers with an infinitesimal imaginary part (slopes for one robot: the safety filter),
+- complex numbers with an infinitesimal imaginary part (derivatives for one robot: the safety filter),
 
-because every function beyond ``+ - * /`` is taken from an ``Operations`` table that fits the numbers.
-Torch is imported only when a torch tensor comes in.
+because they take every function beyond ``+ - * /`` from an ``Operations`` table for the type of the numbers.
+Torch is imported only when a torch tensor occurs.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ import numpy as np
 __all__ = ["COMPLEX", "FLOATS", "NUMPY", "Operations", "Scalar", "half_angled", "operations_for", "torch_operations"]
 
 Scalar = Any
-"""A Python float, a numpy array or a torch tensor, all entries of which mean the same quantity."""
+"""A Python float, a NumPy array or a torch tensor; all entries are of the same quantity."""
 
 
 @dataclass(frozen=True)
 class Operations:
-    """The elementwise functions that equations may use; all angles in radians."""
+    """The elementwise functions available to equations; all angles are in radians."""
 
     sin: Callable[[Scalar], Scalar]
     cos: Callable[[Scalar], Scalar]
@@ -49,7 +49,8 @@ class Operations:
     where: Callable[[Any, Scalar, Scalar], Scalar]
     """where(condition, yes, no)"""
     hypot: Callable[[Scalar, Scalar], Scalar]
-    """hypot(x, y) = sqrt(x^2 + y^2), of numbers of any size; at (0, 0), where it has no slope, that over y is taken."""
+    """hypot(x, y) = sqrt(x^2 + y^2) without overflow; at (0, 0), where it is not differentiable, the derivative is that
+    with respect to y."""
 
 
 FLOATS = Operations(
@@ -89,12 +90,12 @@ COMPLEX = Operations(
     minimum=lambda first, second: second if second.real < first.real else first,
     maximum=lambda first, second: second if second.real > first.real else first,
     clip=lambda value, low, high: (
-        low if value.real <= low.real else high if value.real >= high.real else value  # slope on a bound: the bound's
+        low if value.real <= low.real else high if value.real >= high.real else value  # on a bound: its derivative
     ),
     where=lambda condition, yes, no: yes if condition else no,
     hypot=_complex_hypot,
 )
-"""Real functions with an infinitesimal imaginary part, which carries the slope; order is that of the real parts."""
+"""Functions for complex-step differentiation: the imaginary part is the derivative; comparisons use the real parts."""
 
 NUMPY = Operations(
     sin=np.sin,
@@ -115,10 +116,9 @@ NUMPY = Operations(
 
 
 def half_angled(operations: Operations) -> Operations:
-    """The table with cos(x) = q - 1 and sin(x) = t q, q = 2 / (1 + t^2), t = tan(x / 2).
+    """Returns a table with cos(x) = q - 1 and sin(x) = t q, q = 2 / (1 + t^2), t = tan(x / 2).
 
-    Where both are taken of one angle and the tangent only once, that is a third of numpy's time for two functions;
-    within 5e-16 of them.
+    With a common tangent for both functions of an angle, this takes a third of NumPy's time. The error is below 5e-16.
     """
 
     def halved(angle: Scalar) -> tuple[Scalar, Scalar]:
@@ -137,12 +137,12 @@ def half_angled(operations: Operations) -> Operations:
 
 @cache
 def torch_operations() -> Operations:
-    """The table for torch tensors; plain numbers are allowed next to tensors."""
+    """Returns the table for torch tensors; arguments may also be plain numbers."""
     import torch
 
     def tensor(value: Any, alongside: Any = None) -> Any:
-        # A plain number becomes a tensor without axes, in double precision unless a tensor stands next to it: in what
-        # follows the tensors with axes decide the precision.
+        # A plain number becomes a tensor without axes, with the precision of the other argument if that is a tensor,
+        # else in double precision. In later operations, tensors with axes determine the precision.
         if isinstance(value, torch.Tensor):
             return value
         if isinstance(alongside, torch.Tensor):
@@ -160,8 +160,8 @@ def torch_operations() -> Operations:
         return torch.where(torch.as_tensor(condition, device=yes.device), yes, no)
 
     def clip(value: Any, low: Any, high: Any) -> Any:
-        # On a bound the slope is the bound's own. (torch.minimum and maximum share it out, so that an effect of width 0
-        # would have the value of the model without it, but not the slope.)
+        # On a bound, the derivative is that of the bound. torch.minimum and maximum split the derivative instead, so
+        # that an effect of width 0 would have the value of the model without it, but not its derivative.
         return where(value <= low, low, where(value >= high, high, value))
 
     return Operations(
@@ -183,7 +183,7 @@ def torch_operations() -> Operations:
 
 
 def operations_for(value: Any) -> Operations:
-    """The table that fits ``value``: a float, a numpy array or a torch tensor."""
+    """Returns the table for the type of ``value``: a float, a NumPy array or a torch tensor."""
     if isinstance(value, (float, int)):
         return FLOATS
     if isinstance(value, np.ndarray):
@@ -191,4 +191,4 @@ def operations_for(value: Any) -> Operations:
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(value, torch.Tensor):
         return torch_operations()
-    raise TypeError(f"got {type(value).__name__}, wanted a float, a numpy array or a torch tensor")
+    raise TypeError(f"got {type(value).__name__}, wanted a float, a NumPy array or a torch tensor")

@@ -1,4 +1,4 @@
-"""What stands in for a robot of one's own while there is no real one: its true motion and its surroundings."""
+"""The interface of a simulated robot, which replaces the real one: its true motion and its surroundings."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ Numbers = tuple[float, ...]
 
 
 class AbstractStandIn(ABC):
-    """The truth, as far as it is simulated. No model of the library need know it: that is what a diagnosis is for."""
+    """A simulated robot. Its dynamics may differ from every model in the library, for the diagnosis to find."""
 
     goals_reached: int = 0
 
     @property
     @abstractmethod
     def values(self) -> Numbers:
-        """(states,) now, in the order of the robot's system."""
+        """The current state (states,) in the order of the robot's system."""
 
     @property
     def goal(self) -> Numbers:
-        """Where it shall go; empty without one."""
+        """The current goal; empty without one."""
         return ()
 
     @property
     def obstacles(self) -> tuple[Numbers, ...]:
-        """What it perceives: x, y, radius in m each."""
+        """The perceived obstacles: x, y and radius in m."""
         return ()
 
     @property
     def field(self) -> Numbers:
-        """(4,) lowest x, highest x, lowest y, highest y in m, where it may be; empty without one."""
+        """(4,) minimum x, maximum x, minimum y, maximum y of the permitted area in m; empty without one."""
         return ()
 
     @property
     def footprint(self) -> Numbers:
-        """(3,) how far it reaches behind and ahead of its reference point, and its radius in m; empty: not told."""
+        """(3,) extent behind and ahead of the reference point, and radius in m; empty if unknown."""
         return ()
 
     @abstractmethod
     def advance(self, action: Numbers, seconds: float) -> None:
-        """Moves on by ``seconds`` under ``action`` (actions,); counts goals, and chooses the next."""
+        """Simulates ``seconds`` with ``action`` (actions,); counts reached goals and chooses the next one."""
 
     @abstractmethod
     def contact(self) -> str:
-        """What it touches now and must not; empty: nothing."""
+        """Returns the name of an object in forbidden contact with the robot; empty without contact."""
 
     @abstractmethod
     def watchdog_action(self) -> Numbers:
-        """(actions,) what the robot does by itself when no one tells it anything."""
+        """Returns the action (actions,) of the robot's watchdog when no action arrives."""
 
 
 def world_number(text: str) -> tuple[str, float]:
-    """``wind=0.8`` as (name, number). Raises InputError for anything else."""
+    """Parses ``wind=0.8`` into (name, value). Raises InputError for anything else."""
     name, found, number = text.partition("=")
     try:
         value = float(number)

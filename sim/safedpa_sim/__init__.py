@@ -1,1 +1,6 @@
-"""The stand-in for the world: robots, and the simulators that policies are trained in."""
+"""Simulated robots, their sensors and environments, and the training of learned models on them.
+
+Read ``robots`` first: physics and control loops of the simulated car, pendulum and point robot. ``point`` and
+``pendulum`` hold the tasks that policies are trained on, ``sensing`` the simulated laser and people, ``training`` the
+training phases. ``closed_loop`` runs a robot with its services in one process, without a bus.
+"""

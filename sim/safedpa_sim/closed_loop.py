@@ -1,4 +1,4 @@
-"""A robot and the real nodes of the services in one process, in lockstep over an in-memory bus: for experiments."""
+"""Runs a robot and the nodes of the services in one process, in lockstep over an in-memory bus, for experiments."""
 
 from __future__ import annotations
 
@@ -31,44 +31,44 @@ _NAME = "r1"
 
 
 class Robot(Protocol):
-    """What the closed loop needs of a robot."""
+    """The interface that the closed loop needs of a robot."""
 
     def state_message(self) -> StateMessage:
-        """The state of this tick."""
+        """Returns the state of this tick."""
 
     def receive(self, message: ActionMessage) -> str | None:
-        """Accepts an action, or says why not."""
+        """Returns None if the action is accepted, otherwise the reason for the refusal."""
 
     def advance(self) -> None:
-        """Lives through one period."""
+        """Simulates one period."""
 
 
 @runtime_checkable
 class Sensing(Protocol):
-    """A robot with sensors of its own."""
+    """A robot with its own sensors."""
 
     def scans(self) -> Sequence[ScanMessage]:
-        """What they have to tell before the state of this tick."""
+        """Returns the new scans before the state of this tick."""
 
 
 class SensingRobot(Robot, Sensing, Protocol):
-    """Both."""
+    """A robot with sensors, for ``drive_together``."""
 
 
 class RobotGroup(Protocol):
-    """Robots that live through their periods together."""
+    """Robots that advance together, such as the cars of a shared field."""
 
     @property
     def robots(self) -> Sequence[SensingRobot]:
-        """In an order that stays."""
+        """The robots, in a fixed order."""
 
     def advance(self) -> None:
-        """All of them live through one period."""
+        """Simulates one period of all robots."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """What happened in one period."""
+    """The messages of one period."""
 
     state: StateMessage
     verdict: VerdictMessage
@@ -82,18 +82,18 @@ def drive(
     fleet: str = "experiment",
     hear: Callable[[ReceivedMessage], None] | None = None,
 ) -> Generator[Tick, None, None]:
-    """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last; who only listens
-    may stand behind it.
+    """Runs ``ticks`` periods and yields the messages of each.
 
-    ``hear`` gets every message of every topic, at the end of its tick. The messages are encoded and decoded as on the
-    network. Raises BusError when no action comes out of a tick.
+    ``nodes`` are in the order of the data flow: the one that sends actions comes last, except for nodes that only
+    listen. ``hear`` receives every message of every topic at the end of its tick. Messages are encoded and decoded as
+    on the network. Raises BusError when a tick gives no action.
     """
     broker = MemoryBroker()
     with Bus(MemoryTransport(broker), fleet) as bus:
         inbox = bus.inbox((ACTION, VERDICT), _NAME)
         everything = None if hear is None else bus.inbox(tuple(TOPICS.values()), keep_all=True)
         now = 0.0
-        # by the robot's clock: a node that thinks for long must not find that the robot was silent meanwhile
+        # Nodes use the robot's clock: a slow node must not conclude from the wall clock that the robot went silent.
         loops = [ServiceLoop(node, Bus(MemoryTransport(broker), fleet), clock=lambda: now) for node in nodes]
         for _ in range(ticks):
             state = robot.state_message()
@@ -120,9 +120,9 @@ def drive(
 def drive_together(
     field: RobotGroup, nodes: Sequence[Sequence[AbstractNode]], ticks: int
 ) -> Generator[tuple[Tick, ...], None, None]:
-    """Runs ``ticks`` periods of all robots of a field, each with nodes and a bus of its own, as ``drive`` does.
+    """Runs ``ticks`` periods of all robots of a field, each with its own nodes and bus, as ``drive`` does.
 
-    All have their actions of a tick before any of them moves. Raises BusError as ``drive`` does.
+    All robots receive their action of a tick before any of them moves. Raises BusError as ``drive`` does.
     """
     drives = [drive(_WaitingRobot(robot), own, ticks) for robot, own in zip(field.robots, nodes, strict=True)]
     try:
@@ -137,10 +137,10 @@ def drive_together(
 
 @final
 class _WaitingRobot:
-    """A robot that does not move alone."""
+    """A robot that is advanced by its field."""
 
     def __init__(self, robot: SensingRobot) -> None:
         self.state_message, self.receive, self.scans = robot.state_message, robot.receive, robot.scans
 
     def advance(self) -> None:
-        """Nothing: its field moves it."""
+        """Does nothing: the field advances the robot."""

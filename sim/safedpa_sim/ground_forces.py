@@ -1,6 +1,6 @@
-"""What the ground does to a simulated car and to what it tows: forces alone, over plain numbers, which is compiled.
+"""Tyre and ground forces on the simulated car and its load, over plain floats; compiled by mypyc.
 
-It stands apart from the physics engine, so that it can be loaded where that one is not installed.
+Separate from the physics engine, so that it can be imported where pymunk is not installed.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from math import cos, sin, sqrt, tanh
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
-    from safedpa_sim.robots.car_parameters import CarParameters
+    from safedpa_sim.robots.car.parameters import CarParameters
 
 __all__ = ["GRAVITY", "DrivePeriod", "GroundForces", "runner_force"]
 
 GRAVITY: Final = 9.81
 """m/s2."""
 _ROLLING_SPEED: Final = 0.02
-"""m/s below which rolling resistance fades, so that it cannot push a standing car."""
+"""m/s below which rolling resistance fades, so that it cannot push a stationary car."""
 _RUNNER_SLIP: Final = 0.1
 """rad; slip angle scale of the runners."""
 _RUNNER_SPEED: Final = 0.3
@@ -25,16 +25,20 @@ _RUNNER_SPEED: Final = 0.3
 
 @final
 class GroundForces:
-    """Tyre forces of both axles of a car, each under the load that the drive shifts, less the resistance
+    """Tyre forces of both axles with load transfer, minus the driving resistance.
 
-    mass (rolling tanh(v / 0.02 m/s) + drag |v| v), of a car that has them also mass (viscous v + turning |steer|
-    tanh(v / 0.02 m/s)).
+    The forces of an axle in the frame of its wheels are
 
-    Of an axle F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2) [N] in the frame of its
-    wheels, s = sideways / (slip_scale (|rolling| + slip_speed)): a tyre of cornering stiffness limit / slip_scale that
-    saturates on the friction circle of radius limit. Rolling and sideways [m/s] are the velocity of the axle's middle
-    along and across its wheels. Source: the combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd
-    ed., ch. 13, with a smooth saturation.
+        F_x = clip(drive, +-limit),  F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2)   [N]
+        s = sideways / (slip_scale (|rolling| + slip_speed))
+
+    with rolling and sideways [m/s] the velocity of the axle's centre along and across its wheels: a tyre of cornering
+    stiffness limit / slip_scale that saturates on the friction circle of radius limit. The resistance is
+
+        mass (rolling tanh(v / 0.02 m/s) + drag |v| v + viscous v + turning |steer| tanh(v / 0.02 m/s))
+
+    Source: the combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd ed., ch. 13, with a smooth
+    saturation.
     """
 
     def __init__(self, car: CarParameters) -> None:
@@ -56,12 +60,12 @@ class GroundForces:
     def of(
         self, forward: float, sideways: float, rate: float, drive: float, steer: float
     ) -> tuple[float, float, float]:
-        """Force along and across the car [N], and the torque [N m] about its centre of mass.
+        """Returns the force along and across the car [N] and the torque [N m] about its centre of mass.
 
-        From forward and sideways speed [m/s] and turning rate [rad/s] of that centre, drive [m/s2] and the wheels'
+        Inputs are forward and sideways speed [m/s] and turning rate [rad/s] of that centre, drive [m/s2] and wheel
         angle [rad].
         """
-        # written out for both axles: twenty times a period the calls would cost as much as the sums
+        # Both axles are written out: with twenty substeps per period, function calls would take as long as the sums.
         mass = self.mass
         share = (self._to_rear - drive * self._height / GRAVITY) / self._wheelbase
         share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
@@ -89,10 +93,11 @@ class GroundForces:
 
 @final
 class DrivePeriod:
-    """One car over a period in which its command stays: its motor's acceleration, and the forces of each substep.
+    """The motor's acceleration and the forces of each substep over a period with a constant command.
 
-    ``pull``: push [m/s2], gain [1/s] and target [m/s] of the motor, which wants push + gain (target - speed) within
-    +-``limit`` [m/s2] and goes ``share`` of the way to it in a substep; ``wind`` [m/s2] along the field's x and y.
+    ``pull`` is push [m/s2], gain [1/s] and target [m/s] of the motor, whose target acceleration is push + gain (target
+    - speed), clipped to +-``limit`` [m/s2]. In a substep the acceleration covers ``share`` of the step to it. ``wind``
+    is in m/s2 along the field's x and y.
     """
 
     def __init__(
@@ -113,10 +118,10 @@ class DrivePeriod:
         """m/s2; at the end of the last substep."""
 
     def substep(self, yaw: float, vx: float, vy: float, rate: float, steer: float) -> tuple[float, float, float]:
-        """Force in the field's frame [N] and torque [N m] on the centre of mass, from its motion before the substep."""
+        """Returns force in the field's frame [N] and torque [N m] on the centre of mass from its current motion."""
         cosine, sine = cos(yaw), sin(yaw)
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-        wanted = self._push + self._gain * (self._target - forward)  # SpeedServo.advance, written out
+        wanted = self._push + self._gain * (self._target - forward)  # SpeedServo.advance, inlined
         wanted = -self._limit if wanted < -self._limit else self._limit if wanted > self._limit else wanted
         self.acceleration += (wanted - self.acceleration) * self._share
         along, across, torque = self._forces.of(forward, sideways, rate, self.acceleration, steer)
@@ -126,9 +131,10 @@ class DrivePeriod:
 
 
 def runner_force(angle: float, vx: float, vy: float, hold: float) -> tuple[float, float]:
-    """Force [N] in the field's frame of the runners of a load at ``angle`` [rad] that moves by (vx, vy) [m/s].
+    """Returns the force [N] on a load's runners at ``angle`` [rad] and velocity (vx, vy) [m/s], in the field's frame.
 
-    ``axle_force`` without drive, written out: ``hold`` [N] is the largest force, below 0 as it acts against the slip.
+    The tyre force of ``GroundForces`` without drive; ``hold`` [N] is the largest force, negative because it opposes the
+    slip.
     """
     cosine, sine = cos(angle), sin(angle)
     forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine

@@ -1,4 +1,4 @@
-"""A recorded drive of a simulated robot again, in closed loop: same scene, same seed, other model or margin."""
+"""Repeats a recorded drive of a simulated robot in closed loop: same scene and seed, another model or margin."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.replay.setups import REPLAYED, node_of
 from safedpa.replay.tape import RobotTape, Stamp, options_of
 from safedpa.replay.what_if import WhatIfChange
-from safedpa.robot import robot_named
+from safedpa.systems.robots import robot_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.__main__ import robot_parser
-from safedpa_sim.robots.stand_ins import robot_of
+from safedpa_sim.robots.robot_factory import make_robot
 
 __all__ = ["drive_again"]
 
 _OF_THE_PROCESS = ("name", "seconds", "lockstep", "summary", "await_word", "trace")
-"""Next to those of the bus, options that a recording does not decide: names and addresses in it are no one's business.
-All others make the robot what it is."""
+"""Options of the robot process that are not taken from a recording, besides those of the bus; all others define the
+simulated robot."""
 
 
 def drive_again(tape: RobotTape, change: WhatIfChange, folders: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """What the first epoch of the recording would have come to: then and now, name by name; JSON-ready.
+    """Repeats the first epoch of the recording and returns recorded and new figures, ready for JSON.
 
-    The robot waits for every action, as in lockstep: where the recorded one drove in real time, what came late then
-    comes in time now. Raises InputError when the robot was not simulated, or its options were not recorded.
+    The robot runs in lockstep: if the recorded one ran in real time, actions that were late then are in time now.
+    Raises InputError when the robot was not simulated, or its options were not recorded.
     """
     options = _robot_options(tape)
     epoch = next(iter(tape.states))[0]
     stamps = sorted(stamp for stamp in tape.states if stamp[0] == epoch)
     setups = [_setup(tape, service) for service in REPLAYED]
     nodes = [*_perception(tape, options), *(node_of(change.applied(setup), folders) for setup in setups)]
-    driven = list(drive(robot_of(options), nodes, len(stamps)))
+    driven = list(drive(make_robot(options), nodes, len(stamps)))
     return {
         "robot": " ".join(f"{name}={value}" for name, value in _reported(options).items()),
         "ticks": len(driven),
@@ -64,7 +64,7 @@ def _robot_options(tape: RobotTape) -> argparse.Namespace:
 
 
 def _simulating() -> list[str]:
-    """Names of the options that make the robot what it is: whatever is not known to do so is taken to do so."""
+    """Returns the names of the options that define the simulated robot: all but those known not to."""
     bus = argparse.ArgumentParser()
     add_bus_options(bus)
     others = {*vars(bus.parse_args([])), *_OF_THE_PROCESS}
@@ -72,7 +72,8 @@ def _simulating() -> list[str]:
 
 
 def _perception(tape: RobotTape, options: argparse.Namespace) -> list[AbstractNode]:
-    """Of a robot that is told no obstacles, what tells them by its scans, as its file was when the drive began."""
+    """Returns the perception node, with its settings at the beginning of the drive, for a robot with a laser
+    scanner."""
     if not options.laser:
         return []
     setup = _setup(tape, PerceptionNode.name)
@@ -80,11 +81,11 @@ def _perception(tape: RobotTape, options: argparse.Namespace) -> list[AbstractNo
 
 
 def _parsed(options: dict[str, Any]) -> argparse.Namespace:
-    """The options through the robot's own parser: anyone who wrote the recording may have written anything there.
+    """Validates the recorded options with the robot's own parser, because a recording is untrusted input.
 
     Raises InputError naming the option.
     """
-    parser = robot_parser()  # has a default for options that came later than the recording
+    parser = robot_parser()  # has defaults for options that are newer than the recording
 
     def refuse(message: str) -> NoReturn:
         raise InputError(f"--closed-loop: the robot's options in the recording: {readable(message, 200)}")
@@ -100,7 +101,7 @@ def _parsed(options: dict[str, Any]) -> argparse.Namespace:
 
 
 def _reported(options: argparse.Namespace) -> dict[str, Any]:
-    """What makes the drive this one: the options that are not as they are by default, and the seed."""
+    """Returns robot, seed and the options that differ from their default."""
     defaults = vars(robot_parser().parse_args([]))
     named = {name: getattr(options, name) for name in ("robot", "seed")}
     return named | {name: value for name in _simulating() if (value := getattr(options, name)) != defaults[name]}
@@ -114,7 +115,7 @@ def _setup(tape: RobotTape, service: str) -> SetupMessage:
 
 
 def _apart(tape: RobotTape, stamps: list[Stamp], driven: list[Tick]) -> int | None:
-    """The first tick whose state is not the recorded one to the last bit; None: all are."""
+    """Returns the first tick whose state differs from the recorded one in any bit; None if there is none."""
     for stamp, tick in zip(stamps, driven, strict=False):
         if tape.states[stamp].values != tick.state.values:
             return stamp[1]
@@ -122,7 +123,7 @@ def _apart(tape: RobotTape, stamps: list[Stamp], driven: list[Tick]) -> int | No
 
 
 def _compared(tape: RobotTape, stamps: list[Stamp], driven: list[Tick]) -> dict[str, tuple[Any, Any]]:
-    """Of each figure the recorded one and the new one."""
+    """Returns the recorded and the new value of each figure."""
     states = [tape.states[stamp] for stamp in stamps]
     entries = [entry.message for entry in tape.computed["safety_filter"]]
     then = [entry for entry in entries if isinstance(entry, VerdictMessage) and entry.epoch == stamps[0][0]]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from safedpa.adaptation import AdaptationNode, EstimatorSettings, HistoryEstimator, LatentEstimator
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.bus import LATENT, LatentMessage, StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, fingerprint, load_model, parse_model
 from safedpa.effects.library import effect

@@ -1,4 +1,4 @@
-"""What continuous integration could not test is said by it, in its last lines."""
+"""What continuous integration could not test is reported by it, in its last lines."""
 
 import re
 import shutil
@@ -18,7 +18,7 @@ SKIPPED [2] tests/workbench/test_screens.py:7: no Chromium; install it (Debian: 
 """
 
 
-def test_every_reason_to_skip_is_told_once_with_how_many_tests_it_left_out(tmp_path: Path) -> None:
+def test_every_reason_to_skip_is_reported_once_with_how_many_tests_it_left_out(tmp_path: Path) -> None:
     (tmp_path / "tests.log").write_text(LOG, encoding="utf-8")
     (tmp_path / "fleet.log").write_text(
         "SKIPPED [7] tests/fleet/test_fleet.py:9: no containers here\n", encoding="utf-8"
@@ -30,12 +30,12 @@ def test_every_reason_to_skip_is_told_once_with_how_many_tests_it_left_out(tmp_p
     ]
 
 
-def test_where_all_is_tested_nothing_is_said(tmp_path: Path) -> None:
+def test_where_all_is_tested_nothing_is_reported(tmp_path: Path) -> None:
     (tmp_path / "tests.log").write_text("== 8000 passed in 600.00s ==\n", encoding="utf-8")
     assert not_tested(tmp_path / "tests.log") == []
 
 
-def test_it_is_told_after_all_parts_and_before_failures_and_summary() -> None:
+def test_it_is_reported_after_all_parts_and_before_failures_and_summary() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     order = (
         'part "quick tests" run_tests test\n',
@@ -73,7 +73,7 @@ def test_the_last_line_is_a_summary_and_that_of_the_run_that_failed(tmp_path: Pa
     assert lines[-1] == f"== 1 passed of {last} in 600.00s =="
 
 
-def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(tmp_path: Path) -> None:
+def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_reported(tmp_path: Path) -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("compiled_tests() {")
     function = text[begin : text.index("\n}\n", begin) + 3]
@@ -90,7 +90,7 @@ def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(t
 @pytest.mark.parametrize(
     ("schemas", "sound", "code"), [("false", "false", 0), ("true", "true", 0), ("true", "false", 1)]
 )
-def test_manifests_fail_where_they_are_wrong_and_not_where_nobody_can_tell(
+def test_manifests_fail_where_they_are_wrong_and_not_where_no_one_can_report(
     tmp_path: Path, schemas: str, sound: str, code: int
 ) -> None:
     text = SCRIPT.read_text(encoding="utf-8")
@@ -103,7 +103,7 @@ def test_manifests_fail_where_they_are_wrong_and_not_where_nobody_can_tell(
     assert not_tested(tmp_path / "manifests.log") == unknown
 
 
-def test_a_part_that_fails_fails_and_its_time_is_told() -> None:
+def test_a_part_that_fails_fails_and_its_time_is_reported() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("failed=()")
     function = text[begin : text.index("\n}\n", begin) + 3]

@@ -28,7 +28,7 @@ def test_what_loads_torch_is_known() -> None:
 
 
 class Process:
-    """Of xdist: keeps what it is told to run."""
+    """Of xdist: keeps what it is given to run."""
 
     def __init__(self) -> None:
         self.reported: list[int] = []

@@ -49,7 +49,7 @@ class Car:
         return (0.0, 0.0)
 
 
-def test_the_example_of_a_real_robot_runs_and_brakes_where_nobody_answers() -> None:
+def test_the_example_of_a_real_robot_runs_and_brakes_where_no_one_answers() -> None:
     found = re.search(r"```python\n(.*?)```", (DOCS / "bus.md").read_text(encoding="utf-8"), re.DOTALL)
     assert found
     names: dict[str, Any] = {}

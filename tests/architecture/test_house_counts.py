@@ -62,7 +62,7 @@ def test_a_package_is_looked_through(house: ModuleType, tmp_path: Path) -> None:
     assert not found["safedpa.room.part"].measured
 
 
-def test_lines_are_code_told_or_blank(house: ModuleType, tmp_path: Path) -> None:
+def test_lines_are_code_reported_or_blank(house: ModuleType, tmp_path: Path) -> None:
     text = '"""What\n\nit is."""\n\n# why\nx = 1  # so\n'
     found = house.modules(written(tmp_path, {"shared/safedpa/a.py": text}))
     module = found["safedpa.a"]
@@ -76,7 +76,7 @@ def test_the_house_itself_is_counted(whole: dict[str, Any]) -> None:
     assert whole["safedpa.safety.filter"].importers >= {"safedpa.safety.batch.filter"}
 
 
-def test_why_two_modules_stay_apart_is_said(house: ModuleType, tmp_path: Path) -> None:
+def test_why_two_modules_stay_apart_is_reported(house: ModuleType, tmp_path: Path) -> None:
     one = "one = 1\n"
     found = house.modules(
         written(
@@ -167,4 +167,4 @@ def test_a_decision_passes_no_more_files_than_it_did(house: ModuleType) -> None:
     most = {(asked, status): files for asked, status, files, _ in house.decision_files()}
     assert set(most) >= {("SafetyFilter.decide", "passed"), ("SafetyFilter.decide", "corrected")}
     assert max(files for (asked, _), files in most.items() if asked == "SafetyFilter.decide") <= 27
-    assert max(most.values()) <= 42  # one more since a model's step stands in a file of its own
+    assert max(most.values()) <= 42  # one more since a model's step has a file of its own

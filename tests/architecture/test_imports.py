@@ -1,16 +1,18 @@
 """Imports go down only, services know each other by the bus alone, and every process starts lightly."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ROOT / "services" / "safedpa_services"
-SHARED_BY_SERVICES = {"driving", "serving", "nodes", "web"}
+SHARED_BY_SERVICES = {"model_deployment", "service_main", "service_factories", "web"}
 LAUNCHERS = {"command_line", "supervisor"}
 """What a person starts: these may know the services and the simulator."""
 HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}
@@ -38,6 +40,15 @@ def test_the_contracts_of_import_linter_are_kept() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_no_module_imports_itself_through_others() -> None:
+    """Imports for annotations and imports within functions count."""
+    graph = grimp.build_graph(
+        "safedpa", "safedpa_services", "safedpa_sim", "safedpa_lab", include_external_packages=False
+    )
+    imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    graphlib.TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle
+
+
 @pytest.mark.parametrize("service", [name for name in PACKAGES if name not in LAUNCHERS])
 def test_a_service_imports_no_other_service(service: str) -> None:
     allowed = {service, *SHARED_BY_SERVICES}
@@ -53,6 +64,7 @@ def test_nothing_but_what_a_person_starts_imports_the_simulator() -> None:
             assert not any(module.split(".")[0] == "safedpa_sim" for module in imported(path)), path
 
 
+@pytest.mark.long
 def test_the_library_imports_neither_services_nor_simulator_and_nothing_the_laboratory() -> None:
     upper = {"safedpa_services", "safedpa_lab"}
     for folder, banned in (
@@ -71,6 +83,7 @@ def loaded_by(module: str) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("service", [*MAINS, "command_line"])
 def test_a_process_starts_lightly(service: str) -> None:
     module = f"safedpa_services.{service}" + (".__main__" if service in MAINS else "")

@@ -23,12 +23,12 @@ DECIDERS = {
     "safedpa_lab.benchmarks.peers.filter_rta": "a peer",
     "safedpa_lab.experiments.adversary.peer_filters": "peers",
     "safedpa_lab.experiments.adversary.bent_problem": "asks SafetyFilter",
-    "safedpa_lab.experiments.adversary.linear_problem": "asks SafetyFilter",
+    "safedpa_lab.experiments.adversary.linear.problem": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.mirrors": "asks SafetyFilter",
     "safedpa_lab.point.relinearised_filter": "asks PointFilter",
     "safedpa_sim.pendulum.policy_task": "asks BatchFilter",
     "safedpa_sim.point.filtering": "asks BatchFilter",
-    "safedpa_sim.training.car_task": "asks BatchFilter",
+    "safedpa_sim.training.environments.car_task": "asks BatchFilter",
 }
 """Modules with something that decides: a method ``decide``."""
 CONDITIONS = {
@@ -37,10 +37,10 @@ CONDITIONS = {
     "safedpa.safety.margins.error_clipping": "how far h may fall: measures errors",
     "safedpa.safety.checks.probes": "looks for states without an action",
     "safedpa_lab.theory.boundary_layer": "the theory's bound",
-    "safedpa.safety.deadlock.escape": "how long a way out takes",
+    "safedpa.safety.deadlock.escape": "how long a deadlock escape takes",
     "safedpa_lab.experiments.adversary.bends": "judges",
     "safedpa_lab.experiments.adversary.car_judge": "judges",
-    "safedpa_lab.experiments.adversary.linear_judge": "judges",
+    "safedpa_lab.experiments.adversary.linear.judge": "judges",
     "safedpa_lab.experiments.adversary.peer_filters": "peers",
     "safedpa_lab.experiments.adversary.systems": "judges",
     "safedpa_lab.point.relinearised_filter": "judges which decision to keep",
@@ -104,6 +104,7 @@ def barriers() -> None:
                 raise
 
 
+@pytest.mark.long
 def test_nothing_else_decides_an_action() -> None:
     found = {
         module_of(path)
@@ -115,7 +116,7 @@ def test_nothing_else_decides_an_action() -> None:
 
 
 def test_who_asks_a_filter_asks_it() -> None:
-    """In a module that is said to ask one every ``decide`` calls that filter's."""
+    """In a module that is reported to ask one every ``decide`` calls that filter's."""
     asking = {name: role.removeprefix("asks ") for name, role in DECIDERS.items() if role.startswith("asks ")}
     for path, tree in sources():
         kind = asking.get(module_of(path))
@@ -135,15 +136,15 @@ def _calls(nodes: Iterable[ast.AST]) -> set[str]:
 
 
 def test_what_shelters_training_is_the_filter() -> None:
-    """Wherever a condition asks whether robots are sheltered, what follows asks a filter, itself or by its own method.
+    """Wherever a condition asks whether robots are with_filter, what follows asks a filter, itself or by its own method.
 
-    Who asks only whether to hand ``sheltered`` on, or puts it into a name, calls nothing that decides, and is no case.
+    Who asks only whether to hand ``with_filter`` on, or puts it into a name, calls nothing that decides, and is no case.
     """
     seen = set()
     for path, tree in sources("sim"):
         methods = {node.name: node.body for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
         for node in ast.walk(tree):
-            if not isinstance(node, (ast.If, ast.IfExp)) or "sheltered" not in ast.unparse(node.test):
+            if not isinstance(node, (ast.If, ast.IfExp)) or "with_filter" not in ast.unparse(node.test):
                 continue
             follows = node.body if isinstance(node, ast.If) else [node.body]
             calls = _calls(follows)
@@ -155,7 +156,7 @@ def test_what_shelters_training_is_the_filter() -> None:
     assert seen == {
         "safedpa_sim.pendulum.policy_task",
         "safedpa_sim.point.policy_task",
-        "safedpa_sim.training.car_task",
+        "safedpa_sim.training.environments.car_task",
     }
 
 

@@ -210,6 +210,7 @@ def all_places(root: Path = ROOT, *, internals: bool = False) -> list[Place]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["private", "pinned", "faked"])
 def test_outside_internals_no_test_depends_on_the_shape_of_the_code(kind: str) -> None:
     assert [str(place) for place in all_places() if place.kind == kind] == []

@@ -92,7 +92,7 @@ class Fleet:
         inside = MemoryTransport(broker)
         inside.release = self.released.append  # type: ignore[method-assign]
         self.loop = ServiceLoop(self.node, Bus(inside, "test"), clock=self.clock, **of_the_loop)
-        self.nominal_inbox: Inbox = self.bus.inbox((NOMINAL,), keep_all=True)
+        self.nominal_actions: Inbox = self.bus.inbox((NOMINAL,), keep_all=True)
         self.healths: Inbox = self.bus.inbox((HEALTH,), keep_all=True)
         self.state_at, self.lockstep = state_at, lockstep
 
@@ -121,7 +121,7 @@ class Fleet:
         """Robot and tick of every action since the last call."""
         return [
             (item.robot, item.message.tick)
-            for item in self.nominal_inbox.take(0.0)
+            for item in self.nominal_actions.take(0.0)
             if isinstance(item, ReceivedMessage)
         ]
 

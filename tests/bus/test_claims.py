@@ -55,7 +55,7 @@ def test_the_lower_of_two_instances_that_start_at_once_waits_up_to_five_seconds_
     if stays:
         Bus(signs, "f").claim("r", "robot", "m")
     else:
-        with pytest.raises(BusError, match=r"robot 'r' of fleet 'f' lives already \(instance [ayz]\); choose another"):
+        with pytest.raises(BusError, match=r"'r' of fleet 'f' is already running \(instance [ayz]\); choose another"):
             Bus(signs, "f").claim("r", "robot", "m")
     assert signs.own == ([] if any(first == 1 for first, _ in others.values()) else ["safedpa/f/r/alive/robot/m"])
     assert signs.now == pytest.approx(waited, abs=0.11)

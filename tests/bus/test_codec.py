@@ -44,7 +44,7 @@ WRONG: dict[str, list[Any]] = {
     "tuple[str, ...]": [None, "text", [1], [None], [b"x"]],
 }  # fmt: skip
 WANTED = {
-    "Count": "a whole number from 0", "Number": "(a finite number|at most 1e)", "str": "text", "bool": "true or false",
+    "Count": "a non-negative integer", "Number": "(a finite number|at most 1e)", "str": "text", "bool": "true or false",
     "Positive": "(a number above 0|a finite number|at most 1e)", "Vector": "(a list|a finite number|at most 1e)",
     "Rows": "(a list|a finite number|at most 1e)", "tuple[str, ...]": "(a list|text)",
 }  # fmt: skip
@@ -225,7 +225,7 @@ def test_requests_and_answers_come_back_as_they_were_sent() -> None:
     answer = Answer(ok=True, sentence="change 3 is offered", change=3, fingerprint="0123456789ab", from_tick=7)
     assert decode(Request, encode(request)) == request
     assert decode(Answer, encode(answer)) == answer
-    with pytest.raises(MessageError, match=r"Request\.finding: got -1, wanted a whole number"):
+    with pytest.raises(MessageError, match=r"Request\.finding: got -1, wanted a non-negative integer"):
         decode(Request, msgpack.packb({"do": "accept", "finding": -1}))
 
 

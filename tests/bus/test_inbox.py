@@ -162,13 +162,13 @@ def test_no_service_speaks_in_the_name_of_another(sender: str, broker: Any, samp
 
 def test_a_message_and_an_answer_call_the_loop_that_leads(samples: dict[str, Message]) -> None:
     inbox, calls = Inbox(), list[bool]()
-    inbox.lead(lambda: calls.append(inbox.waiting))
+    inbox.set_listener(lambda: calls.append(inbox.waiting))
     inbox.keep_latest("safedpa/f/a/action", encode(samples["action"]))
     inbox.take(0.0)
     inbox.keep_answer(RequestOutcome("a", None))
     assert calls == [True, True]
     assert inbox.take_answers() == [RequestOutcome("a", None)]
-    inbox.lead(None)
+    inbox.set_listener(None)
     inbox.keep_answer(RequestOutcome("a", None))
     assert calls == [True, True]
 

@@ -177,7 +177,7 @@ def test_no_service_acts_before_every_service_has_the_message(samples: dict[str,
     inboxes = [Bus(joint, "f").inbox((STATE,)) for _ in range(3)]
     seen: list[list[bool]] = []
     for inbox in inboxes:
-        inbox.lead(lambda: seen.append([other.waiting for other in inboxes]))
+        inbox.set_listener(lambda: seen.append([other.waiting for other in inboxes]))
     state = encode(samples["state"])
     outside = MemoryTransport(broker)
     outside.put("safedpa/f/a/state", state, never_drop=False)

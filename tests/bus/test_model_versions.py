@@ -22,9 +22,9 @@ def message(step: str, change: int = 7, fingerprint: str = NEW, **more: Any) -> 
 class Story:
     """Versions of the robot ``r``; ``loads`` are the documents that were loaded, each in 0.01 s."""
 
-    def __init__(self, state: StateMessage, foretell: Any = None) -> None:
+    def __init__(self, state: StateMessage, predict_effect: Any = None) -> None:
         self.state, self.loads, self.clock = state, list[str](), Clock()
-        self.versions: ModelVersions[str] = ModelVersions("s", "first", OLD, self.load, foretell, clock=self.clock)
+        self.versions = ModelVersions[str]("s", "first", OLD, self.load, predict_effect, clock=self.clock)
 
     def load(self, _: str, offer: ModelMessage) -> str:
         self.loads.append(offer.document)
@@ -61,7 +61,7 @@ def story(state_at: StateAt) -> Story:
 
 OFFER, TAKE, DROP = message("offer"), message("take", from_tick=10), message("drop")
 NEWER = message("offer", 8, THIRD, document="newer")
-READY, TAKEN, UNKNOWN = ("ready", 7, ""), ("taken", 7, ""), "it was not offered before, or not to this process"
+READY, TAKEN, UNKNOWN = ("ready", 7, ""), ("taken", 7, ""), "this process did not receive the offer"
 
 STORIES: dict[str, tuple[list[Any], str, str | None, list[tuple[str, int, str]], list[str]]] = {
     # messages and ticks: model in force, prepared model, answers, documents loaded
@@ -181,7 +181,7 @@ class Ticket:
 
 def tried(story: Story, *outcomes: dict[str, object] | None) -> Ticket:
     ticket: Any = Ticket(*outcomes)
-    story.versions.hand_in = lambda *_: ticket
+    story.versions.submit = lambda *_: ticket
     return ticket
 
 
@@ -208,11 +208,11 @@ def test_an_offer_that_is_longer_than_the_limit_is_not_even_tried(
     ticket = tried(story, {})
     ((state, _, reason),) = story.play(message("offer", **{part: "x" * (10 + longer)}))
     assert (state, len(ticket.waits)) == (("refused", 0) if longer else ("ready", 1))
-    assert ("got 11 letters, wanted at most 10" in reason) == bool(longer)
+    assert ("got 11 characters, wanted at most 10" in reason) == bool(longer)
 
 
 def test_the_model_in_force_needs_no_trial(story: Story) -> None:
-    story.versions.hand_in = lambda *_: pytest.fail("tried")
+    story.versions.submit = lambda *_: pytest.fail("tried")
     assert story.play(message("offer", 7, OLD)) == [READY]
 
 
@@ -242,7 +242,7 @@ def status(*, ok: bool = True, **more: Any) -> Answer:
 
 @pytest.mark.parametrize("answer", [None, status(ok=False), status(fingerprint=""), status(document="")])
 def test_a_status_without_a_model_changes_nothing(answer: Answer | None, story: Story) -> None:
-    story.versions.welcome("r", answer)
+    story.versions.adopt_model("r", answer)
     assert (story.versions.of("r"), story.loads, story.answers()) == ("first", [], [])
 
 
@@ -261,7 +261,7 @@ def test_a_restarted_service_begins_with_the_model_that_was_agreed_on(
     more: dict[str, Any], change: int, loads: list[str], story: Story
 ) -> None:
     """The number of the change belongs to the model in force only while no other change is under way."""
-    story.versions.welcome("r", status(**more))
+    story.versions.adopt_model("r", status(**more))
     agreed = story.versions.agreed("r")
     assert agreed is not None
     assert (agreed.change, agreed.fingerprint, agreed.document) == (change, "4" * 12, "agreed")
@@ -272,14 +272,14 @@ def test_a_restarted_service_begins_with_the_model_that_was_agreed_on(
 def test_a_restarted_service_takes_a_change_that_is_under_way_with_the_others(
     pending: str, in_force: str, story: Story
 ) -> None:
-    story.versions.welcome("r", status(pending=pending, **PENDING))
+    story.versions.adopt_model("r", status(pending=pending, **PENDING))
     assert story.answers()[0] == ("ready", 5, "")
     assert [story.versions.begin("r", story.at(tick)) for tick in (9, 10)] == [False, pending == "take"]
     assert story.versions.of("r") == in_force
 
 
 def test_an_agreed_model_that_cannot_be_loaded_is_refused_and_the_first_one_serves(story: Story) -> None:
-    story.versions.welcome("r", status(document="bad"))
+    story.versions.adopt_model("r", status(document="bad"))
     assert story.versions.of("r") == "first"
     assert story.answers() == [("refused", 5, "no model")]
 
@@ -289,6 +289,6 @@ def test_an_offer_that_came_before_the_status_is_the_newer_one(ready: bool, stor
     story.versions.hear("r", message("offer", 8, THIRD, document="newest"))
     if ready:
         story.answers()
-    story.versions.welcome("r", status(pending="take", **PENDING))
+    story.versions.adopt_model("r", status(pending="take", **PENDING))
     story.play(10)
     assert (story.versions.prepared("r"), story.versions.of("r")) == ("newest", "agreed")

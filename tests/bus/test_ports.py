@@ -65,5 +65,5 @@ def test_an_error_says_that_there_is_no_free_port(monkeypatch: pytest.MonkeyPatc
         raise OSError("address already in use")
 
     monkeypatch.setattr(socket.socket, "bind", taken)
-    with pytest.raises(InputError, match="got none from the operating system"):
+    with pytest.raises(InputError, match="no TCP port is free"):
         free_port([8080])

@@ -29,7 +29,7 @@ def work(options, stop):
         raise JoinError("no router")
     if options.fault in ("code", "word"):
         if options.fault == "word":
-            stop.await_word()
+            stop.wait_for_start()
         print("the last word", stop())
         sys.stderr.write("a warning")
         return 3
@@ -134,7 +134,7 @@ def test_a_signal_ends_it_in_good_order(number: signal.Signals, free_port: int) 
         assert (process.returncode, output) == (0, f"{number.name}\n")
         kinds = [json.loads(line) for line in errors.splitlines()]
         assert [line["kind"] for line in kinds] == ["process.started", "process.ended"]
-        assert kinds[1]["sentence"] == f"test ends in order: {number.name}"
+        assert kinds[1]["sentence"] == f"test shuts down: {number.name}"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -159,7 +159,7 @@ def test_the_log_says_why_a_service_ends_and_the_first_reason_counts(
             stop.set(why)
     started, ended = map(json.loads, capsys.readouterr().err.splitlines())
     assert (started["kind"], ended["kind"]) == ("process.started", "process.ended")
-    assert ended["sentence"] == f"policy ends in order: {reason or 'its work is done'}"
+    assert ended["sentence"] == f"policy shuts down: {reason or 'its work is done'}"
 
 
 def test_it_ends_with_the_code_of_its_work_and_everything_it_wrote_is_out() -> None:

@@ -72,7 +72,7 @@ def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_wor
     state_at: StateAt, samples: dict[str, Message]
 ) -> None:
     class Explaining(FixedPolicy):
-        lingers: ClassVar = False
+        defers_afterwards: ClassVar = False
 
         def afterwards(self, robot: str) -> Outputs:
             return {VERDICT: samples["verdict"]}
@@ -113,7 +113,7 @@ def test_in_real_time_a_missing_input_is_stale_when_the_share_is_over(real_time:
 
 
 @pytest.mark.parametrize("age", [1, 2, 40])
-def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
+def test_a_stale_input_has_its_age(real_time: Fleet, age: int) -> None:
     real_time.state(5)
     real_time.latent(5)
     real_time.state(5 + age)
@@ -224,7 +224,7 @@ def test_a_robot_may_restart_under_its_name_after_a_silence_of_a_third_of_a_seco
     assert lockstep.node.forgotten == ["r"] * (2 if again else 1)
     health = lockstep.health()["r"]
     assert health.refused == (0 if again else 1)
-    assert ("a second robot speaks as 'r'" in health.detail) is not again
+    assert ("a second robot uses the name 'r'" in health.detail) is not again
 
 
 def test_garbage_is_counted_and_does_no_harm(lockstep: Fleet) -> None:
@@ -297,7 +297,7 @@ def test_a_deadline_of_a_robot_that_has_left_starts_no_step(real_time: Fleet) ->
     real_time.state(0, period=200.0)
     real_time.wait(31.0)
     assert set(real_time.health()) == {"-"}
-    assert 0.0 < real_time.loop.patience(60.0) <= 0.25
+    assert 0.0 < real_time.loop.wait_time(60.0) <= 0.25
     real_time.wait(20.0)
     assert real_time.nominal_ticks() == []
 
@@ -407,7 +407,7 @@ def test_work_that_can_wait_is_done_before_the_next_tick_however_busy_the_bus_is
 
 def test_work_that_can_wait_follows_its_step_and_comes_once(state_at: StateAt) -> None:
     class Prompt(Lingering):
-        lingers: ClassVar = False
+        defers_afterwards: ClassVar = False
 
     clock = Clock()
     fleet = Fleet(state_at, lockstep=False, node=Prompt(clock), clock=clock)
@@ -423,18 +423,18 @@ def test_a_loop_sleeps_until_the_next_moment_at_which_it_has_work(state_at: Stat
     clock = Clock()
     fleet = Fleet(state_at, lockstep=False, node=Lingering(clock), clock=clock)
     fleet.state(0)
-    assert fleet.loop.patience(1.0) == pytest.approx(0.01)
+    assert fleet.loop.wait_time(1.0) == pytest.approx(0.01)
     fleet.latent(0)
-    assert fleet.loop.patience(1.0) == pytest.approx(0.005), "for the work that can wait"
+    assert fleet.loop.wait_time(1.0) == pytest.approx(0.005), "for the work that can wait"
     fleet.wait(0.006)
     assert fleet.node.after == [pytest.approx(100.006)]
-    assert fleet.loop.patience(1.0) > 0.1, "until the next heartbeat"
+    assert fleet.loop.wait_time(1.0) > 0.1, "until the next heartbeat"
 
 
 class Taking(FixedPolicy):
     """Steps that take ``seconds`` each; records how many actions were on the bus when it began one, and afterwards."""
 
-    lingers: ClassVar = False
+    defers_afterwards: ClassVar = False
 
     def __init__(self, seconds: float, clock: Clock) -> None:
         super().__init__()
@@ -545,7 +545,7 @@ def test_states_that_come_far_faster_than_their_period_are_refused_except_in_loc
     assert health.refused == 60 - steps
     assert (steps == 60) is all_taken
     assert all_taken or 10 <= steps < 40
-    assert all_taken or "far faster than their period" in health.detail
+    assert all_taken or "much faster than their period" in health.detail
 
 
 def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lockstep: Fleet) -> None:
@@ -594,7 +594,7 @@ def test_a_robot_that_claims_a_period_below_a_millisecond_is_served_as_one_of_a_
     assert 25 <= len(fleet.node.steps) <= 35
 
 
-def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(state_at: StateAt) -> None:
+def test_new_robots_and_rejected_messages_are_logged(state_at: StateAt) -> None:
     events = list[tuple[str, str]]()
     service_log = ServiceLog("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
     fleet = Fleet(state_at, lockstep=True, service_log=service_log)
@@ -605,7 +605,7 @@ def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(sta
     fleet.state(0, epoch=EPOCH + 1)
     fleet.wait(31.0)
     assert events == [(kind, "r") for kind in (
-        "robot.met", "message.refused", "robot.second_refused", "robot.began_anew", "robot.forgotten",
+        "robot.met", "message.refused", "robot.second_refused", "robot.restarted", "robot.forgotten",
     )]  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def test_the_table_is_sound() -> None:
         assert topic.delivery in get_args(Delivery)
         assert topic.largest_age_ticks >= 0
     kinds = Counter(topic.message for topic in TOPICS.values())
-    assert max(kinds.values()) == 1, "a message type tells its topic"
+    assert max(kinds.values()) == 1, "a message type belongs to one topic"
 
 
 SMALL, DOCUMENT = 65_536, 4_194_304

@@ -135,7 +135,7 @@ class TransportContract(ABC):
         one.claim("r", "robot", "m")
         assert until(lambda: other.instances("r", "robot") == ["m"])
         for instance in ("a", "z"):
-            with pytest.raises(BusError, match=r"robot 'r' of fleet 'f' lives already \(instance m\)"):
+            with pytest.raises(BusError, match=r"robot 'r' of fleet 'f' is already running \(instance m\)"):
                 other.claim("r", "robot", instance)
         other.claim("r2", "robot", "a")
         one.close()
@@ -184,7 +184,7 @@ class TransportContract(ABC):
                 assert until(lambda: higher.instances(robot, service) == ["a", "b"])
 
         began = time.monotonic()
-        with pytest.raises(BusError, match=r"lives already \(instance a\)"):
+        with pytest.raises(BusError, match=r"is already running \(instance a\)"):
             Both(pair[1], "f").claim("r", "robot", "b", settle_seconds=PATIENCE)
         assert time.monotonic() - began < 0.5 * PATIENCE
 

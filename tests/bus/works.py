@@ -1,4 +1,4 @@
-"""Works for a process of its own, as ``test_apart.py`` hands them in."""
+"""Jobs for the sandbox, submitted by ``test_sandbox.py``."""
 
 import contextlib
 import json

@@ -91,7 +91,7 @@ class Network:
         return Certificates(self.folder, role)
 
     def settings(self, role: str, endpoint: str = "", mode: Any = "client") -> ZenohSettings:
-        return ZenohSettings(mode, (), (endpoint or self.endpoint,), self.card(role), patience=PATIENCE)
+        return ZenohSettings(mode, (), (endpoint or self.endpoint,), self.card(role), connect_timeout=PATIENCE)
 
     def join(self, role: str, endpoint: str = "") -> ZenohTransport:
         """A member of the fleet, as a process of the product joins."""

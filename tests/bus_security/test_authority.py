@@ -34,7 +34,7 @@ def test_every_role_gets_a_certificate_that_names_it(tmp_path: Path, capsys: pyt
     notice = capsys.readouterr().out
     authority = loaded(tmp_path / "authority.pem")
     for role in roles_of(("r1", "r2")):
-        assert f"{role}: made, good for 90 days" in notice
+        assert f"{role}: created, valid for 90 days" in notice
         card = Certificates(tmp_path, role)
         certificate = loaded(card.certificate)
         certificate.verify_directly_issued_by(authority)
@@ -113,9 +113,9 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--role", "policy"), "--role policy: got no --certificates"),
-        (("--certificates", "/nowhere"), "got no --role"),
-        (("--certificates", "/nowhere", "--role", "policy"), "authority.pem: is not there"),
+        (("--role", "policy"), "--role policy: --certificates is missing"),
+        (("--certificates", "/nowhere"), "--role is missing"),
+        (("--certificates", "/nowhere", "--role", "policy"), "authority.pem: does not exist"),
     ],
 )
 @pytest.mark.processes

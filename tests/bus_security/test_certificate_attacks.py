@@ -17,7 +17,7 @@ pytestmark = pytest.mark.processes
 
 
 def attempt(endpoint: str, card: Certificates | None, patience: float = 0.5) -> None:
-    ZenohTransport(ZenohSettings("client", (), (endpoint,), card, patience=patience)).close()
+    ZenohTransport(ZenohSettings("client", (), (endpoint,), card, connect_timeout=patience)).close()
 
 
 def gets_in(endpoint: str, card: Certificates | None) -> None:
@@ -143,7 +143,7 @@ def test_what_is_plain_text_and_can_be_reached_from_elsewhere_is_known(endpoint:
     assert bool(ZenohSettings("client", (), (endpoint,)).plain_endpoints) is plain
 
 
-def test_plain_text_beyond_this_machine_is_said_loudly(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plain_text_beyond_this_machine_logs_a_warning(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
     ZenohTransport(ZenohSettings("router", (f"tcp/127.0.0.1:{free_port}",))).close()
     assert capsys.readouterr().err == ""
     ZenohTransport(ZenohSettings("router", (f"tcp/0.0.0.0:{free_port}",))).close()

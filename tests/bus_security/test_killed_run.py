@@ -23,7 +23,7 @@ KILLED = ("router", "adaptation", "policy", "safety_filter", "recorder")
 
 
 class Run:
-    """One ``up --secure``, and every process that has anything to do with it: by the folder that it was told."""
+    """One ``up --secure`` with all its processes, found by the folder in their environment."""
 
     def __init__(self, folder: Path, *options: str) -> None:
         (folder / "private").mkdir(exist_ok=True)

@@ -33,7 +33,7 @@ def west(network: Any) -> Callable[..., West]:
     def started(role: str = "router.west", *, guarded: bool = True) -> West:
         access = access_control(network.fleet, network.robots) if guarded else None
         settings = ZenohSettings(
-            "router", (endpoint,), (network.endpoint,), network.card(role), access, patience=network.patience
+            "router", (endpoint,), (network.endpoint,), network.card(role), access, connect_timeout=network.patience
         )
         router = network.opened(settings)
         return West(router, partial(network.join, endpoint=endpoint), partial(network.raw, endpoint=endpoint))

@@ -140,17 +140,17 @@ def test_each_role_hears_exactly_what_it_needs(network: Any, guarded: bool) -> N
         return {key for own, _, key in notice if not word or own == word}
 
     def reported(word: str, role: str) -> bool:
-        """Whether a role has heard all that it may; else what it misses is said again, and nothing else.
+        """Whether a role has received all that it may read; otherwise sends the missing messages again.
 
-        Who says everything again and again fills the way to a slow ear with the first keys, and the last ones never
-        come through. The router's own session is not filtered on its way in.
+        Repeating all messages would fill the queue of a slow reader with the first keys, and the last ones would never
+        arrive. Messages of the router's own session are not filtered.
         """
         missing = allowed[role] - heard(role, word)
         for key in missing:
             router.put(key, f"{word} {key}".encode(), never_drop=False)
         return not missing
 
-    for word in ("first", "last"):  # of what came the first time, nothing is on its way any more the second time
+    for word in ("first", "last"):  # once the last ones arrive, no message of the first round is in flight
         for role in ("recorder", *ears):  # it may hear everything
             assert network.until(lambda word=word, role=role: reported(word, role), every=0.05), role
     for role in ears:
@@ -242,7 +242,7 @@ def test_a_name_cannot_be_taken_from_a_robot_by_others(network: Any, guarded: bo
         assert network.until(lambda: robot.instances("r1", "robot") == ["m"])
     else:
         assert network.until(lambda: robot.instances("r1", "robot") == ["0"])
-        with pytest.raises(BusError, match="lives already"):
+        with pytest.raises(BusError, match="is already running"):
             robot.claim("r1", "robot", "m")
 
 

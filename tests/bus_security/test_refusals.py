@@ -149,7 +149,7 @@ def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys
     assert twins.look() == ["robot.r1"]
     assert cut == [{"c"}], "the one that was there first stays"
     (event,) = events(capsys)
-    assert (event["kind"], event["service"]) == ("bus.twice", "robot.r1")
+    assert (event["kind"], event["service"]) == ("bus.duplicate_certificate", "robot.r1")
     members.pop()
     assert twins.look() == []
 
@@ -174,7 +174,7 @@ def test_of_two_that_come_while_the_router_begins_neither_is_cut_off() -> None:
 
 
 def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
-    """A router that was stationary loses all links at once; they come back in any order, and the copy may be quicker."""
+    """A router that hung loses all links at once; they come back in any order, and the copy may be faster."""
     members = [("a", "policy")]
     cut: list[set[str]] = []
     twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))

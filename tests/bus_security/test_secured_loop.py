@@ -20,8 +20,8 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 pytestmark = pytest.mark.processes
 
@@ -113,6 +113,7 @@ def attack(network: Any, stop: threading.Event) -> None:
         filtering.put("safedpa/f/r1/action", TOO_LARGE)
 
 
+@pytest.mark.long
 def test_it_drives_as_without_an_attack(network: Any, stack: ExitStack) -> None:
     routing = router(stack, network)
     services = [start(stack, f"safedpa_services.{name}", *member(network, name)) for name in SERVICES]
@@ -176,8 +177,8 @@ def test_a_copied_certificate_is_seen(network: Any, stack: ExitStack) -> None:
     routing = router(stack, network)
     for _ in range(2):
         network.join("safety_filter")
-    assert network.until(lambda: routing.of("bus.twice"))
-    assert routing.of("bus.twice")[0]["service"] == "safety_filter"
+    assert network.until(lambda: routing.of("bus.duplicate_certificate"))
+    assert routing.of("bus.duplicate_certificate")[0]["service"] == "safety_filter"
 
 
 def test_a_refused_handshake_is_reported(network: Any, stack: ExitStack) -> None:
@@ -195,7 +196,7 @@ def test_a_refused_handshake_is_reported(network: Any, stack: ExitStack) -> None
     [
         ((), "--listen: got none"),
         (("--listen", "tls/127.0.0.1:0"), "--certificates: got none"),
-        (("--listen", "tls/127.0.0.1:0", "--certificates", "/nowhere"), "authority.pem: is not there"),
+        (("--listen", "tls/127.0.0.1:0", "--certificates", "/nowhere"), "authority.pem: does not exist"),
         (("--listen", "tls/127.0.0.1:0", "--certificates", "/nowhere", "--plain"), "--plain: got it together"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What an authority signs for others: keys on P-256 alone, by anyone who has them, under the name that the caller says."""
+"""What an authority signs for others: keys on P-256 only, signed by their owner, under the caller's name."""
 
 import base64
 import datetime
@@ -47,7 +47,7 @@ def test_a_request_that_another_key_signed_is_refused(tmp_path: Path) -> None:
     lines = request_of(mine).decode().splitlines()
     content = base64.b64decode("".join(lines[1:-1]))
     forged = base64.encodebytes(content.replace(point[0], point[1])).decode()
-    with pytest.raises(InputError, match="its signature does not fit its key"):
+    with pytest.raises(InputError, match="its signature does not match its key"):
         Authority(tmp_path, "f").sign(f"{lines[0]}\n{forged}{lines[-1]}\n".encode(), "policy", 1.0)
 
 

@@ -10,11 +10,12 @@ import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, InputError
-from safedpa_services.supervisor.securing import ephemeral_certificates
+from safedpa_services.supervisor.certificate_store import ephemeral_certificates
 
 pytestmark = pytest.mark.processes
 
 
+@pytest.mark.long
 def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> None:
     options = ("--secure", "--headless", "--lockstep", "--seconds", "6", "--json", "--out", str(tmp_path / "runs"))
     command = [sys.executable, "-m", "safedpa_services", "up", *options]
@@ -28,7 +29,7 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
         assert network.until(lambda: any(event["kind"] == "router.open" for event in notice()))
         opened = next(event for event in notice() if event["kind"] == "router.open")
         endpoint = str(opened["sentence"]).split(" on ")[1]
-        foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), patience=3.0)
+        foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), connect_timeout=3.0)
         with pytest.raises(BusError, match="could not open"):
             ZenohTransport(foreign)
         output, errors = running.communicate(timeout=180)
@@ -40,12 +41,12 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
 
 
 def test_the_certificates_are_gone_afterwards_and_no_more_can_be_made() -> None:
-    with ephemeral_certificates("f", "r1") as wallet:
-        keys = [path.name for path in wallet.folder.glob("*.key.pem")]
+    with ephemeral_certificates("f", "r1") as certificates:
+        keys = [path.name for path in certificates.folder.glob("*.key.pem")]
         assert keys == ["operator.key.pem"], "those of processes are handed to them and lie nowhere"
-        assert b"PRIVATE KEY" in wallet.cards["robot.r1"].key
-        assert wallet.folder.stat().st_mode & 0o077 == 0
-    assert not wallet.folder.exists()
+        assert b"PRIVATE KEY" in certificates.credentials["robot.r1"].key
+        assert certificates.folder.stat().st_mode & 0o077 == 0
+    assert not certificates.folder.exists()
     with pytest.raises(InputError), ephemeral_certificates("f", "*"):
         pass
 

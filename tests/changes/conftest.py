@@ -26,7 +26,7 @@ from safedpa.bus import (
 from safedpa.bus.service.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint, write_model
 from safedpa.live.change import ModelChanges
-from safedpa.live.under_way import SERVICES
+from safedpa.live.change_progress import SERVICES
 from safedpa.live.versions import ModelVersion, OfferedEffect, VersionFolder
 
 FIRST = ModelVersion("first", "document first")
@@ -125,7 +125,7 @@ class Fleet:
         """As after kill -9: a new process with the model of its options, which asks what is in force."""
         self.services[name] = Service(name, self.broken.get(name, frozenset()))
         status = None if self.changes is None else self.changes.answer(Request(do="status", who=name))
-        self.services[name].versions.welcome("r", status)
+        self.services[name].versions.adopt_model("r", status)
 
     def restart_coordinator(self) -> None:
         self.changes = ModelChanges(FIRST, self.folder)

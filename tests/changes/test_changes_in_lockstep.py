@@ -15,8 +15,8 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa_sim.closed_loop import Tick, drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 OFFSET = '\n[[effects]]\nname = "steering_offset"\nangle = { value = 0.01, free = true }\n'
 TICKS = 160

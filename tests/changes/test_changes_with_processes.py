@@ -143,7 +143,7 @@ class Loop:
         return self.bus.request("r1", request, 1.0)
 
     def change(self, do: str, moment: str) -> None:
-        """Asks for a change, and waits until it is at ``moment``, a step that the coordinator tells.
+        """Requests a change, and waits until it is at ``moment``, a step that the coordinator publishes.
 
         Asked again where a trial, which runs behind everybody else, outlasted the offer on a busy machine: nothing has
         changed then, and that moment never comes.
@@ -171,7 +171,7 @@ class Loop:
         return answers[0].change
 
     def steps_of(self, change: int) -> set[str]:
-        """What the coordinator has told of a change since it began."""
+        """The steps of a change that the coordinator has published."""
         return {item.step for item in self.notice if isinstance(item, ModelMessage) and item.change == change}
 
     def status(self) -> Answer:
@@ -235,7 +235,7 @@ def loop(tmp_path: Path, free_port: int) -> Iterator[Loop]:
         loop.close()
 
 
-def test_whoever_is_killed_amid_a_change_all_agree_in_the_end_and_the_car_is_safe(loop: Loop) -> None:
+def test_after_a_kill_during_a_change_all_services_agree_and_the_car_is_safe(loop: Loop) -> None:
     """The worst moments: after the offer, when some have loaded it, and after the decision, before its tick."""
     kills = [("adaptation", "offer"), ("diagnosis", "offer"), ("policy", "take"), ("diagnosis", "take")]
     for name, moment in [*kills, ("safety_filter", "take")]:
@@ -297,7 +297,7 @@ def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> Non
 
     code, reported, errors = taken("accept", "r1", "steering_offset")
     assert (code, reported["model"]) == (0, loop.candidate["fingerprint"]), errors
-    assert "taken by everyone" in reported["sentence"]
+    assert "taken by all services" in reported["sentence"]
     loop.until(loop.agreed)
     assert refused("accept", "r1", "wind")[0] == 2, "nothing is proposed for the new model"
     assert "no candidate" in refused("reject", "r1", "drag")[1]

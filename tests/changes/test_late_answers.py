@@ -15,13 +15,13 @@ from safedpa_services.command_line import change_requests
 SEEN = Answer(ok=True, sentence="", fingerprint="old", finding=1)
 BEGUN = Answer(ok=True, sentence="change 1 begins", change=1)
 UNDER_WAY = Answer(ok=True, sentence="", change=1, pending="offer")
-OVER = Answer(ok=True, sentence="taken by everyone", change=1, fingerprint="new")
+OVER = Answer(ok=True, sentence="taken by all services", change=1, fingerprint="new")
 
 
 def accept(monkeypatch: pytest.MonkeyPatch, *answers: Answer | None) -> list[int]:
     """Runs the command, on a clock that goes on by a second at each look; the last answer comes again and again.
 
-    Returns the seconds that went by, in a list that also tells them when the command fails.
+    Returns the elapsed seconds in a list, which is also filled if the command fails.
     """
     seconds, left, passed = count(), [SEEN, BEGUN, *answers], [0]
 
@@ -45,12 +45,12 @@ def test_an_answer_that_is_late_or_lost_does_not_end_the_waiting(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     accept(monkeypatch, UNDER_WAY, None, UNDER_WAY, None, None, OVER)
-    assert "r1: taken by everyone; model new in force" in capsys.readouterr().out
+    assert "r1: taken by all services; model new in force" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("last", "notice", "least", "most"),
-    [(None, "no diagnosis answers", 8, 30), (UNDER_WAY, "does the robot drive", 60, 300)],
+    [(None, "no diagnosis answers", 8, 30), (UNDER_WAY, "check that the robot drives", 60, 300)],
 )
 def test_it_gives_up_after_ten_silent_seconds_or_two_minutes(
     last: Answer | None, notice: str, least: int, most: int, monkeypatch: pytest.MonkeyPatch

@@ -85,7 +85,7 @@ class Standing:
         return ModelMessage(**stamp, step=step, change=1, fingerprint=NEW, replaces=fingerprint(CAR), **more)
 
 
-def test_the_change_of_the_margin_is_told_before_it_is_used() -> None:
+def test_the_change_of_the_margin_is_reported_before_it_is_used() -> None:
     car = Standing()
     car.turn()
     car.offer()
@@ -205,7 +205,7 @@ def test_command_and_page_report_the_margin_before_it_is_used(changing_node: Any
     take = changes.step(dataclasses.replace(state, tick=2))
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
-    assert changes.fingerprint != NEW, "told before it is used"
+    assert changes.fingerprint != NEW, "reported before it is used"
 
 
 def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None:

@@ -50,7 +50,7 @@ def test_everyone_changes_at_the_named_tick(fleet: Any) -> None:
     assert set(fleet.used) == {("first",) * 3, ("print drag",) * 3}, "at no tick do two of them differ"
     assert [answer.state for answer in fleet.heard] == ["ready"] * 3 + ["taken"] * 3
     assert {answer.tick for answer in fleet.heard if answer.state == "taken"} == {take.from_tick}
-    assert fleet.changes.sentence == "change 1 (accept drag of finding 1): taken by everyone"
+    assert fleet.changes.sentence == "change 1 (accept drag of finding 1): taken by all services"
     assert fleet.ask("status").candidates == (), "they were sought for the model that is gone"
 
 
@@ -126,7 +126,7 @@ def test_roll_back_returns_to_the_version_before_and_no_further(fleet: Any) -> N
         assert fleet.models == {wanted}
     answer = fleet.ask("roll_back")
     assert not answer.ok
-    assert "none to go back to" in answer.sentence
+    assert "there is no earlier one" in answer.sentence
 
 
 def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> None:
@@ -134,11 +134,11 @@ def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> No
     for who in ("bob", "carol"):
         second = fleet.ask("accept", "wind", who=who)
         assert not second.ok
-        assert second.sentence.startswith("refused: change 1 (accept drag of finding 1) by alice is under way")
+        assert second.sentence.startswith("refused: change 1 (accept drag of finding 1) by alice is in progress")
     fleet.turn(30)
     late = fleet.ask("accept", "wind", model="first")
     assert not late.ok
-    assert "the model in force is print drag, you saw first" in late.sentence
+    assert "the active model is print drag, you saw first" in late.sentence
     assert fleet.models == {"print drag"}
 
 
@@ -150,8 +150,8 @@ def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> No
         (Request(do="accept", effect="drag", finding=1), "you name none"),
         (Request(do="accept", effect="drag", model="first", finding=2), "newest finding has number 1, you name 2"),
         (Request(do="accept", effect="dragg", model="first", finding=1), "did you mean 'drag'"),
-        (Request(do="reject", model="first", finding=1), "effect '' is no candidate"),
-        (Request(do="roll_back", model="first"), "none to go back to"),
+        (Request(do="reject", model="first", finding=1), "effect '' is not a candidate"),
+        (Request(do="roll_back", model="first"), "there is no earlier one"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_with_the_reason(fleet: Any, request_: Request, reason: str) -> None:
@@ -167,7 +167,7 @@ def test_what_cannot_be_meant_is_refused_with_the_reason(fleet: Any, request_: R
 def test_nothing_is_accepted_for_a_robot_that_was_not_heard(fleet_of: Any) -> None:
     fleet = fleet_of()
     fleet.propose("drag")
-    assert "not heard yet" in fleet.ask("accept", "drag").sentence
+    assert "has not sent a state yet" in fleet.ask("accept", "drag").sentence
 
 
 def test_a_rejected_effect_is_no_candidate_any_more_and_the_recording_says_who(fleet: Any, tmp_path: Path) -> None:
@@ -326,7 +326,7 @@ def test_a_service_that_missed_the_decision_hears_it_again(fleet: Any) -> None:
     fleet.turn(60)
     assert fleet.models == {"print drag"}
     assert steps(fleet)[:3] == ["offer", "take", "take"]
-    assert "taken by everyone" in fleet.changes.sentence
+    assert "taken by all services" in fleet.changes.sentence
 
 
 @pytest.mark.parametrize(("room_for", "reported"), [(0, ["drop"]), (1, ["offer", "drop"])])

@@ -135,15 +135,15 @@ def _altered(**changes: Any) -> str:
 
 
 BROKEN_MARGINS = {
-    "none": ("", "got none, the one in force was calibrated"),
+    "none": ("", "missing, but the active model"),
     "no JSON": ("{", "margin: "),
     "a list": ("[1]", "margin: "),
     "another key": (_altered(more=1), "margin: "),
     "of another model": (_altered(fingerprint="0123456789ab"), "calibrated for model 0123456789ab"),
     "not a number": (_altered(epsilon={"obstacle": float("nan")}), "epsilon.obstacle"),
     "below zero": (_altered(epsilon={"obstacle": -1.0}), "epsilon.obstacle"),
-    "less coverage": (_altered(coverage=0.5), "covers 0.5 of the steps, the one in force 0.99"),
-    "a kind missing": (_altered(epsilon={"speed": 0.1}), "none for field, obstacle"),
+    "less coverage": (_altered(coverage=0.5), "covers 0.5 of the steps, the active one 0.99"),
+    "a kind missing": (_altered(epsilon={"speed": 0.1}), "missing for field, obstacle"),
     "deeply nested": ("[" * 100000, ""),
 }
 
@@ -182,7 +182,7 @@ def test_a_dropped_offer_cannot_be_taken(ticking: Ticking) -> None:
     ticking.turn()
     ticking.node.hear("r1", decision("drop"))
     ticking.node.hear("r1", decision("take"))
-    assert ticking.answer() == ("refused", "it was not offered before, or not to this process")
+    assert ticking.answer() == ("refused", "this process did not receive the offer")
     assert ticking.node.model_of("r1") == fingerprint(CAR)
 
 
@@ -200,7 +200,7 @@ def test_a_drop_of_another_change_leaves_the_offer_as_it_is(ticking: Ticking, pr
 
 
 def _outputs(ticking: Ticking) -> dict[Any, Any]:
-    """Of one turn, without the moment at which they were sent and what they cost."""
+    """Outputs of one turn, without publish and computation times."""
     unlike = {"publish_time": 0.0, "microseconds": 0.0}
     return {
         topic: dataclasses.replace(message, **{name: 0.0 for name in unlike if hasattr(message, name)})
@@ -244,7 +244,7 @@ def test_a_drop_after_the_decision_is_too_late(ticking: Ticking) -> None:
     ticking.node.hear("r1", decision("take", from_tick=4))
     ticking.node.hear("r1", decision("drop"))
     ticking.node.hear("r1", offer())
-    assert ticking.answer() == ("ready", ""), "told twice, answered twice"
+    assert ticking.answer() == ("ready", ""), "offered twice, answered twice"
     for _ in range(4):
         ticking.turn()
     assert ticking.node.model_of("r1") == NEW
@@ -264,13 +264,13 @@ def test_a_robot_that_left_and_returns_has_the_model_that_it_had(ticking: Tickin
 def test_a_service_that_was_restarted_begins_with_what_is_in_force(driving_state: Any, name: str) -> None:
     ticking = Ticking(node_named(name), driving_state)
     status = Answer(ok=True, sentence="", change=4, fingerprint=NEW, document=DOCUMENT, margin=margin_text(GOOD_MARGIN))
-    ticking.node.welcome("r1", status)
+    ticking.node.adopt_model("r1", status)
     ticking.latents_of, ticking.latent = NEW, tuple(parse_model(DOCUMENT).latent.tolist())
     ticking.turn()
     assert ticking.node.model_of("r1") == NEW
 
 
-def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
+def test_services_report_the_agreed_model_to_each_other(ticking: Ticking) -> None:
     assert ticking.node.agreed("r1") is None, "no one agreed on the model of its own options"
     ticking.node.hear("r1", offer())
     ticking.turn()
@@ -280,7 +280,7 @@ def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
     reported = ticking.node.agreed("r1")
     assert (reported.ok, reported.change, reported.fingerprint, reported.document) == (True, 1, NEW, DOCUMENT)
     other = Ticking(node_named(ticking.node.name), ticking.state_of)
-    other.node.welcome("r1", reported)
+    other.node.adopt_model("r1", reported)
     assert other.node.model_of("r1") == NEW
     other.node.hear("r1", decision("take"))
     assert other.answer()[0] == "taken", "and knows which change it was"
@@ -289,7 +289,7 @@ def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
 @pytest.mark.parametrize("name", NODES)
 def test_a_service_that_was_restarted_between_decision_and_change_does_both(driving_state: Any, name: str) -> None:
     ticking = Ticking(node_named(name), driving_state)
-    ticking.node.welcome("r1", _pending("take", from_tick=3))
+    ticking.node.adopt_model("r1", _pending("take", from_tick=3))
     models = []
     for _ in range(5):
         ticking.turn()
@@ -316,7 +316,7 @@ def _pending(stage: str, from_tick: int = 0) -> Answer:
 @pytest.mark.parametrize("name", NODES)
 def test_a_service_that_was_restarted_amid_an_offer_answers_it(driving_state: Any, name: str) -> None:
     ticking = Ticking(node_named(name), driving_state)
-    ticking.node.welcome("r1", _pending("offer"))
+    ticking.node.adopt_model("r1", _pending("offer"))
     assert ticking.answer() == ("ready", "")
 
 
@@ -332,7 +332,7 @@ def test_a_service_that_was_restarted_amid_an_offer_answers_it(driving_state: An
 )
 def test_without_a_usable_answer_it_begins_with_its_own_model(driving_state: Any, name: str, status: Any) -> None:
     ticking = Ticking(node_named(name), driving_state)
-    ticking.node.welcome("r1", status)
+    ticking.node.adopt_model("r1", status)
     ticking.turn()
     assert ticking.node.model_of("r1") == fingerprint(CAR)
 
@@ -399,7 +399,7 @@ class Tried:
 
 
 def test_an_offer_that_failed_its_trial_is_refused_with_the_reason(ticking: Ticking) -> None:
-    ticking.node.try_apart(lambda *_: Tried(problem="it ends in a crash"))
+    ticking.node.use_sandbox(lambda *_: Tried(problem="it ends in a crash"))
     ticking.node.hear("r1", offer())
     assert ticking.answer() == ("refused", "it ends in a crash")
     ticking.node.hear("r1", decision("take", from_tick=ticking.tick + 1))
@@ -407,7 +407,7 @@ def test_an_offer_that_failed_its_trial_is_refused_with_the_reason(ticking: Tick
 
 
 def test_an_offer_that_passed_its_trial_is_ready(ticking: Ticking) -> None:
-    ticking.node.try_apart(lambda *_: Tried(problem=""))
+    ticking.node.use_sandbox(lambda *_: Tried(problem=""))
     ticking.node.hear("r1", offer())
     assert ticking.answer()[0] == "ready"
 

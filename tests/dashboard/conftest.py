@@ -1,4 +1,4 @@
-"""What the dashboard's tests share: a marker, a look, a synthetic drive."""
+"""Shared by the dashboard's tests: a marker, display settings, a synthetic drive."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from safedpa.bus import (
 )
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.look import DisplaySettings, display_settings
+from safedpa_services.dashboard.display_settings import DisplaySettings, display_settings
 
 Tick = list[tuple[Topic, Message]]
 PERIOD = 0.05
@@ -31,19 +31,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def look() -> DisplaySettings:
-    """The car's."""
+    """Display settings of the car."""
     return display_settings(load_model("car"), FilterSettings())
 
 
 @pytest.fixture(scope="session")
 def tick_of() -> Callable[..., Tick]:
-    """Everything that a car on a circle of 3 m publishes in tick k."""
+    """Returns all messages of tick k of a car on a circle of 3 m."""
     return _tick
 
 
 @pytest.fixture(scope="session")
 def drive() -> Callable[[int], Iterator[Tick]]:
-    """The first ticks of it."""
+    """Returns the messages of the first ticks."""
     return lambda count: (_tick(k) for k in range(count))
 
 

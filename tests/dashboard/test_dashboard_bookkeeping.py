@@ -1,4 +1,4 @@
-"""Residuals over ticks with gaps, one time line for many robots, drawing less when behind."""
+"""Residuals over ticks with gaps, the time line of many robots, and the drawing rate."""
 
 import math
 from dataclasses import replace
@@ -45,7 +45,7 @@ FOUR = (1.0, 2.0, 0.1, 1.5)
 def test_a_residual_is_measured_minus_predicted_under_the_filters_own_action(
     state_of, verdict_of, measured, applied_by, predicted, residual, late
 ):
-    """Whichever of the two arrives first; angles the short way round; a pair counts once."""
+    """In either order of arrival; angle differences are wrapped; a pair counts once."""
     book = ResidualHistory(CAR)
     state, verdict = state_of(7, values=measured, applied_by=applied_by), verdict_of(6, predicted=(predicted,))
     if late:
@@ -101,7 +101,7 @@ def test_an_absurd_robot_time_keeps_the_line_finite(absurd):
     [(20, 1, 20, 0), (20, 2, 10, 10), (20, 4, 5, 15), (100, 1, 19, 0), (10, 1, 10, 0)],
 )
 def test_at_most_twenty_messages_a_second_are_drawn_and_one_in_factor_of_them(rate, factor, drawn, left_out):
-    """What comes faster than it can be drawn does not count as left out."""
+    """Messages above the drawing rate do not count as left out."""
     thinner = DrawingThrottle()
     assert sum(thinner.draws("state", k / rate, factor) for k in range(rate)) == pytest.approx(drawn, abs=rate == 100)
     assert thinner.left_out == left_out
@@ -110,8 +110,8 @@ def test_at_most_twenty_messages_a_second_are_drawn_and_one_in_factor_of_them(ra
 
 
 @pytest.mark.parametrize(("lag", "after"), [(0.0, 1), (0.1, 1), (0.11, 2), (0.5, 2), (0.51, 64)])
-def test_the_pace_halves_half_a_second_behind_and_recovers_after_two_calm_seconds(lag, after):
-    """Calm is a lag of a tenth of a second; between that and half a second nothing changes."""
+def test_the_drawing_rate_halves_half_a_second_behind_and_recovers_after_two_calm_seconds(lag, after):
+    """Calm means a lag below 0.1 s; between 0.1 s and 0.5 s nothing changes."""
     pace = DrawingRate()
     assert pace.observe(0.6, 0.0)
     for tenth in range(1, 25):
@@ -143,7 +143,7 @@ def test_falling_behind_is_visible_and_changes_of_status_are_kept(look, tick_of)
             notes += [entry.shape.text for entry in frame.entries if isinstance(entry.shape, Note)]
     assert drawn < 60
     assert view.left_out > 100
-    assert any("behind, draws one in" in note for note in notes)
+    assert any("behind, draws one frame in" in note for note in notes)
     assert [note.split(":")[0] for note in notes if note.startswith(("passed", "corr"))] == ["passed", "corrected"] * 2
 
 
@@ -155,14 +155,14 @@ def test_a_repeated_tick_changes_nothing(look, tick_of):
 
 
 @pytest.mark.parametrize(("silent", "known"), [(0, True), (3, True), (4, True), (5, False), (12, False)])
-def test_a_stretch_of_the_trail_has_a_verdicts_colour_for_four_ticks_and_no_longer(look, tick_of, silent, known):
+def test_the_path_has_the_colour_of_a_verdict_for_four_ticks_after_it(look, tick_of, silent, known):
     """0.2 s of the car: an old verdict's colour would be wrong for a robot that is no longer filtered."""
     view, colours = FleetView(look), []
     for k in range(10 + silent):
         kinds = (STATE, VERDICT) if k < 10 else (STATE,)
         items = [received(topic, message, 0.05 * k) for topic, message in tick_of(k) if topic in kinds]
         for frame in view.take(items, 0.05 * k):
-            colours += [entry.shape.colours for entry in frame.entries if entry.path[-1] == "history"]
+            colours += [entry.shape.colours for entry in frame.entries if entry.path[-1] == "trail"]
     newest = VERDICT_COLOURS["passed"] if known else UNKNOWN_STATUS
     assert colours[5] == (VERDICT_COLOURS["passed"],)
     assert colours[-1] == (newest,)

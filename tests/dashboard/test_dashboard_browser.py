@@ -1,4 +1,4 @@
-"""The web viewer in a real browser, and pictures made by the command line."""
+"""The web viewer in a real browser, and pictures by the command line."""
 
 import io
 import os
@@ -28,19 +28,19 @@ _PATIENCE_SECONDS = 240
 def recording(look, drive, tmp_path):
     from safedpa.bus import ReceivedMessage
     from safedpa_services.dashboard.fleet_view import FleetView
-    from safedpa_services.dashboard.painter import RerunRecording
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
 
     path = tmp_path / "drive.rrd"
-    painter = RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    recording = RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
     view = FleetView(look)
     for k, tick in enumerate(drive(400)):
         frames = view.take(
             [ReceivedMessage(topic, "r1", message, b"", "key", 0.05 * k) for topic, message in tick], 0.05 * k
         )
         if k == 0:
-            painter.arrange(view.fields)
-        painter.draw(frames)
-    painter.close()
+            recording.arrange(view.fields)
+        recording.draw(frames)
+    recording.close()
     return path
 
 
@@ -89,14 +89,14 @@ from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.http_proxy import DataProxy, private_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import display_settings
-from safedpa_services.dashboard.painter import RerunRecording
+from safedpa_services.dashboard.display_settings import display_settings
+from safedpa_services.dashboard.rerun_recording import RerunRecording
 from safedpa_services.dashboard.http_proxy import ViewerServer, choose_port
 
 look = display_settings(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
 behind = (private_loopback(), grpc)
-painter = RerunRecording(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)
+recording = RerunRecording(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)
 DataProxy("127.0.0.1", grpc, behind)
 web = choose_port(None, grpc + 1, "--web-port", "127.0.0.1")
 ViewerServer("127.0.0.1", web, grpc)
@@ -108,8 +108,8 @@ for k in range(2000):
         obstacles=((1.0, 1.0, 0.3), (-1.0, -1.5, 0.25)), field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.1, 0.4, 0.15))
     frames = view.take([ReceivedMessage(STATE, "r1", state, b"", "key", 0.05 * k)], 0.05 * k)
     if k == 0:
-        painter.arrange(view.fields)
-    painter.draw(frames)
+        recording.arrange(view.fields)
+    recording.draw(frames)
     time.sleep(0.05)
 sys.stdin.read()  # what was drawn is shown until its input ends
 """

@@ -1,4 +1,4 @@
-"""From messages to shapes: the right ones for a drive, and none raises whatever a valid message holds."""
+"""From messages to shapes: the right ones for a drive, and no valid message raises."""
 
 import math
 from dataclasses import fields, replace
@@ -59,20 +59,20 @@ def _entries(frames):
 
 
 @pytest.fixture(scope="module")
-def painter(look, tmp_path_factory):
-    from safedpa_services.dashboard.painter import RerunRecording
+def recording(look, tmp_path_factory):
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
 
-    painter = RerunRecording(
+    recording = RerunRecording(
         look, "fleet", save=tmp_path_factory.mktemp("any") / "any.rrd", bind="127.0.0.1", grpc_port=None
     )
-    yield painter
-    painter.close()
+    yield recording
+    recording.close()
 
 
 @pytest.mark.long
 @settings(max_examples=100)
 @given(items=st.lists(st.tuples(_ITEMS, st.sampled_from(["r1", "r 2", "ü/x", NO_ROBOT])), max_size=6))
-def test_any_valid_message_can_be_drawn(look, painter, tick_of, items):
+def test_any_valid_message_can_be_drawn(look, recording, tick_of, items):
     view = FleetView(look)
     known = [_received(topic, message) for topic, message in tick_of(0)]
     strange = [
@@ -80,8 +80,8 @@ def test_any_valid_message_can_be_drawn(look, painter, tick_of, items):
         for k, ((topic, message), robot) in enumerate(items)
     ]
     frames = view.take(known, 0.0) + view.take(strange, 1.0) + view.take([], 9.0)
-    painter.arrange(view.fields)
-    painter.draw(frames)
+    recording.arrange(view.fields)
+    recording.draw(frames)
     assert all(math.isfinite(frame.at) for frame in frames)
 
 

@@ -1,4 +1,4 @@
-"""The pendulum's own view: sector, wind as it is estimated, phase plane."""
+"""The pendulum's view: sector, estimated wind, phase plane."""
 
 import math
 from itertools import pairwise
@@ -9,8 +9,8 @@ import pytest
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
+from safedpa_services.dashboard.display_settings import DisplaySettings, display_settings
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import DisplaySettings, display_settings
 from safedpa_services.dashboard.pendulum import phase_bounds, wind_entry
 from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import Lines
@@ -90,17 +90,17 @@ def test_states_and_verdicts_give_rod_sector_phase_plane_and_curves(pendulum: Di
 
 
 @pytest.mark.parametrize("other", [{"corridor": ()}, {"corridor": (1.0, -1.0)}, {"goal": (1.0, 2.0)}, {"goal": ()}])
-def test_a_strange_scene_is_drawn_as_far_as_it_goes(pendulum: DisplaySettings, other: dict[str, Any]) -> None:
+def test_a_scene_with_invalid_parts_is_drawn_without_them(pendulum: DisplaySettings, other: dict[str, Any]) -> None:
     drawn = paths(RobotView(pendulum).take(state(1, **other), 0.0))
     assert "world/rod" in drawn
     assert ("phase/safe_set" in drawn) is ("corridor" not in other)
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 0.9), (0.9, 2.0 * math.pi - 0.4), (0.0, 9.0)])
-def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(
+def test_the_arc_of_the_corridor_is_smooth_and_at_most_one_turn(
     pendulum: DisplaySettings, low: float, high: float
 ) -> None:
-    """Chords are nearer to the centre than the circle by less than a thousandth of its radius."""
+    """Chords deviate from the circle by less than a thousandth of its radius."""
     entries = RobotView(pendulum).take(state(1, corridor=(low, high)), 0.0)
     sector = next(entry.shape for entry in entries if entry.path == ("world", "sector"))
     assert isinstance(sector, Lines)
@@ -113,7 +113,7 @@ def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(
     assert length == pytest.approx(1.15 * min(high - low, 2.0 * math.pi), rel=2e-3)
 
 
-def test_the_safe_set_is_where_the_filter_sees_it(pendulum: DisplaySettings) -> None:
+def test_the_drawn_safe_set_is_that_of_the_filter(pendulum: DisplaySettings) -> None:
     entries = RobotView(pendulum).take(state(1), 0.0)
     outline = next(entry.shape for entry in entries if entry.path == ("phase", "safe_set"))
     assert isinstance(outline, Lines)
@@ -165,14 +165,14 @@ def test_the_phase_plane_shows_the_corridor(pendulum: DisplaySettings) -> None:
     assert FleetView(pendulum).fields == {}
 
 
-def test_the_painter_draws_it(pendulum: DisplaySettings, tmp_path: Any) -> None:
-    from safedpa_services.dashboard.painter import RerunRecording
+def test_rerun_draws_it(pendulum: DisplaySettings, tmp_path: Any) -> None:
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
     from safedpa_services.dashboard.shapes import TimelineFrame
 
     view = RobotView(pendulum)
-    painter = RerunRecording(pendulum, "fleet", save=tmp_path / "p.rrd", bind="127.0.0.1", grpc_port=None)
-    painter.arrange({"r1": (-1.0, 1.0, -0.5, 0.5)})
-    painter.draw([TimelineFrame(0.0, tuple(view.start())), TimelineFrame(0.1, tuple(view.take(state(1), 0.0)))])
-    painter.draw([TimelineFrame(0.2, tuple(view.take(latent(3.0, -2.0), 0.0)))])
-    painter.close()
+    recording = RerunRecording(pendulum, "fleet", save=tmp_path / "p.rrd", bind="127.0.0.1", grpc_port=None)
+    recording.arrange({"r1": (-1.0, 1.0, -0.5, 0.5)})
+    recording.draw([TimelineFrame(0.0, tuple(view.start())), TimelineFrame(0.1, tuple(view.take(state(1), 0.0)))])
+    recording.draw([TimelineFrame(0.2, tuple(view.take(latent(3.0, -2.0), 0.0)))])
+    recording.close()
     assert (tmp_path / "p.rrd").stat().st_size > 5_000

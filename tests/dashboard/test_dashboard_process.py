@@ -1,4 +1,4 @@
-"""The process: one line with the address, ports that are taken, an end within two seconds."""
+"""The process: one line with the address, taken ports, an end within two seconds."""
 
 import signal
 import socket
@@ -24,7 +24,7 @@ def _start(*options):
 
 
 @pytest.mark.long
-def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
+def test_it_prints_its_address_and_ends_at_once_without_a_viewer(tmp_path):
     began = time.monotonic()
     process = _start("--save", str(tmp_path / "a.rrd"))
     try:
@@ -46,6 +46,7 @@ def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
         process.kill()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
@@ -66,7 +67,7 @@ def test_bad_options_are_refused_in_one_line(options, complaint):
     assert out == ""
 
 
-def test_a_taken_port_is_refused_when_requested_for_and_passed_over_otherwise(free_port):
+def test_a_taken_port_is_refused_if_requested_and_skipped_otherwise(free_port):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
@@ -75,8 +76,8 @@ def test_a_taken_port_is_refused_when_requested_for_and_passed_over_otherwise(fr
         assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
 
 
-def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_requested_for(free_port):
-    """Two dashboards that are started at one moment find the same ports free."""
+def test_a_port_that_was_taken_since_it_was_chosen_is_skipped_unless_requested(free_port):
+    """Two dashboards that start at the same time find the same ports free."""
     doors = []
 
     def open_door(port):
@@ -93,7 +94,7 @@ def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_request
     assert port > free_port
 
 
-def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
+def test_the_page_redirects_a_browser_under_the_host_name_of_its_request(free_port):
     door = ViewerServer("127.0.0.1", free_port, 5678, ("robot.local",))
     request = urllib.request.Request(f"http://127.0.0.1:{free_port}", headers={"Host": f"robot.local:{free_port}"})
 

@@ -1,4 +1,4 @@
-"""From the bus to a file that Rerun reads again."""
+"""From the bus to a file that Rerun can read."""
 
 import pytest
 
@@ -12,14 +12,14 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 
 @pytest.fixture
 def recording(look, drive, tmp_path):
-    """Of three robots driving for five seconds, two kinds of rubbish among their messages."""
-    from safedpa_services.dashboard.painter import RerunRecording
+    """Recording of three robots that drive for five seconds, with two kinds of invalid messages."""
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
 
     path = tmp_path / "drive.rrd"
     broker = MemoryBroker()
     sender, listener = MemoryTransport(broker), MemoryTransport(broker)
-    robots, painter = Bus(sender, "fleet"), RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
-    dashboard = Dashboard(Bus(listener, "fleet"), FleetView(look), painter)
+    robots, recording = Bus(sender, "fleet"), RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    dashboard = Dashboard(Bus(listener, "fleet"), FleetView(look), recording)
     own = robots.inbox((HEALTH,))
     for tick in drive(100):
         for topic, message in tick:
@@ -27,14 +27,14 @@ def recording(look, drive, tmp_path):
                 robots.publish(topic, robot, message, getattr(message, "service", ""))
         sender.put("safedpa/fleet/r1/state", b"rubbish", never_drop=False)
         dashboard.turn(0.0)
-    painter.close()
+    recording.close()
     heard = [item.message for item in own.take(0.0) if item.message.service == "dashboard"]
     assert heard[-1].refused > 0
     assert heard[-1].state == "running"
     return path
 
 
-def test_the_recording_is_readable_and_nothing_of_a_robot_is_missing(recording):
+def test_the_recording_is_readable_and_complete(recording):
     from rerun.chunk import RrdReader
 
     rows: dict[str, int] = {}
@@ -50,15 +50,15 @@ def test_the_recording_is_readable_and_nothing_of_a_robot_is_missing(recording):
     assert rows["/robots/r1/log"] == 2 + 20
 
 
-def test_the_recording_carries_its_own_arrangement(recording):
+def test_the_recording_contains_the_arrangement_of_its_panes(recording):
     from rerun.chunk import RrdReader
 
     assert len(RrdReader(recording).recordings()) == 1
     assert len(RrdReader(recording).blueprints()) >= 1
 
 
-def test_a_recording_of_messages_is_drawn_whole_and_at_its_times(look, drive, tmp_path):
-    """However fast it is read: no picture is left out, as a live view may, and no service is shown as silent."""
+def test_a_recording_of_messages_is_drawn_completely_and_at_its_times(look, drive, tmp_path):
+    """Independent of the reading speed: no frame is left out and no service is shown as silent."""
     from rerun.chunk import RrdReader
 
     path, drawn = tmp_path / "a.mcap", tmp_path / "a.rrd"

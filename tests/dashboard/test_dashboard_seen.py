@@ -1,4 +1,4 @@
-"""What sensors see is drawn where it is told, with what holds the action back; an odd message draws nothing."""
+"""Detected objects are drawn with those that limit the action; invalid ones are not drawn."""
 
 from dataclasses import replace
 
@@ -8,11 +8,11 @@ from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.drawing import Discs, Lines, Rings
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
-from safedpa_services.dashboard.look import display_settings
+from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.world import holding_entry, seen_entries
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
@@ -70,9 +70,9 @@ def test_the_page_shows_the_age_of_each_source_and_what_is_wrong_with_one() -> N
     assert "laser 0.05 s old" in text
     assert "the source laser is frozen" in text
     page.take(replace(SEEN, ages=(-1.0,)), 0.0)
-    assert "laser never heard" in page.page(0.5).text
+    assert "laser no data" in page.page(0.5).text
     assert "**Waiting for** the robot's states: silent for 9 s" in page.page(9.0).text
-    assert "laser never heard" in page.page(9.0).text
+    assert "laser no data" in page.page(9.0).text
 
 
 MARKED = replace(
@@ -109,8 +109,8 @@ def test_a_border_that_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> No
     assert len(shape.strips) == 1
 
 
-def test_more_zones_than_a_file_may_have_are_not_looked_at() -> None:
-    """A message of 64 KiB has room for ten thousand names and two thousand vertices; each with each takes seconds."""
+def test_more_zones_than_a_file_may_have_are_ignored() -> None:
+    """A message of 64 KiB can hold 10,000 names and 2,000 vertices; comparing all pairs takes seconds."""
     corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
     borders = tuple((float(number), *corner) for number in range(500) for corner in corners)
     flood = replace(SEEN, zones=("closed a",) * 500, borders=borders, ordered="x" * 50_000, problems=("y" * 50_000,))

@@ -1,4 +1,4 @@
-"""A late viewer gets the whole present first, of every robot, also when the memory for viewers is full."""
+"""A late viewer gets the current data of every robot first, even if the memory for viewers is full."""
 
 import os
 import subprocess
@@ -12,14 +12,14 @@ import pytest
 from safedpa.bus import FINDING, FindingMessage, ReceivedMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.http_proxy import choose_port
-from safedpa_services.dashboard.painter import SERVER_MEMORY
+from safedpa_services.dashboard.rerun_recording import SERVER_MEMORY
 
 pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
 
 _LONG = pytest.mark.skipif("SAFEDPA_LONG_TESTS" not in os.environ, reason="minutes; say SAFEDPA_LONG_TESTS=1")
 _FIRST_CHUNKS = 200
 _TICKS_OF_A_BATCH, _BATCH_SECONDS = 8, 0.4
-"""The painter sends what it drew every 0.4 s. The drive is drawn faster than it was driven, but for its last batches:
+"""The recording sends what it drew every 0.4 s. The drive is drawn faster than it was driven, but for its last batches:
 a viewer gets the newest ones first, so only these need their usual size."""
 _PACED_BATCHES = 15
 _PATIENCE_SECONDS = 240.0
@@ -39,12 +39,12 @@ def _finding(k):
 
 
 class Drive:
-    """Robots that drive side by side, drawn for viewers; their scene, their findings and models never change."""
+    """Robots that drive side by side; their scenes, findings and models never change."""
 
     def __init__(self, look, tick_of, port, robots, memory="256MB"):
-        from safedpa_services.dashboard.painter import RerunRecording
+        from safedpa_services.dashboard.rerun_recording import RerunRecording
 
-        self.painter = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=port, memory=memory)
+        self.recording = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=port, memory=memory)
         self.address = f"rerun+http://127.0.0.1:{port}/proxy"
         self.view, self._robots, self._tick_of = FleetView(look), robots, tick_of
 
@@ -56,17 +56,17 @@ class Drive:
                  for topic, message in messages], 0.05 * k,
             )  # fmt: skip
             if k == 0:
-                self.painter.arrange(self.view.fields)
-            self.painter.draw(frames)
+                self.recording.arrange(self.view.fields)
+            self.recording.draw(frames)
             if k % _TICKS_OF_A_BATCH == 0 and 0 < ticks - k < _PACED_BATCHES * _TICKS_OF_A_BATCH < ticks:
                 time.sleep(_BATCH_SECONDS)
         time.sleep(_BATCH_SECONDS)
 
 
 class Viewer:
-    """Rerun's own client, keeping what comes in the order in which it comes.
+    """Rerun's own client, which stores the received chunks in order.
 
-    It opens a door of its own, at port 9876 unless told otherwise, and ends where another client has that.
+    It opens a port of its own, by default 9876, and ends if another client uses it.
     """
 
     def __init__(self, address, path):
@@ -77,7 +77,7 @@ class Viewer:
             self._process = subprocess.Popen(command, stdout=notice, stderr=notice)
 
     def chunks(self, enough, patience=_PATIENCE_SECONDS):
-        """What has come once ``enough`` of it is there."""
+        """Returns the received chunks once ``enough`` returns true."""
         until = time.monotonic() + patience
         while not enough(found := self._read()):
             assert time.monotonic() < until, f"it got {len(found)} chunks; it said: {self._message.read_text()[-2000:]}"
@@ -85,7 +85,7 @@ class Viewer:
         return found
 
     def all_chunks(self, enough, patience=_PATIENCE_SECONDS):
-        """What there is once ``enough`` of it is there; without ``enough``, once nothing more comes."""
+        """Returns the received chunks once ``enough`` returns true or, without it, once nothing more arrives."""
         counts = [0, 0]
 
         def settled(found):
@@ -136,7 +136,9 @@ def view_of(tmp_path):
         ),
     ],
 )
-def test_a_late_viewer_has_the_present_among_the_first_chunks(look, tick_of, free_port, view_of, robots, ticks, memory):
+def test_a_late_viewer_receives_the_current_data_among_the_first_chunks(
+    look, tick_of, free_port, view_of, robots, ticks, memory
+):
     drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), robots, memory)
     full = memory == "2MB" or ticks == 54_000
     try:
@@ -144,16 +146,14 @@ def test_a_late_viewer_has_the_present_among_the_first_chunks(look, tick_of, fre
         enough = None if full else _has_the_beginning  # which comes last, and on a busy machine after pauses
         chunks = view_of(drive.address).all_chunks(enough, _PATIENCE_SECONDS + 0.01 * ticks)
     finally:
-        drive.painter.close()
+        drive.recording.close()
     assert full != _has_the_beginning(chunks), "was the memory limit reached?"
     first = [chunk for chunk in chunks[:_FIRST_CHUNKS] if not chunk.is_static]
     missing = {f"/robots/{robot}/{path}" for robot in robots for path in _NEEDED} - {c.entity_path for c in first}
     assert not missing
     for robot in robots:
         reported = " ".join(_texts(chunk) for chunk in first if chunk.entity_path == f"/robots/{robot}/now")
-        assert "0.0 s: passed: The nominal action was passed" in reported, (
-            "the last sentence of the log was said at the start"
-        )
+        assert "0.0 s: passed: The nominal action was passed" in reported, "the last log line is from the start"
 
 
 @pytest.mark.long
@@ -163,9 +163,9 @@ def test_a_viewer_learns_that_the_drive_has_ended(look, tick_of, free_port, view
         drive.go(20)
         viewer = view_of(drive.address)
         viewer.chunks(lambda found: any("now" in chunk.entity_path for chunk in found))
-        drive.painter.draw(drive.view.end(_ENDED, 1.0))
+        drive.recording.draw(drive.view.end(_ENDED, 1.0))
     finally:
-        drive.painter.close()
+        drive.recording.close()
     viewer.chunks(_is_ended)
 
 
@@ -176,7 +176,7 @@ def test_a_dashboard_that_ends_while_it_waits_reports_it_to_its_viewer(free_port
     try:
         assert process.stdout.readline().startswith("dashboard: http")
         viewer = view_of(f"rerun+http://127.0.0.1:{free_port}/proxy")
-        viewer.chunks(lambda found: any("Nothing at all is heard" in _texts(chunk) for chunk in found))
+        viewer.chunks(lambda found: any("No process found" in _texts(chunk) for chunk in found))
         process.terminate()
         viewer.chunks(lambda found: any("dashboard was ended" in _texts(chunk) for chunk in found))
     finally:
@@ -193,7 +193,7 @@ def _has_the_beginning(chunks):
 
 
 def _begin(chunk):
-    """s on the time line of its first row; of what is static, infinity."""
+    """Returns the time of its first row [s]; infinity for static data."""
     times = [] if chunk.is_static else _column(chunk, "t")
     return min((1e-9 * getattr(value, "value", value) for value in times), default=float("inf"))
 

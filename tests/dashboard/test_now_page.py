@@ -1,4 +1,4 @@
-"""The page of sentences: what is awaited and from which service, a stand with its reason, the keyframes."""
+"""The text page: missing messages, the reason of a stop, and the keyframes."""
 
 from dataclasses import replace
 
@@ -48,10 +48,10 @@ def test_without_a_robot_the_page_lists_services_and_refused_messages(look, tick
     assert "fleet **depot**" in report
     assert "policy (running)" in report
     assert "version 9" in report
-    assert _pages(view.take([], 0.2), "waiting") == [], "said once, as long as nothing changes"
+    assert _pages(view.take([], 0.2), "waiting") == [], "published once, as long as nothing changes"
 
 
-def test_what_is_missing_is_named_with_what_it_is_for(look, tick_of):
+def test_missing_messages_are_named_with_their_consequence(look, tick_of):
     view = FleetView(look)
     report = _pages(_drive(view, tick_of, range(100), state={}))
     assert "Waiting for" not in report[0]
@@ -61,10 +61,10 @@ def test_what_is_missing_is_named_with_what_it_is_for(look, tick_of):
     assert "silent for 4 s" in report[-1]
 
 
-def test_a_stationary_robot_is_shown_with_the_reason_and_the_cure(look, tick_of):
-    stood = {"stands": 7.0, "standstill": "boxed in: obstacle_0 allow no action that would move it"}
+def test_a_stationary_robot_is_shown_with_the_reason_and_what_to_do(look, tick_of):
+    stood = {"stationary_for": 7.0, "stationary_reason": "boxed in: obstacle_0 allow no action that would move it"}
     report = _pages(_drive(FleetView(look), tick_of, range(30), state={}, verdict=stood))[-1]
-    assert "**Stands for 7 s**, boxed in: obstacle\\_0" in report
+    assert "**Stationary for 7 s**, boxed in: obstacle\\_0" in report
     assert "another goal or more room" in report
 
 
@@ -75,7 +75,7 @@ def test_the_end_is_shown_until_a_state_arrives_again(look, tick_of):
     assert "The drive has ended.**" not in _pages(_drive(view, tick_of, range(60, 90), state={}, verdict={}))[-1]
 
 
-def test_a_keyframe_never_stands_later_than_a_change_that_is_still_to_come(look, tick_of):
+def test_a_keyframe_is_never_later_than_a_change_that_is_still_to_come(look, tick_of):
     view = FleetView(look)
     changed = {"verdict": {}, "state": {}}
     frames = _drive(view, tick_of, range(75), **changed)
@@ -120,7 +120,7 @@ HEARD = {
 
 
 def _awaited(look, state, name="", last=None):
-    """What is awaited at 20 s, if ``name`` was heard at ``last`` only and all others 0.9 s ago."""
+    """Returns what the page waits for at 20 s, if ``name`` arrived at ``last`` and all others 0.9 s ago."""
     page = NowPage(look)
     page.take(state, 10.0)
     for own, message in HEARD.items():
@@ -135,7 +135,7 @@ def _awaited(look, state, name="", last=None):
 @pytest.mark.parametrize("name", HEARD)
 @pytest.mark.parametrize("last", [None, 18.9, 19.1])
 def test_a_service_is_missed_after_a_second_of_silence(look, tick_of, name, last, sees):
-    """The diagnosis is missed until its first message only; perception by robots with sources of their own."""
+    """The diagnosis is missing only until its first message; perception only for robots with sensors."""
     state = replace(tick_of(1)[0][1], sources=("laser",) if sees else ())
     missed = last is None if name == "diagnosis" else last != 19.1 and (sees or name != "perception")
     lines = _awaited(look, state, name, last)
@@ -159,5 +159,5 @@ def test_nothing_is_missed_in_the_first_two_seconds_of_a_robot_or_of_a_restarted
     assert ("Waiting for" in page.page(20.0).text) is reported
 
 
-def test_before_the_first_state_that_one_is_awaited(look):
+def test_before_the_first_state_the_page_waits_for_it(look):
     assert "the robot's first state" in NowPage(look).page(0.0).text

@@ -52,12 +52,12 @@ def test_steps_are_drawn_in_milliseconds(microseconds: float, shown: list[float]
 
 
 def dashboard(seconds_of_a_turn: float = 0.0) -> tuple[Dashboard, Inbox]:
-    """A dashboard that draws nothing, and an inbox that hears its health."""
+    """A dashboard that draws nothing, and an inbox for its heartbeats."""
     broker = MemoryBroker()
     heard = Bus(MemoryTransport(broker), "f").inbox((HEALTH,), keep_all=True)
-    painter: Any = SimpleNamespace(arrange=lambda _fields: None, draw=lambda _frames: time.sleep(seconds_of_a_turn))
+    recording: Any = SimpleNamespace(arrange=lambda _fields: None, draw=lambda _frames: time.sleep(seconds_of_a_turn))
     view: Any = SimpleNamespace(fields={}, left_out=3, refused=2, take=lambda _items, _now: [])
-    return Dashboard(Bus(MemoryTransport(broker), "f"), view, painter, "*", ""), heard
+    return Dashboard(Bus(MemoryTransport(broker), "f"), view, recording, "*", ""), heard
 
 
 def test_its_health_reports_counts_and_the_time_of_a_turn_in_microseconds() -> None:

@@ -1,4 +1,4 @@
-"""docker-compose.yml keeps the bus inside, its commands make a loop that drives, and so do its containers."""
+"""docker-compose.yml: the bus is internal, and its commands and containers form a loop that drives."""
 
 import json
 import os
@@ -110,14 +110,14 @@ def test_the_authority_gives_every_role_a_place_of_its_own() -> None:
 
 
 @each_service
-def test_nothing_speaks_plain_text_and_the_bus_has_no_way_out(name: str) -> None:
+def test_nothing_uses_plain_text_and_the_bus_has_no_external_network(name: str) -> None:
     phrase = " ".join([*SERVICES[name]["command"], *map(str, SERVICES[name]["healthcheck"]["test"])])
     assert "tcp/" not in phrase
     assert "--plain" not in phrase
     assert COMPOSE["networks"]["bus"] == COMPOSE["networks"]["enrolment"] == {"internal": True}
 
 
-def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
+def test_the_plain_file_changes_only_endpoints_and_certificates() -> None:
     assert set(PLAIN["services"]) == set(SERVICES) - {"authority"}
     for name, service in PLAIN["services"].items():
         assert set(service) <= {"command", "healthcheck"}
@@ -126,7 +126,7 @@ def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
         assert plain == [word for word in SERVICES[name]["command"] if word in retained]
 
 
-def test_the_centre_may_look_and_speaks_for_no_robot() -> None:
+def test_the_centre_may_read_but_publishes_for_no_robot() -> None:
     linked = _read("deploy/linked-routers.yml")["services"]
     assert _value(linked["router"]["command"], "--link") == "router.centre=none"
     assert "none" not in linked["router"]["command"]
@@ -142,7 +142,7 @@ def _value(phrase: list[str], option: str) -> Any:
 
 
 @each_service
-def test_a_container_may_write_nothing_but_its_scratch_space_and_has_no_rights_to_spare(name: str) -> None:
+def test_a_container_may_write_only_its_scratch_space_and_has_minimal_rights(name: str) -> None:
     service = SERVICES[name]
     assert service["read_only"] is True
     assert [entry.split(":")[0] for entry in service["tmpfs"]] == ["/tmp"]
@@ -154,7 +154,7 @@ def test_a_container_may_write_nothing_but_its_scratch_space_and_has_no_rights_t
 
 
 @each_service
-def test_a_container_has_limits_comes_back_and_is_checked(name: str) -> None:
+def test_a_container_has_limits_is_restarted_and_is_checked(name: str) -> None:
     service = SERVICES[name]
     assert service["init"] is True
     assert service["restart"] == "always"
@@ -186,7 +186,7 @@ def test_images_run_as_an_ordinary_user_and_come_from_a_named_version() -> None:
     assert "USER" not in runtime.split("USER 10001:10001")[1].replace("ROOT_USER_ACTION", "")
 
 
-def test_no_image_that_ships_grows_out_of_the_compilers_stage() -> None:
+def test_no_shipped_image_is_based_on_the_build_stage() -> None:
     parents = {name: parent for parent, name in re.findall(r"^FROM (\S+) AS (\S+)$", DOCKERFILE, re.MULTILINE)}
     assert "compiler" in parents
     for service in SERVICES.values():
@@ -206,7 +206,7 @@ def test_what_is_installed_by_name_has_a_pinned_version() -> None:
 
 
 class OutsideContainers:
-    """Runs the commands of the file on this machine: the same options, other endpoints, ports and folders."""
+    """Runs the commands of the file on this machine, with other endpoints, ports and folders."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self._folder = folder
@@ -230,7 +230,7 @@ class OutsideContainers:
         return command
 
     def start(self, name: str) -> subprocess.Popen[str]:
-        """The process of a service; killed at the end of the test if it lives then."""
+        """Starts the process of a service, which is killed at the end of the test."""
         phrase = self._text(SERVICES[name]["command"])
         module = [sys.executable, "-m", f"safedpa_services.{name}"]
         command = robot_command({"SAFEDPA_LOAD": "box"}, "robot-1", phrase) if name == "robot" else [*module, *phrase]
@@ -241,7 +241,7 @@ class OutsideContainers:
         return process
 
     def health(self, name: str) -> tuple[int, str]:
-        """Exit code and words of the health check of a service."""
+        """Returns exit code and output of a service's health check."""
         kind, *phrase = SERVICES[name]["healthcheck"]["test"]
         command = ["sh", "-c", *phrase] if kind == "CMD-SHELL" else phrase
         done = subprocess.run(

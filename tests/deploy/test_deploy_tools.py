@@ -1,4 +1,4 @@
-"""What stands next to the images: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
+"""Tools for deployment: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
 
 import json
 import re
@@ -142,7 +142,7 @@ def test_percentiles_and_what_is_late() -> None:
     assert found["late_share"] == pytest.approx(0.5), "49 that took longer than 50 ms, and one that never came"
 
 
-def test_the_account_is_the_last_one_of_the_log_or_its_last_words_are_reported() -> None:
+def test_the_summary_is_the_last_one_in_the_log_else_the_last_line_is_reported() -> None:
     lines = ['{"event": "robot.ready"}', json.dumps({**ACCOUNT, "ticks": 1}), "no json", json.dumps(ACCOUNT), "7"]
     assert container_latency.account_in(lines) == ACCOUNT
     with pytest.raises(RuntimeError, match="no account of its drive; its last words: one two"):
@@ -220,6 +220,7 @@ def reported(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
+@pytest.mark.long
 def test_a_tree_compared_with_itself_decides_alike_and_every_status_is_counted() -> None:
     tree = str(ROOT / "shared")
     found = reported(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
@@ -247,7 +248,7 @@ def test_a_tree_without_a_name_is_refused() -> None:
 
 
 def beat(bus: Bus, at: float, steps: int, **other: object) -> None:
-    """A heartbeat of the policy of robot r1, but for what is given."""
+    """Returns a heartbeat of the policy about robot r1, with changed fields."""
     robot = str(other.pop("robot", "r1"))
     plain = {"service": "policy", "pid": 7, "state": "running", "detail": ""}
     message = HealthMessage(epoch=1, tick=steps, robot_time=0.0, publish_time=at, steps=steps, **{**plain, **other})
@@ -264,7 +265,7 @@ SILENT = "policy: no two heartbeats within 0 s"
     [
         ([(1.0, 10, {}), (1.25, 15, {})], ""), ([(1.0, 0, READY), (1.25, 0, READY)], ""), ([], SILENT),
         ([(1.0, 10, {}), (1.0, 10, {})], SILENT),
-        ([(1.0, 10, {}), (1.25, 10, {})], "policy: alive, but it made no step after step 10"),
+        ([(1.0, 10, {}), (1.25, 10, {})], "policy: alive, but made no step after step 10"),
         ([(1.0, 10, FAILING), (1.25, 15, FAILING)], "policy: failing, disk full"),
         ([(1.0, 10, {"pid": 7}), (1.25, 15, {"pid": 8})], SILENT),
         ([(1.0, 10, {"service": "adaptation"}), (1.25, 15, {"service": "adaptation"})], SILENT),
@@ -309,7 +310,7 @@ def _pinned(repository: Path) -> dict[str, str]:
 
 
 def test_every_pinned_package_takes_the_oldest_python(repository: Path) -> None:
-    """One wanted 3.11.5 at least, and Debian 12, whose Python is 3.11.2, could make no environment."""
+    """A package that required 3.11.5 could not be installed on Debian 12, which has Python 3.11.2."""
     projects = [tomllib.loads((repository / name).read_text(encoding="utf-8")) for name in PROJECTS]
     (promised,) = {project["project"]["requires-python"] for project in projects}
     oldest = promised.removeprefix(">=") + ".0"

@@ -1,4 +1,4 @@
-"""Wheel and source distribution are built, and what a plain installation promises holds in an empty environment."""
+"""Builds wheel and source distribution, and tests a plain installation in an empty environment."""
 
 import os
 import re
@@ -10,6 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from safedpa.generate import GENERATORS
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
@@ -30,7 +32,7 @@ def _run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedP
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[Path, Path]:
-    """(wheel, source distribution) of the working tree; skips where hatchling can be had from nowhere."""
+    """(wheel, source distribution) of the working tree; skips the test if hatchling is not available."""
     folder = tmp_path_factory.mktemp("built")
     tools, out = folder / "tools", folder / "out"
     hatchling = re.search(r"hatchling==[\d.]+", (repository / "pyproject.toml").read_text(encoding="utf-8"))
@@ -52,6 +54,7 @@ def test_the_wheel_holds_all_three_packages_and_what_ships_with_them(built: tupl
     packages = {name.split("/")[0] for name in names if not name.startswith("safedpa-")}
     assert packages == {"safedpa", "safedpa_services", "safedpa_sim"}
     assert {".toml", ".safetensors", ".typed", ".py"} <= {Path(name).suffix for name in names}
+    assert {name.replace(".", "/") + ".py" for name in GENERATORS} <= set(names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".so"))]
 
 
@@ -59,7 +62,7 @@ def test_the_source_distribution_can_be_built_from(built: tuple[Path, Path]) -> 
     with tarfile.open(built[1]) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
     assert {"pyproject.toml", "hatch_build.py", "README.md", "LICENSE", "constraints.txt"} <= names
-    assert not [name for name in names if name.startswith((".venv", "runs/", "build/"))]
+    assert not [name for name in names if name.startswith((".venv", "runs/", "build/")) or "/generated_" in name]
 
 
 @pytest.mark.parametrize("interpreter", PYTHONS)

@@ -1,4 +1,4 @@
-"""A region on Kubernetes is what the compose file starts: the same commands, keys, limits, rights, and one filter."""
+"""A region on Kubernetes equals the compose file: commands, keys, limits, rights, and one filter."""
 
 import base64
 import socket
@@ -46,7 +46,7 @@ def _of(documents: list[Document], kind: str) -> dict[str, Document]:
 
 
 def _pod(documents: list[Document], name: str) -> tuple[Document, Document]:
-    """Pod and its container."""
+    """Returns a pod and its container."""
     kind = "StatefulSet" if name == "robot" else "Deployment"
     pod = _of(documents, kind)[name.replace("_", "-")]["spec"]["template"]["spec"]
     (container,) = pod["containers"]
@@ -168,13 +168,13 @@ def test_a_robot_that_has_its_certificate_does_not_ask_for_one(keys: Path, monke
 @pytest.mark.parametrize(
     ("phrase", "notice"),
     [
-        (["--robots", "17"], "--robots 17: wanted 0 to as many as docker-compose.yml tells its router to let join"),
+        (["--robots", "17"], "--robots 17: wanted 0 to as many as docker-compose.yml lets its router accept"),
         (["--robots", "-1"], "--robots -1"), (["--namespace", "West_1"], "--namespace 'West_1'"),
         (["--namespace", ""], "--namespace ''"), (["--certificates", "nowhere"], "nowhere"),
         (["--robots-from", "10.20.0.1/16"], "10.20.0.1/16"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_in_a_line(phrase: list[str], notice: str) -> None:
+def test_impossible_options_are_refused_in_one_line(phrase: list[str], notice: str) -> None:
     command = [sys.executable, str(ROOT / "deploy" / "kubernetes_region.py"), *phrase]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
@@ -182,7 +182,7 @@ def test_what_cannot_be_is_refused_in_a_line(phrase: list[str], notice: str) -> 
     assert "Traceback" not in done.stderr
 
 
-def test_what_is_written_is_what_was_made(keys: Path) -> None:
+def test_the_written_file_is_the_generated_one(keys: Path) -> None:
     command = [sys.executable, str(ROOT / "deploy" / "kubernetes_region.py"), "--robots", "2", "--namespace", "west"]
     done = subprocess.run([*command, "--certificates", str(keys)], capture_output=True, text=True, check=True)
     assert list(yaml.safe_load_all(done.stdout)) == region("west", 2, keys)

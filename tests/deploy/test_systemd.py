@@ -1,4 +1,4 @@
-"""The systemd units are sound, and each service understands the options that its file of options gives."""
+"""The systemd units are valid, and each service accepts the options of its options file."""
 
 import os
 import re
@@ -45,6 +45,7 @@ def test_every_service_of_a_loop_has_its_options() -> None:
         assert name == "router" or options[:2] == ["--role", "robot.r1" if name == "ros_gateway" else name]
 
 
+@pytest.mark.long
 def test_every_service_understands_its_options(tmp_path: Path) -> None:
     started = {}
     (tmp_path / "robot.toml").write_text(ROBOT, encoding="utf-8")
@@ -75,6 +76,6 @@ def test_systemd_itself_finds_nothing_wrong(tmp_path: Path) -> None:
     assert done.returncode == 0 or not about, about
 
 
-def test_a_service_has_no_rights_to_spare_and_comes_back() -> None:
+def test_a_service_has_minimal_rights_and_is_restarted() -> None:
     wanted = "NoNewPrivileges=yes ProtectSystem=strict CapabilityBoundingSet= Restart=always User=safedpa"
     assert {*wanted.split()} <= {*UNIT.splitlines()}

@@ -34,6 +34,7 @@ def log(tmp_path_factory):
     return write_case(case, tmp_path_factory.mktemp("logs"))
 
 
+@pytest.mark.long
 def test_diagnose_prints_a_summary_and_writes_its_files(log, tmp_path, capsys):
     paths = [str(path) for path in log.runs]
     assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(tmp_path)]) == 0
@@ -48,7 +49,7 @@ def test_diagnose_prints_a_summary_and_writes_its_files(log, tmp_path, capsys):
     assert abs(model.settings["quadratic_drag.coefficient"].value - 0.12) < 0.005
 
 
-def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys, monkeypatch):
+def test_json_prints_only_the_report(log, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     assert safedpa.run(["diagnose", str(log.model), str(log.runs[0]), "--json", "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -174,7 +175,7 @@ def test_milliseconds_since_1970_are_recognised_at_any_rate(tmp_path: Path) -> N
 @pytest.mark.parametrize("rows", [0, 1, 4])
 def test_too_few_rows_are_refused_with_the_number_wanted(tmp_path: Path, rows: int) -> None:
     (tmp_path / "drive.csv").write_text(table(rows))
-    with pytest.raises(InputError, match="wanted 5 rows one after another"):
+    with pytest.raises(InputError, match="wanted at least 5 consecutive rows"):
         load_run(tmp_path / "drive.csv", CAR)
 
 
@@ -244,19 +245,19 @@ def test_force_replaces_it(in_use):
 def test_a_folder_that_does_not_exist_is_refused_or_made_on_request(tmp_path: Path) -> None:
     assert require_writable_folder(tmp_path) == tmp_path
     missing = tmp_path / "a" / "b"
-    with pytest.raises(InputError, match=rf"^{missing}: got no folder that exists; make it, or choose another place"):
+    with pytest.raises(InputError, match=rf"^{missing}: is not an existing folder; create it, or choose another path"):
         require_writable_folder(missing)
     assert not missing.parent.exists()
     assert require_writable_folder(missing, create=True).is_dir()
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"file: got no folder that exists"):
+    with pytest.raises(InputError, match=r"file: is not an existing folder"):
         require_writable_folder(tmp_path / "file")
 
 
 @pytest.mark.parametrize("lacking", [os.W_OK, os.X_OK])
 def test_a_folder_without_write_or_search_permission_is_refused(lacking, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda _, asked: not asked & lacking)
-    with pytest.raises(InputError, match=rf"^{tmp_path}: must not be written to; choose another place with --out"):
+    with pytest.raises(InputError, match=rf"^{tmp_path}: is not writable; choose another path with --out"):
         require_writable_folder(tmp_path)
     monkeypatch.setattr(os, "access", lambda _, asked: not asked & os.R_OK)
     assert require_writable_folder(tmp_path) == tmp_path
@@ -266,7 +267,7 @@ def test_a_file_to_write_is_not_a_folder_and_its_folder_exists(tmp_path: Path) -
     assert require_writable_file(tmp_path / "a.csv") == tmp_path / "a.csv"
     with pytest.raises(InputError, match=rf"^{tmp_path}: is a folder; name the file to write with --out"):
         require_writable_file(tmp_path)
-    with pytest.raises(InputError, match="got no folder that exists"):
+    with pytest.raises(InputError, match="is not an existing folder"):
         require_writable_file(tmp_path / "none" / "a.csv")
 
 
@@ -349,6 +350,7 @@ def constant(table):
     table["target_speed"][:], table["steer"][:] = 1.0, 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "notice"),
     [

@@ -24,14 +24,13 @@ from safedpa.diagnosis.fit.horizon import (
 from safedpa.diagnosis.report_schema import CoverageGap, CoveredRange
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, RunError
-from safedpa.records.column_map.apply import Rows
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.quality.quality import run_of_rows
-from safedpa.records.run import Finding, Run, Stretch
+from safedpa.records.run import Finding, RawRows, Run, Stretch
 from safedpa.report.diagnosis_story import gaps_clause
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
-from safedpa_lab.experiments.real_logs_targets import targets_of
+from safedpa_lab.experiments.diagnosis.real_logs import targets_of
 
 MODEL: Any = SimpleNamespace(system=PENDULUM)
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12)
@@ -99,7 +98,7 @@ def test_data_in_which_no_input_changes_allow_no_verdict(actions: Any, enough: b
 
 
 @pytest.mark.parametrize("kind", [*SEVERE, "gap", "constant_input"])
-def test_a_recording_that_is_not_what_it_claims_allows_no_verdict(kind: str) -> None:
+def test_a_recording_with_wrong_columns_or_units_allows_no_verdict(kind: str) -> None:
     """Whether it is used or not, and however much data there is."""
     bad = driving("bad", 60, findings=(Finding("jump", "a jump"), Finding(kind, "this one"), Finding(kind, "next")))
     found = check_data_sufficiency(windows(10), [driving("good", 60)], [driving("good", 60), bad])
@@ -136,7 +135,7 @@ def test_thinned_rows_are_counted_and_reported(preparing: Any) -> None:
     assert reported["message"].startswith(f"of 2001 rows, {retained(found)} in evenly spread pieces")
 
 
-def test_without_a_limit_an_hour_at_10_rows_a_second_is_used_whole_and_three_hours_are_not(preparing: Any) -> None:
+def test_one_hour_at_10_rows_per_second_is_used_completely_and_three_hours_are_thinned(preparing: Any) -> None:
     assert preparing([driving("hour", 36_000)]).quality == []
     (reported,) = preparing([driving("hours", 108_000)]).quality
     assert reported["kind"] == "thinned"
@@ -340,7 +339,7 @@ def driven(throttle, steer=None):
     t = 0.05 * np.arange(len(throttle))
     steer = 0.3 * np.sin(t) if steer is None else steer
     states = np.column_stack([t, t, 0.0 * t, 3.0 * throttle])
-    made = Rows(t, states, np.column_stack([throttle, steer]))
+    made = RawRows(t, states, np.column_stack([throttle, steer]))
     return run_of_rows(Path("drive.csv"), system, native_map(system), made, ())
 
 
@@ -354,7 +353,7 @@ def by_name(runs):
     return {item.variable: item for item in coverage_of(runs)}
 
 
-def test_a_throttle_that_was_passed_through_only_is_a_gap():
+def test_a_throttle_range_that_was_only_passed_through_is_a_gap():
     found = by_name([two_throttles()])
     assert set(found) == {"speed", "throttle", "steer"}  # neither a place nor an angle
     throttle = found["throttle"]
@@ -436,7 +435,7 @@ def test_the_first_sentence_names_the_widest_gaps():
     assert gaps_clause({}) == ""
 
 
-def test_a_log_that_was_left_out_is_judged_also_where_the_others_say_that_they_hold():
+def test_a_left_out_log_is_also_judged_within_the_coverage_of_the_others():
     row = {"part": "car", "name": "one.csv", "change": -0.7, "added": ["a"], "verdict": "x", "unseen_change": -0.1}
     found = targets_of([{**row, "unseen_told": 0.2, "unseen_where_told": [0.5, 0.3]}])
     assert [item["met"] for item in found] == [False, True]

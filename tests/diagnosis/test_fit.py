@@ -53,7 +53,7 @@ def lost(found, values):
 
 
 @pytest.mark.parametrize("away", [1e9, 0.9], ids=["at_its_bound", "far"])
-def test_a_lost_filter_does_not_blow_up_a_deviation(away, given, monkeypatch):
+def test_a_diverged_filter_does_not_inflate_a_deviation(away, given, monkeypatch):
     found, shooting, heldout = fitted(given, "rolling_resistance", deceleration=0.3)
     own = found.deviations(shooting)[0]
     assert own < 0.01
@@ -136,7 +136,7 @@ def test_gains_of_many_differences_are_those_of_each(shooting):
         np.testing.assert_array_equal(standardized_gains(many, shooting[0], local=local), each)
 
 
-def test_a_fit_that_begins_with_slopes_of_another_ends_where_one_without_does(shooting):
+def test_a_fit_started_with_known_slopes_converges_to_the_same_values(shooting):
     windows, model = shooting
     first = fit(model.with_effect(effect("car", "viscous_drag"), {}), ["viscous_drag.coefficient"], windows, np.ones(4))
     both = first.model.with_effect(effect("car", "rolling_resistance"), {"deceleration": Setting(0.1)})
@@ -162,7 +162,7 @@ def test_slopes_are_differences_of_residuals(shooting):
     np.testing.assert_allclose(slopes[..., 0][counts], ((each[1] - each[0]) / 0.01)[counts], atol=1e-9)
 
 
-def test_a_model_with_other_numbers_is_what_the_constructor_makes():
+def test_with_values_equals_a_newly_constructed_model():
     given = load_model("car").with_effect(effect("car", "viscous_drag"), {"coefficient": Setting(0.1, free=True)})
     settings = {"viscous_drag.coefficient": Setting(0.2), "base.wheelbase": Setting(0.3, free=True)}
     found = given.with_settings(settings)
@@ -186,7 +186,7 @@ def runs(plain, drive):
 
 @pytest.mark.parametrize("guess", [0.9, 3.1, 20.0])
 @pytest.mark.parametrize("wheelbase", [0.1, 0.29, 2.0])
-def test_a_bad_guess_ends_where_a_good_one_does(guess, wheelbase, plain, runs):
+def test_a_bad_guess_converges_to_the_same_values_as_a_good_one(guess, wheelbase, plain, runs):
     model = plain.with_settings({"base.drive_gain": Setting(guess, True), "base.wheelbase": Setting(wheelbase, True)})
     evidence = data_at_horizon(runs, 1.0)
     found = initial_search(model, evidence.shooting, evidence.heldout).first.fit
@@ -201,7 +201,7 @@ def test_a_base_that_is_worse_than_no_change_is_reported_first(plain, runs, monk
     document = as_document(diagnose(lost, runs))
     assert document["naive"]["no_change"] < document["stages"][0]["heldout_error"]
     assert report_text(document).lead.startswith(
-        "The given model, its free numbers refitted, predicts worse than assum"
+        "The given model, its free parameters refitted, predicts worse than predicting "
     )
     assert not report_text(as_document(diagnose(plain, runs))).lead.startswith("The given model")
 
@@ -217,9 +217,9 @@ def track():
     shape = (2, ROWS, 1)
     return LinearizedTrajectory(
         transition=np.full((*shape, 1), RETAINED), drift=random.normal(size=shape),
-        columns=random.normal(size=(*shape, 1)), seen=random.normal(size=shape), period=np.full((2, ROWS), PERIOD),
-        inside=np.ones((2, ROWS), dtype=bool), counted=np.ones((2, ROWS), dtype=bool), doubt=np.ones(shape),
-        bent=np.zeros(shape), disturbed=np.array([0]),
+        columns=random.normal(size=(*shape, 1)), measured=random.normal(size=shape), period=np.full((2, ROWS), PERIOD),
+        inside=np.ones((2, ROWS), dtype=bool), counted=np.ones((2, ROWS), dtype=bool), noise_factor=np.ones(shape),
+        nonlinearity=np.zeros(shape), disturbed=np.array([0]),
     )  # fmt: skip
 
 
@@ -229,7 +229,7 @@ def joint_of(track, piece, shift=0.0):
     starts = np.diag([(30.0 * MEASURED) ** 2, PUSH**2])
     step = np.array([[RETAINED, PERIOD], [0.0, decay]])
     noise = np.diag([(1e-5 * MEASURED) ** 2, (1.0 - decay**2) * PUSH**2])
-    mean, means = np.array([track.seen[piece, 0, 0], 0.0]), []
+    mean, means = np.array([track.measured[piece, 0, 0], 0.0]), []
     joint = np.zeros((2 * ROWS, 2 * ROWS))
     joint[:2, :2] = starts
     for row in range(ROWS):
@@ -240,8 +240,8 @@ def joint_of(track, piece, shift=0.0):
             joint[now, : 2 * row] = step @ joint[before, : 2 * row]
             joint[: 2 * row, now] = joint[now, : 2 * row].T
             joint[now, now] = step @ joint[before, before] @ step.T + noise
-    covariance = joint[::2, ::2] + np.diag((MEASURED * track.doubt[piece, :, 0]) ** 2)
-    return track.seen[piece, :, 0] - np.array(means), covariance
+    covariance = joint[::2, ::2] + np.diag((MEASURED * track.noise_factor[piece, :, 0]) ** 2)
+    return track.measured[piece, :, 0] - np.array(means), covariance
 
 
 def dense(track, piece, shift):
@@ -267,7 +267,7 @@ def test_each_innovation_is_measured_by_its_own_deviation(track, doubtful):
     Their squares and the logs of their deviations add up to the likelihood.
     """
     if doubtful:
-        track = replace(track, doubt=np.where(np.arange(ROWS)[None, :, None] == 4, 7.0, track.doubt))
+        track = replace(track, noise_factor=np.where(np.arange(ROWS)[None, :, None] == 4, 7.0, track.noise_factor))
     found = kalman_innovations(track, noise_of(1.0))
     for piece in range(2):
         error, covariance = joint_of(track, piece)
@@ -281,7 +281,7 @@ def test_each_innovation_is_measured_by_its_own_deviation(track, doubtful):
         assert cost == pytest.approx(dense(track, piece, 0.0), rel=1e-9)
 
 
-def test_a_row_that_lies_off_is_doubted_by_as_many_times_as_it_lies_off(plain, with_effect, drive):
+def test_the_noise_of_an_outlier_grows_with_its_distance(plain, with_effect, drive):
     """A jump of 25 deviations among noise of one: it is left out of the numbers, and the noise stays the noise."""
     truth = with_effect(plain, "viscous_drag", coefficient=0.3)
     run = noisy(drive(truth, 20.0), 0)
@@ -296,7 +296,7 @@ def test_a_row_that_lies_off_is_doubted_by_as_many_times_as_it_lies_off(plain, w
     assert found.deviations[0] < 1.5 * clean.deviations[0]
 
 
-def test_noises_side_by_side_do_not_mix(track):
+def test_noise_variants_are_computed_independently(track):
     together = kalman_innovations(track, noise_of(1.0, 2.0, 0.5), slopes=False).cost
     alone = [kalman_innovations(track, noise_of(scale), slopes=False).cost[0] for scale in (1.0, 2.0, 0.5)]
     np.testing.assert_allclose(together, alone, rtol=1e-12)
@@ -308,11 +308,11 @@ def test_slopes_are_those_of_the_innovations(track):
     np.testing.assert_allclose(shifted.white, found.white + 0.1 * found.columns[..., 0], atol=1e-9)
 
 
-def test_rows_that_are_not_there_change_nothing(track):
+def test_rows_outside_a_piece_do_not_affect_the_result(track):
     half = np.arange(ROWS) < 5
     inside = np.stack([half, np.ones(ROWS, dtype=bool)])
     one = kalman_innovations(replace(track, inside=inside, counted=inside), noise_of(1.0))
-    other = replace(track, inside=inside, counted=inside, seen=np.where(inside[..., None], track.seen, 1e3))
+    other = replace(track, inside=inside, counted=inside, measured=np.where(inside[..., None], track.measured, 1e3))
     np.testing.assert_allclose(kalman_innovations(other, noise_of(1.0)).cost, one.cost, rtol=1e-12)
 
 
@@ -333,7 +333,7 @@ def test_parameters_of_a_noisy_drive_lie_within_their_deviations(plain, with_eff
     np.testing.assert_allclose(found.noise.measured[0], [0.004, 0.004, 0.006, 0.03], rtol=0.2)
 
 
-def test_a_number_that_is_not_free_stays(plain, with_effect, drive):
+def test_a_fixed_parameter_does_not_change(plain, with_effect, drive):
     model = with_effect(plain, "viscous_drag", coefficient=0.3)
     paths, free = ["base.drive_gain", "viscous_drag.coefficient"], np.array([True, False])
     found = prediction_error_fit(model, paths, free, windows_of([noisy(drive(model, 20.0), 0)], 1.0))
@@ -341,7 +341,7 @@ def test_a_number_that_is_not_free_stays(plain, with_effect, drive):
     assert np.isfinite(found.deviations).tolist() == [True, False]
 
 
-def test_recordings_too_short_for_a_filter_give_nothing(plain, drive):
+def test_recordings_too_short_for_the_filter_return_none(plain, drive):
     windows = windows_of([drive(plain, 1.5)], 0.5)
     assert prediction_error_fit(plain, ["base.drive_gain"], np.array([True]), windows) is None
 

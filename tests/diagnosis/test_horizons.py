@@ -27,7 +27,7 @@ from safedpa_lab.hidden.sensor import NOISE
 from safedpa_services.command_line.diagnose import story_lines
 from safedpa_services.command_line.group import safedpa
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_two_effects_are_both_found(hidden):
 
 
 @pytest.mark.long
-def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
+def test_viscous_drag_and_a_command_gain_are_equivalent_if_the_servo_is_free(hidden):
     report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True)
     assert report.added[0] in ("viscous_drag", "speed_command_gain")
     group = {report.added[0], *accepted(report, report.added[0]).indistinguishable_from}
@@ -108,7 +108,7 @@ def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden)
 
 
 @pytest.mark.long
-def test_a_payload_is_reported_as_taken_up_by_a_free_servo_gain(hidden):
+def test_a_payload_is_reported_as_equivalent_to_a_free_servo_gain(hidden):
     report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True)
     assert "payload" not in report.added
     payload = next(item for item in report.candidates if item.effect == "payload")
@@ -157,7 +157,7 @@ def decided(report):
 
 
 @pytest.mark.long
-def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, searched_once):
+def test_the_displayed_horizon_changes_neither_verdict_nor_parameters(logs, searched_once):
     """Nor what is searched for, so that one search answers all three."""
     given = logs({"viscous_friction": {"coefficient": 0.05}}, robot="pendulum", runs=2)
     reports = [diagnose(*given, horizon) for horizon in (0.2, 0.6, 1.4)]
@@ -168,7 +168,7 @@ def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, search
     assert [report.horizon for report in reports] == [0.2, 0.6, 1.4]
 
 
-def test_an_unstable_model_is_judged_over_less_time(logs):
+def test_an_unstable_model_is_judged_over_a_shorter_horizon(logs):
     model, runs = logs({}, robot="pendulum", runs=2)
     upright = [standing(run) for run in runs]
     assert select_horizon(model, runs) == 1.0
@@ -308,7 +308,7 @@ def test_simulated_logs_have_the_commands_and_the_noise_of_the_given_ones(given)
     np.testing.assert_allclose(measured_noise(again), measured_noise(runs), rtol=0.25)
 
 
-def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
+def test_free_parameters_are_fitted_before_the_rehearsal_simulates(tmp_path):
     """The car has a gain of 4.95 or 4.05, in gusts; with three times as much it would drive three times as fast."""
     log = write_case(Case("test", 22, {}, runs=2, seconds=15.0, drive="throttle", hard=True), tmp_path)
     model = load_model(log.model)
@@ -323,15 +323,15 @@ def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
 
 def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
     found = check_identifiability(*given)
-    assert {item.effect for item in found.reported()} == {"rolling_resistance", "understeer"}
-    assert {item.effect for item in found.as_sums()} == {"viscous_drag", "speed_command_gain"}
+    assert {item.effect for item in found.identifiable()} == {"rolling_resistance", "understeer"}
+    assert {item.effect for item in found.only_as_sums()} == {"viscous_drag", "speed_command_gain"}
     reported = "\n".join(check_lines(found))
     assert "only as a sum" in reported
     assert "together with viscous_drag" in reported
 
 
 @pytest.mark.long
-def test_a_rehearsal_finds_what_the_check_foretells(given):
+def test_a_rehearsal_finds_what_the_check_predicts(given):
     found = rehearse_diagnosis(*given, sizes=(0.002, 1.0), names=("rolling_resistance", "understeer"))
     assert [(trial.effect, trial.found) for trial in found.trials] == [
         ("rolling_resistance", False), ("rolling_resistance", True), ("understeer", False), ("understeer", True),

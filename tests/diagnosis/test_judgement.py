@@ -54,7 +54,7 @@ def test_a_gain_is_the_normal_deviate_of_a_t_test(count: int, shift: float) -> N
     assert gain(values) == pytest.approx(wanted, rel=0.02)
 
 
-def test_steady_gains_of_few_blocks_are_no_proof() -> None:
+def test_steady_gains_of_few_blocks_do_not_count() -> None:
     assert gain([1.0, 1.01, 0.99, 1.0, 1.0, 1.01, 0.99]) == 0.0
     assert gain(5.0 + 0.1 * np.arange(8)) < 8.0
     assert gain(np.zeros(20)) == 0.0
@@ -78,24 +78,24 @@ IN_ALL = [1.0, 1.1] * 8 + [1e6, 1.0]
         (IN_ALL, 18, 20.0 * float(np.median(IN_ALL))),
     ],
 )
-def test_a_regression_is_sure_by_the_sum_of_blocks_over_its_standard_error_with_glitches_cut(gains, blocks, most):
+def test_block_gain_of_a_regression_is_the_clipped_block_sum_over_its_standard_error(gains, blocks, most):
     sums = np.minimum(gains, most).reshape(blocks, -1).sum(axis=1)
     wanted = sums.sum() / (sums.std(ddof=1) * math.sqrt(blocks))
     problem = regression(blocks, len(gains) // blocks)
     before, after = np.array(gains) + 7.0, np.full(len(gains), 7.0)
     for size in (1.0, 100.0):
-        assert problem.sure(size * before, size * after) == pytest.approx(wanted, rel=1e-9)
-    assert problem.sure(after, before) == pytest.approx(-wanted, rel=1e-9)
+        assert problem.block_gain(size * before, size * after) == pytest.approx(wanted, rel=1e-9)
+    assert problem.block_gain(after, before) == pytest.approx(-wanted, rel=1e-9)
 
 
-def test_with_fewer_than_eight_blocks_a_regression_is_sure_of_nothing() -> None:
-    assert regression(7, 3).sure(np.full(21, 2.0), np.ones(21)) == 0.0
-    assert regression(8, 3).sure(np.full(24, 2.0), np.linspace(0.5, 1.0, 24)) > 0.0
+def test_block_gain_of_a_regression_is_zero_below_eight_blocks() -> None:
+    assert regression(7, 3).block_gain(np.full(21, 2.0), np.ones(21)) == 0.0
+    assert regression(8, 3).block_gain(np.full(24, 2.0), np.linspace(0.5, 1.0, 24)) > 0.0
 
 
 def test_with_nothing_to_gain_two_standard_errors_are_exceeded_in_one_case_of_twenty() -> None:
     random, problem = np.random.default_rng(11), regression(60, 10)
-    found = np.array([problem.sure(random.normal(0.0, 30.0, 600), np.zeros(600)) for _ in range(2000)])
+    found = np.array([problem.block_gain(random.normal(0.0, 30.0, 600), np.zeros(600)) for _ in range(2000)])
     assert found.std() == pytest.approx(1.0, abs=0.06)
     assert (np.abs(found) > 2.0).mean() == pytest.approx(0.05, abs=0.012)
 
@@ -112,7 +112,7 @@ def explains(values: Any) -> Any:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
-def test_two_trials_are_alike_by_the_cosine_of_what_they_explain(one, other, alike, size):
+def test_explanation_correlation_is_the_cosine_of_what_two_trials_explain(one, other, alike, size):
     assert explanation_correlation(explains(one), explains(size * np.array(other))) == pytest.approx(alike)
     assert explanation_correlation(explains(size * np.array(other)), explains(one)) == pytest.approx(alike)
 
@@ -122,7 +122,9 @@ def test_two_trials_are_alike_by_the_cosine_of_what_they_explain(one, other, ali
     [((1.0,) * 19 + (100.0,), 6.0), ((1.0,) * 6 + (10.0,) * 4, 10.0), ((0.5,) * 19 + (100.0,), 3.0), ((2.0,) * 5, 2.0)],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_pushes_are_cut_at_six_medians_or_at_what_a_tenth_exceeds(sizes: Any, largest: float, sign: float) -> None:
+def test_residual_inputs_are_clipped_at_six_medians_or_the_90_percent_quantile(
+    sizes: Any, largest: float, sign: float
+) -> None:
     found = clip_outliers(sign * np.array(sizes)[:, None] * np.array([1.0, 1e-3]))
     assert np.abs(found).max(axis=0) == pytest.approx([largest, 1e-3 * largest], abs=1e-8)
     assert (np.sign(found) == sign).all()
@@ -214,13 +216,13 @@ def names(items: list[JudgedTrial]) -> list[str]:
         (judged("a", free=(True, False)), 0.501, True),  # while half is missing, a bound does not matter
     ],
 )  # fmt: skip
-def test_a_likely_effect_is_of_the_last_stage_favoured_and_takes_a_tenth_off(item, value, reported):
+def test_a_likely_effect_is_from_the_last_stage_favoured_and_reduces_the_error_by_10_percent(item, value, reported):
     other = judged("other", decision="accepted", after=0.1)
     found = likely_effects(searching(other, item, value=value, added=["drag"]))
     assert names(found) == ([item.trial.name] if reported else [])
 
 
-def test_the_likely_effect_that_takes_most_off_comes_first() -> None:
+def test_likely_effects_are_sorted_by_error_reduction() -> None:
     items = [judged(name, after=after) for name, after in (("a", 0.6), ("b", 0.2), ("c", 0.8), ("d", 0.4))]
     assert names(likely_effects(searching(judged("early", stage=1, after=0.0), *items))) == ["b", "d", "a", "c"]
     assert likely_effects(searching()) == []
@@ -257,12 +259,12 @@ SURE, UNSURE = (2.0, 1.0, 0.0), (0.5, 1.0, 0.0)
         ({"base.mass": UNSURE, "drag.c": SURE}, False),
     ],
 )  # fmt: skip
-def test_an_accepted_effect_is_doubtful_if_all_its_numbers_are_within_one_deviation_of_nothing(numbers, doubted):
+def test_an_accepted_effect_is_doubtful_if_all_its_parameters_are_within_one_deviation_of_neutral(numbers, doubted):
     found = doubtful_effects(doubting(numbers, judged("drag", decision="accepted"), added=["drag"]))
     assert names(found) == (["drag"] if doubted else [])
 
 
-def test_a_doubtful_effect_is_reported_alone_as_it_was_last_accepted_with_the_present_numbers() -> None:
+def test_a_doubtful_effect_is_reported_alone_with_the_current_parameters() -> None:
     items = [
         judged("drag", stage=0, decision="accepted", gain=3.0),
         judged("lag", "drag", stage=1, decision="accepted", gain=5.0),
@@ -274,7 +276,7 @@ def test_a_doubtful_effect_is_reported_alone_as_it_was_last_accepted_with_the_pr
     assert names(found) == ["drag", "lag"]
     assert [(item.stage, item.gain, item.decision) for item in found] == [(1, 5.0, "suspected")] * 2
     assert all(item.trial.fit is search.current.fit and item.trial.loss == 7.0 for item in found)
-    assert all("within one deviation of nothing" in item.reason for item in found)
+    assert all("within one deviation of zero effect" in item.reason for item in found)
     assert doubtful_effects(doubting({"drag.c": UNSURE}, items[2], items[3], added=["drag"])) == []
 
 
@@ -301,7 +303,7 @@ def nearest(
         ([0.01], 0.5, 2, []), ([0.01], 0.5, 0, []), ([-1.0], 0.0, 3, []), ([0.01], NAN, 3, []), ([0.01], 7.0, 9, ["0"]),
     ],
 )  # fmt: skip
-def test_with_too_little_data_the_effects_that_take_a_tenth_off_are_reported_best_first(
+def test_with_too_little_data_effects_that_reduce_the_error_by_10_percent_are_reported_best_first(
     errors: list[float], value: float, count: int, reported: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = nearest(monkeypatch, errors, value, count)
@@ -389,7 +391,7 @@ def heldout_error(errors: Any) -> HeldoutError:
 
 @pytest.fixture
 def reported(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """told(table, added, shown=None) -> (what is reported, effects in their order).
+    """reported(table, added, shown=None) -> (the stages, effects in their order).
 
     A model has the errors of the table by the letters of its effects; on the windows that are shown, those of
     ``shown``.
@@ -511,6 +513,7 @@ def refusing(monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 
 
+@pytest.mark.long
 def test_a_refused_effect_that_predicts_like_a_formula_is_named(refusing, tmp_path):
     log = write_case(Case("test", 4, {"viscous_drag": {"coefficient": 0.3}}, runs=3, seconds=20.0), tmp_path)
     model = load_model(str(log.model))
@@ -529,7 +532,7 @@ def profile(values, errors, rows):
     return Profile("throttle", "1", "speed", "m/s2", knots, tuple(values), tuple(errors), None, tuple(rows))
 
 
-def test_no_headline_without_rows_or_below_two_deviations():
+def test_a_peak_needs_rows_and_two_deviations():
     assert peak_of(profile([61.0, 1.0, 0.5], [66.0, 0.1, 0.1], [500, 500, 500])) == 1
     assert peak_of(profile([61.0, 1.0, 0.5], [0.1, 0.1, 0.1], [0, 500, 500])) == 1
     assert peak_of(profile([61.0, 1.0, 0.5], [66.0, 2.0, 2.0], [500, 500, 500])) is None

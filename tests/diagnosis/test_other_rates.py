@@ -14,11 +14,11 @@ from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
 from safedpa.safety import MarginCalibration
-from safedpa_lab.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
+from safedpa_lab.experiments.diagnosis.long_logs import HIDDEN, LongLogs, write_long_logs
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_services.workbench import jobs
-from safedpa_services.workbench.session_files import save_model_files
+from safedpa_services.workbench.session import jobs
+from safedpa_services.workbench.session.files import save_model_files
 
 LOGS = LongLogs(runs=3, seconds=60.0, period=0.02)
 
@@ -110,12 +110,13 @@ def diagnosed(log, rates, folder, capsys, monkeypatch, *phrase: str) -> str:
     return str(capsys.readouterr().out)
 
 
+@pytest.mark.long
 def test_slower_logs_give_a_margin_of_their_steps(log, tmp_path, capsys, monkeypatch) -> None:
     notice = diagnosed(log, (2, 2, 2), tmp_path, capsys, monkeypatch)
     margin = MarginCalibration.load(tmp_path / "out" / "margin.toml")
     assert margin.period == pytest.approx(0.1)
     assert margin.fingerprint == fingerprint(load_model(str(tmp_path / "out" / "model.toml")))
-    assert "The margin is of steps of 0.1 s, as the recordings have them" in notice
+    assert "The margin is valid for steps of 0.1 s, as in the recordings" in notice
     assert f"--margin {tmp_path / 'out' / 'margin.toml'} --rate 10\n" in notice
 
 
@@ -138,14 +139,15 @@ def retained(log, rates, folder) -> str:
     model = load_model(str(log.model))
     given = zip(log.runs, rates, strict=True)
     runs = [every_nth(load_run(path, model.system), every) for path, every in given]
-    return save_model_files(jobs.opened(model, runs, 1.0, lambda _: None)[-1].step, runs, model, folder, lambda _: None)
+    version = jobs.first_versions(model, runs, 1.0, lambda _: None)[-1]
+    return save_model_files(version.step, runs, model, folder, lambda _: None)
 
 
 def test_the_workbench_saves_a_margin_of_the_logs_steps(log, tmp_path) -> None:
     notice = retained(log, (4, 4, 4), tmp_path)
     assert MarginCalibration.load(tmp_path / "margin.toml").period == pytest.approx(0.2)
     assert f"and margin.toml: safedpa up --model {tmp_path / 'model.toml'} --margin" in notice
-    assert "--rate 5. The margin is of steps of 0.2 s, as the recordings have them" in notice
+    assert "--rate 5. The margin is valid for steps of 0.2 s, as in the recordings" in notice
 
 
 def test_the_reason_for_a_missing_margin_is_printed(log, tmp_path) -> None:
@@ -158,6 +160,6 @@ def test_the_reason_for_a_missing_margin_is_printed(log, tmp_path) -> None:
 
 def test_at_the_rate_of_the_model_the_output_is_unchanged(log, tmp_path) -> None:
     notice = retained(log, (1, 1, 2), tmp_path)
-    assert notice.endswith("is of the model's own steps of 0.05 s; 199 steps of other lengths tell nothing of it.")
+    assert notice.endswith("is valid for the model's period of 0.05 s; 199 steps of other lengths were not used.")
     assert "--rate" not in notice
     assert retained(log, (1, 1, 1), tmp_path).endswith(f"--margin {tmp_path / 'margin.toml'}")

@@ -22,7 +22,7 @@ from safedpa.diagnosis.fit.cross_validation import heldout_of
 from safedpa.diagnosis.fit.multiple_shooting import shooting_of
 from safedpa.diagnosis.fit.trial import fit_trial
 from safedpa.diagnosis.search.forward_selection import run_search
-from safedpa.dynamics import LearnedBase, Setting, fingerprint, load_model, load_own
+from safedpa.dynamics import LearnedBase, Setting, fingerprint, load_model, load_user_file
 from safedpa.effects import CommandEffect, effect, effects_of, general_effects
 from safedpa.effects.effect import Context
 from safedpa.errors import InputError
@@ -40,7 +40,7 @@ from safedpa_lab.hidden.excitation import car_commands
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.scene import Scene
 
 DOCS = Path(__file__).parents[2] / "docs"
 BALL = DOCS / "examples" / "falling_ball.py"
@@ -187,7 +187,7 @@ def test_a_wrong_file_is_refused_in_one_line(text, message, tmp_path):
     path = tmp_path / "mine.py"
     path.write_text(text.replace('"ball"', '"ball2"'), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        load_own(path)
+        load_user_file(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -255,14 +255,14 @@ def test_each_hidden_effect_fits_best_and_with_its_size(name):
 
 
 @pytest.mark.long
-def test_a_damped_robot_is_diagnosed_whole():
+def test_a_damped_robot_passes_the_whole_diagnosis():
     report = diagnose(load_model("point"), [driven({"viscous_drag": {"coefficient": 0.6}}, s, 12.0) for s in (11, 12)])
     assert report.added == ("viscous_drag",)
     assert abs(report.parameters["viscous_drag.coefficient"].value - 0.6) < 0.02
 
 
 @pytest.mark.long
-def test_the_commands_take_it(tmp_path, capsys):
+def test_all_commands_accept_a_user_system(tmp_path, capsys):
     run = driven({"viscous_drag": {"coefficient": 0.6}}, 31)
     names = ("t", *run.system.state_names, *run.system.action_names)
     table = dict(zip(names, np.column_stack([run.t, run.states, run.actions]).T, strict=True))
@@ -285,8 +285,8 @@ STEP = 0.001
 
 @pytest.fixture(autouse=True)
 def own():
-    load_own(EXAMPLES / "cart.py")
-    load_own(EXAMPLES / "helicopter.py")
+    load_user_file(EXAMPLES / "cart.py")
+    load_user_file(EXAMPLES / "helicopter.py")
 
 
 def held(random, seconds, size, lengths=(0.3, 1.5)):
@@ -387,7 +387,7 @@ def test_the_lag_and_drag_of_a_helicopter_of_two_axes_are_found(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["cart", "helicopter"])
-def test_the_next_experiment_is_in_the_systems_own_words(name):
+def test_the_next_experiment_uses_the_action_names_of_the_system(name):
     model = load_model(EXAMPLES / f"{name}.toml")
     texts = list(manoeuvres(model))
     for action in model.system.action_names:
@@ -503,7 +503,7 @@ def test_model_weights_and_margin_belong_together(found_on_top):
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_the_loop_drives_with_what_was_diagnosed(found_on_top):
+def test_the_loop_runs_with_a_diagnosed_model(found_on_top):
     _, folder = found_on_top
     model, margin = load_model(folder / "model.toml"), MarginCalibration.load(folder / "margin.toml")
     nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin)]

@@ -134,7 +134,7 @@ def asks_no_one(text):
     assert "default-src 'none'" in own
 
 
-def test_page_asks_no_other_host(files, tmp_path):
+def test_comparison_page_loads_nothing_from_other_hosts(files, tmp_path):
     model, paths = files
     assert _run("compare", model, *paths, "--out", tmp_path, "--json") == 0
     text = (tmp_path / "compare.html").read_text()
@@ -152,7 +152,7 @@ def test_page_asks_no_other_host(files, tmp_path):
     assert sorted(set(labels)) == ["95 % quantile", "best", "median", "worst"]
 
 
-def test_page_escapes_what_comes_from_files(plain, drive):
+def test_page_escapes_texts_from_files(plain, drive):
     run = replace(drive(plain, 10.0), name="</script><b>x", findings=(Finding("jump", "<i>odd</i> & more"),))
     text = compare_page(compare_model(plain, [run]), "<model>")
     assert text.count("</script") == 4
@@ -182,7 +182,7 @@ def test_chosen_windows_go_from_worst_to_best(plain, with_effect, drive):
     assert measured["x"][-1] == pytest.approx(windows.states[windows.end[chosen[0][1]], 0], rel=1e-4, abs=1e-4)
 
 
-def test_predictions_without_bound_are_reported(plain, with_effect, drive):
+def test_diverging_predictions_are_reported(plain, with_effect, drive):
     """Numbers that are not finite become null in JSON, a finding in the list, and no warning."""
     wild = with_effect(plain, "quadratic_drag", coefficient=2.0)
     run = drive(plain, 20.0)
@@ -206,7 +206,7 @@ def test_a_run_in_which_nothing_happens_is_reported(plain, drive):
     compare_page(comparison, "still")
 
 
-def test_the_pendulum_has_a_page_without_a_place(tmp_path):
+def test_the_pendulum_page_has_no_position_figure(tmp_path):
     model = load_model("dfki_pendulum")
     t = np.arange(400) * 0.01
     states = np.zeros((400, 2))
@@ -237,7 +237,7 @@ def test_short_and_uneven_runs_are_reported(plain, drive):
     json.dumps(as_json(compare_model(plain, runs)), allow_nan=False)
 
 
-def test_names_tell_files_apart(plain, drive, tmp_path):
+def test_run_names_distinguish_files(plain, drive, tmp_path):
     run = drive(plain, 5.0)
     pairs = ([tmp_path / "a" / "log.csv", tmp_path / "b" / "log.csv"], ["one.csv", "two.csv"])
     named = [[item.name for item in with_distinct_names([run, run], pair)] for pair in pairs]
@@ -258,9 +258,9 @@ def test_bad_input_is_one_line(files, tmp_path, capsys):
     model, paths = files
     blocked = tmp_path / "file"
     blocked.write_text("")
-    assert "cannot be made a folder" in _bad(capsys, "compare", model, *paths, "--out", blocked / "inside")
+    assert "cannot be created" in _bad(capsys, "compare", model, *paths, "--out", blocked / "inside")
     predict = ("predict", model, paths[0], "--horizon", 1, "--out", tmp_path / "nowhere" / "out.csv")
-    assert "no folder" in _bad(capsys, *predict)
+    assert "is not an existing folder" in _bad(capsys, *predict)
     _bad(capsys, "compare", "dfki_pendulum", *paths, "--out", tmp_path)
     _bad(capsys, "compare", "car", *paths, "--out", tmp_path)
     _bad(capsys, "compare", model, tmp_path / "absent.csv", "--out", tmp_path)
@@ -276,7 +276,7 @@ def test_a_folder_without_permission_is_one_line(files, tmp_path, capsys):
     model, paths = files
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
-    assert "must not be written to" in _bad(capsys, "compare", model, *paths, "--out", closed)
+    assert "is not writable" in _bad(capsys, "compare", model, *paths, "--out", closed)
 
 
 def test_own_effects_are_loaded(files, tmp_path, capsys):
@@ -339,7 +339,7 @@ def diagnosed(plain, with_effect, drive):
     return document, runs, models
 
 
-def test_the_page_has_the_whole_story(diagnosed, tmp_path):
+def test_the_page_contains_all_sentences_and_tables(diagnosed, tmp_path):
     document, runs, models = diagnosed
     path = write_report(document, runs, models, tmp_path, "my model")
     text = path.read_text(encoding="utf-8")
@@ -349,14 +349,14 @@ def test_the_page_has_the_whole_story(diagnosed, tmp_path):
     for expected in (
         f"The model lacks quadratic_drag and steering_lag. With them the error on data that was not used for fitting "
         f"falls from {first:.3g} to {last:.3g}, by {100 * (1 - last / first):.0f} %.",
-        "42 % of what remains depends on x and y",
-        "What is missing next to quadratic_drag?",
+        "42 % of the residual depends on x and y",
+        "What is missing besides quadratic_drag?",
         "coefficient 0.2 ± 0.004 1/m",
         "quadratic_drag (accepted) and viscous_drag",
         "4 more candidates",
-        "Quadratic_drag does what it does. Cannot be told from viscous_drag.",
+        "Quadratic_drag does what it does. Cannot be distinguished from viscous_drag.",
         "Coast down It separates a from b. They differ there",
-        "It is a formula that fits, not a physical effect with a name",
+        "It is a formula that fits, not a physical effect",
         "x jumped &lt;once&gt; &amp; was cut",
     ):
         assert expected in phrase
@@ -365,7 +365,7 @@ def test_the_page_has_the_whole_story(diagnosed, tmp_path):
         assert f'id="{figure["id"]}"' in text
 
 
-def test_the_page_asks_no_other_host(diagnosed):
+def test_diagnosis_page_loads_nothing_from_other_hosts(diagnosed):
     document, runs, models = diagnosed
     text = report_page({**document, "added": ["</script><b>x", "y"]}, runs, models, "<model>")
     assert len(text) < 6e6
@@ -374,7 +374,7 @@ def test_the_page_asks_no_other_host(diagnosed):
     assert "&lt;model&gt;" in text
 
 
-def test_the_bars_fall(diagnosed):
+def test_the_error_bars_decrease_with_each_stage(diagnosed):
     document, _, _ = diagnosed
     bars = [trace for trace in falling_figure(document)["data"] if trace["type"] == "bar"]
     assert len(bars) == 5
@@ -411,9 +411,9 @@ def test_nothing_missing_is_a_page_too(diagnosed):
         "data_quality": [],
     }  # fmt: skip
     text = report_page(bare, runs, models[:1], "complete")
-    for expected in ("Nothing is missing", "None is needed", "Nothing was cut", "What does the given model lack?"):
+    for expected in ("Nothing is missing", "None is needed", "All rows were used", "What does the given model lack?"):
         assert expected in text
-    assert "What was found" not in text
+    assert "Missing effects" not in text
     assert "after" not in {trace.get("name") for trace in embedded(text)["overlays"][0]["data"]}
     unexplained = {**bare, "verdict": "unexplained", "unexplained": document["unexplained"]}
     assert "no effect of the library describes" in report_text(unexplained).lead
@@ -426,7 +426,7 @@ def test_a_stage_lists_what_it_changed():
     assert reported == ["given model", "+ lag + offset", "− drag", "refitted"]
 
 
-def test_numbers_that_are_not_finite_leave_gaps(diagnosed):
+def test_values_that_are_not_finite_leave_gaps(diagnosed):
     document, runs, models = diagnosed
     stages = [{**document["stages"][0], "heldout_error": None, "per_state": {"x": None, "y": 1.0}}]
     lost = candidate(0, "drag", None, parameters={"coefficient": {"value": None, "std": None, "unit": "1/m"}})
@@ -434,7 +434,7 @@ def test_numbers_that_are_not_finite_leave_gaps(diagnosed):
     assert "coefficient nan 1/m" in report_page(broken, runs, models[:1], "broken")
 
 
-def test_the_last_fit_counts(diagnosed):
+def test_the_page_shows_the_parameters_of_the_last_fit(diagnosed):
     document, _, _ = diagnosed
     last = {"quadratic_drag.coefficient": {"value": 0.19, "std": 0.002, "unit": "1/m"}}
     found = report_text({**document, "parameters": last}).found
@@ -442,7 +442,7 @@ def test_the_last_fit_counts(diagnosed):
     assert found[1].parameters == [("coefficient", "0.2", "0.004", "1/m")]
 
 
-def test_parameters_read_as_a_person_writes_them():
+def test_parameters_are_written_with_deviation_and_unit():
     entry = {"value": 0.1234, "std": None, "unit": "1"}
     angle = {"value": -2.0, "std": 0.01, "unit": "rad"}
     assert parameters_text({"gain": entry, "angle": angle}) == "gain 0.123, angle -2 ± 0.01 rad"
@@ -466,7 +466,7 @@ def test_a_pendulum_has_a_page_and_a_recording_without_a_plane(tmp_path):
     assert write_recording(document, [run], [model], tmp_path).stat().st_size > 1000
 
 
-def test_the_recording_plays_stage_after_stage(diagnosed, tmp_path):
+def test_the_recording_plays_the_stages_in_order(diagnosed, tmp_path):
     document, runs, models = diagnosed
     path = write_recording(document, runs, models, tmp_path)
     assert path.name == "diagnosis.rrd"
@@ -505,7 +505,7 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     monkeypatch.setattr(
         "safedpa.report.diagnosis_page.subsample_runs", lambda runs, _, horizon: subsample_runs(runs, 600, horizon)
     )
-    assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
+    assert "excerpt of 25 % of the recordings" in report_page(document, runs * 2, models, "long")
 
 
 def test_a_recording_that_cannot_be_written_raises_an_error(diagnosed, tmp_path):
@@ -532,7 +532,7 @@ def test_open_questions_are_on_the_page(diagnosed):
     }  # fmt: skip
     text = report_page(opened, runs, models[:1], "open")
     for expected in (
-        "Undecided: not enough data to tell", "viscous_drag", "24 %", "coast down", "not at all",
+        "Undecided: not enough data to decide", "viscous_drag", "24 %", "coast down", "not detectable",
         "only as a sum with base.speed_gain", "yaw in drive 2 (0.2 to 0.5)",
     ):  # fmt: skip
         assert expected in text
@@ -569,7 +569,7 @@ def comparison(**changes: Any) -> Any:
         "windows": windows, "horizons": horizons, "horizon": 1.0, "error": horizons[-1].errors["model"],
         "errors": np.array([[0.1, -0.5], [0.2, -0.25], [0.3, -2.0]]),
         "factors": (factor("speed", "state", 0.5, 0.75, 2.0), factor("u", "action", 0.25, 1.0, 0.25, 1.5),
-                    factor("x", "place", 0.125, 3.0)),
+                    factor("x", "position", 0.125, 3.0)),
         "cells": (Cell(0.0, 1.0, 2.0, 3.0, 0.5, 0.25, 7), Cell(1.0, 2.0, 2.0, 3.0, np.inf, 0.75, 5)),
         "runs": (run_error("a", x=0.25, y=0.5), run_error("b", x=0.25, y=0.25), run_error("c", x=2.0, y=0.5)),
         "findings": (("a", Finding("gap", "a gap", 2)), ("c", Finding("jump", "a jump", 3))),
@@ -624,8 +624,8 @@ def test_the_document_holds_everything_that_was_found() -> None:
      ((0.25, 0.5, 0.125), "u"), ((0.25, 0.25, 0.4), "speed"), ((0.2, 0.1, 0.4), "x"),
      ((-0.5, -0.75, 0.06), "x"), ((-0.5, -0.75, 0.04), "speed")],
 )  # fmt: skip
-def test_a_position_is_decisive_only_if_it_explains_half_as_much_again_and_0_05(explained, named):
-    kinds = (("speed", "state"), ("u", "action"), ("x", "place"))
+def test_position_and_time_must_explain_1_5_times_as_much_and_0_05_more_to_be_named(explained, named):
+    kinds = (("speed", "state"), ("u", "action"), ("x", "position"))
     made = [factor(*kind, share, 1.0) for kind, share in zip(kinds, explained, strict=True)]
     assert (
         most_influential_factor(comparison(factors=tuple(sorted(made, key=lambda item: -item.explained)))).variable
@@ -638,9 +638,9 @@ def test_the_sentences_state_shares_sides_and_sizes() -> None:
     share = "its error there is 2.00, 4.0 times the average of 0.50 (25 % of the squared error in 5 % of the windows)"
     assert share in where_sentence(comparison())
     notice = state_sentence(comparison())
-    assert notice.startswith("The state predicted worst is y: off by 4 m after 1 s (to either side), 1.00 times")
+    assert notice.startswith("The state predicted worst is y: off by 4 m after 1 s (no bias to one side), 1.00 times")
     biased = state_sentence(comparison(errors=np.array([[0.0, -1.0], [0.0, -1.5], [0.0, -2.0]])))
-    assert "(in the median 1.5 m too low)" in biased
+    assert "(median 1.5 m too low)" in biased
 
 
 @pytest.mark.parametrize(
@@ -652,23 +652,24 @@ def test_the_model_is_compared_with_predictors_without_physics(errors: tuple[flo
     found = comparison(horizons=(HorizonError(0.5, errors_of(9.0, 9.0, 9.0)), HorizonError(1.0, errors_of(*errors))))
     notice = naive_sentence(found)
     model, still, steady = errors
-    assert f"error is {model:.2f}; assuming no change gives {still:.2f}, constant velocity {steady:.2f}" in notice
+    assert f"error is {model:.2f}; predicting no change gives {still:.2f}, constant velocity {steady:.2f}" in notice
     assert notice.endswith(f": {verdict}.")
 
 
 @pytest.mark.parametrize(
     ("runs", "odd", "lost"),
     [
-        ({"a": 0.25, "b": 0.25, "c": 2.0}, "X is far worse in c than elsewhere: 2.00 where 0.25 is usual",
+        ({"a": 0.25, "b": 0.25, "c": 2.0}, "X is far worse in c than in other runs: 2.00, where the median is 0.25",
          "x in c (2.00)"),
-        ({"a": 0.75, "b": 0.25, "c": 0.25}, "X is far worse in a than elsewhere: 0.75 where 0.25 is usual", ""),
+        ({"a": 0.75, "b": 0.25, "c": 0.25}, "X is far worse in a than in other runs: 0.75, where the median is 0.25",
+         ""),
         ({"a": 1.5, "b": 0.75, "c": 1.25}, "", "x in a (1.50), x in c (1.25)"),
         ({"a": 2.0, "b": 2.0}, "", ""), ({"a": 0.25, "b": 0.5}, "", ""), ({"a": 2.0}, "", ""), ({}, "", ""),
     ],
 )  # fmt: skip
-def test_a_run_that_stands_out_or_loses_to_no_change_is_named(runs: dict[str, float], odd: str, lost: str) -> None:
+def test_a_run_that_stands_out_or_is_worse_than_no_change_is_named(runs: dict[str, float], odd: str, lost: str) -> None:
     notice = run_sentence(comparison(runs=tuple(run_error(name, x=error) for name, error in runs.items())))
-    text = "; ".join(part for part in (odd, f"worse than assuming no change: {lost}" if lost else "") if part)
+    text = "; ".join(part for part in (odd, f"worse than predicting no change: {lost}" if lost else "") if part)
     assert notice == (text[0].upper() + text[1:] + "." if text else "")
 
 
@@ -686,4 +687,4 @@ def test_states_that_get_worse_are_named_most_first(after: tuple[float, float], 
     before = comparison(runs=(run_error("a", x=0.25), run_error("b", x=0.25)))
     later = comparison(runs=tuple(run_error(name, x=x) for name, x in zip("ab", after, strict=True)))
     notice = worse_sentence(before, later)
-    assert notice.endswith(f"what gets worse: {reported}." if reported else "no state gets worse in any run.")
+    assert notice.endswith(f"worse: {reported}." if reported else "no state gets worse in any run.")

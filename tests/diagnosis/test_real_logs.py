@@ -14,9 +14,8 @@ from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_column_map, load_run
 from safedpa.report.comparison_page import write_comparison
-from safedpa_lab.experiments.real_logs_cover import uncovered
-from safedpa_lab.experiments.real_logs_data import CAR, paths_of
-from safedpa_lab.experiments.real_logs_targets import targets_of
+from safedpa_lab.experiments.diagnosis.real_logs import targets_of
+from safedpa_lab.experiments.diagnosis.real_logs_data import CAR, paths_of, uncovered
 from safedpa_services.command_line.group import safedpa
 
 
@@ -85,7 +84,7 @@ def test_coulomb_friction_of_the_pendulum_is_found_at_any_horizon(data, searched
 
 
 @pytest.mark.long
-def test_friction_of_the_car_takes_error_off_logs_that_it_was_not_fitted_to(data):
+def test_friction_of_the_car_reduces_the_error_on_unseen_logs(data):
     model = load_model("dart_car")
     found = add_effect(model, "viscous_drag", _runs(data / "dart_rc_car", "*.csv", model, "dart_car_columns"))
     assert found.after.value < 0.85 * found.before.value
@@ -95,7 +94,7 @@ COMMAND = ["experiment", "real-logs", "--processes", "1"]
 
 
 @pytest.mark.long
-def test_the_balls_meet_their_targets(data, tmp_path, capsys):
+def test_the_diagnosis_of_the_balls_meets_its_targets(data, tmp_path, capsys):
     out = tmp_path / "balls.json"
     assert safedpa.run([*COMMAND, "--data", str(data), "--part", "balls", "--out", str(out)]) == 0
     shown = capsys.readouterr().out

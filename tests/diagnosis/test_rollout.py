@@ -26,11 +26,11 @@ from safedpa.effects.general import general_effects
 from safedpa.errors import InputError, RunError
 from safedpa.operations import FLOATS, NUMPY, half_angled
 from safedpa.records.run import Run, Stretch
-from safedpa.robot import robot_named
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.systems.robots import robot_named
 
 
 def _pendulum_run(angle, rate, period=0.1):
@@ -39,7 +39,7 @@ def _pendulum_run(angle, rate, period=0.1):
     return Run("by hand", PENDULUM, t, states, np.zeros((len(t), 1)), (Stretch(0, len(t)),))
 
 
-def test_the_error_of_five_rows_is_that_worked_out_by_hand():
+def test_the_error_of_five_rows_equals_a_hand_calculation():
     """Five rows 0.1 s apart, horizon 0.2 s, every row a start: windows from rows 0, 1, 2."""
     run = _pendulum_run([0.0, 0.1, 0.4, 0.3, 0.2], [1.0, 2.0, 3.0, 5.0, 4.0])
     windows = windows_of([run], 0.2, stride=1)
@@ -56,7 +56,7 @@ def test_the_error_of_five_rows_is_that_worked_out_by_hand():
     assert error.value == pytest.approx(error.per_state.mean())
 
 
-def test_the_largest_twentieth_is_left_out():
+def test_the_largest_5_percent_are_trimmed():
     errors = np.full((40, 1), 2.0)
     errors[[3, 17]] = 1e6
     assert trimmed_rms(errors)[0] == 2.0
@@ -69,7 +69,7 @@ def test_the_largest_twentieth_is_left_out():
 
 
 @pytest.mark.parametrize("count", [1, 2, 19, 20, 21, 39, 40, 100, 1400, 1800, 2550, 2750])
-def test_as_many_are_left_out_as_a_twentieth_holds_whole(count):
+def test_the_number_of_trimmed_errors_is_rounded_down(count):
     """By sorting: floor(0.05 n) of n. Of many, since what is left unsorted by one place is seldom out of place."""
     for seed in range(40):
         errors = np.random.default_rng(seed).normal(size=(count, 3)) * [1.0, 10.0, 0.1]
@@ -77,7 +77,7 @@ def test_as_many_are_left_out_as_a_twentieth_holds_whole(count):
         np.testing.assert_allclose(trimmed_rms(errors), np.sqrt(retained.mean(axis=0)), rtol=1e-12)
 
 
-def test_angles_go_by_the_short_way_round():
+def test_angle_differences_are_wrapped():
     run = _pendulum_run(np.array([3.0, 3.1, 3.2, 3.3, 3.5]), np.arange(5.0) ** 2)
     windows = windows_of([run], 0.2, stride=1)
     exact = run.states[windows.end]
@@ -122,7 +122,7 @@ def test_naive_predictors_in_closed_form():
     np.testing.assert_array_equal(no_change(windows, windows.end), wrapped[windows.start])
 
 
-def test_rates_look_back_a_tenth_of_a_second_and_never_ahead(drive, plain):
+def test_measured_rates_use_the_past_tenth_of_a_second_only(drive, plain):
     run = drive(plain, 10.0, period=0.02)
     windows = windows_of([run], 0.5)
     expected = (run.states[windows.start[1:]] - run.states[windows.start[1:] - 5]) / 0.1
@@ -228,7 +228,7 @@ def test_memory_is_warm_at_the_starts(plain, with_effect, drive):
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(step=st.integers(1, 20), start=st.integers(0, 7), seed=st.integers(0, 1000))
-def test_nothing_later_is_looked_at(plain, with_effect, drive, step, start, seed):
+def test_predictions_do_not_use_later_measurements(plain, with_effect, drive, step, start, seed):
     """Later measurements, and actions from t on, change nothing in the prediction for t."""
     model = with_effect(with_effect(plain, "steering_lag", time_constant=0.2), "drive_delay", seconds=0.1)
     run = drive(plain, 6.0, seed=2)
@@ -244,7 +244,7 @@ def test_nothing_later_is_looked_at(plain, with_effect, drive, step, start, seed
     np.testing.assert_array_equal(before[: step + 1], after[: step + 1])
 
 
-def test_earlier_actions_of_another_stretch_are_not_remembered(plain, with_effect, drive):
+def test_actuator_memory_does_not_cross_stretches(plain, with_effect, drive):
     model = with_effect(plain, "actuator_delay", seconds=0.4)
     run = drive(plain, 10.0, seed=4, stretches=[(0, 100), (100, 200)])
     actions = run.actions.copy()
@@ -305,14 +305,14 @@ def _speeds(model, target, start, rows):
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_a_car_that_is_driven_by_less_than_its_friction_stands(name):
+def test_a_car_driven_by_less_than_its_friction_stays_at_rest(name):
     """5 (0.25 - 0) = 1.25 m/s2 against 1.5 m/s2 and more."""
     assert np.abs(_speeds(_car(name, holds=True), 0.25, 0.0, 40)).max() == 0.0
     assert _speeds(_car(name, holds=False), 0.25, 0.0, 40)[-1] > 0.05  # rounded off it creeps
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_what_slides_comes_to_rest_and_stays_there(name):
+def test_a_sliding_system_comes_to_rest_and_stays_at_rest(name):
     speeds = _speeds(_car(name, holds=True), 0.0, 1.0, 60)
     assert (np.diff(speeds) <= 0.0).all()
     assert (speeds >= 0.0).all()  # neither overshoots nor oscillates
@@ -320,12 +320,12 @@ def test_what_slides_comes_to_rest_and_stays_there(name):
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_away_from_rest_both_are_the_same(name):
+def test_both_frictions_are_equal_away_from_rest(name):
     held, rounded = (_speeds(_car(name, holds), 2.0, 0.5, 60) for holds in (True, False))
     np.testing.assert_allclose(held, rounded, atol=1e-9)
 
 
-def test_copies_of_a_model_that_holds_hold():
+def test_copies_of_a_model_with_holding_friction_keep_it():
     model = _car("rolling_resistance", holds=True)
     again = model.with_period(0.02).with_settings({"rolling_resistance.deceleration": Setting(1.4)})
     assert again.holds
@@ -333,7 +333,7 @@ def test_copies_of_a_model_that_holds_hold():
     assert not _car("rolling_resistance", holds=False).holds
 
 
-def test_a_pendulum_under_less_torque_than_its_friction_stands():
+def test_a_pendulum_with_less_torque_than_its_friction_stays_at_rest():
     base = {"base.length": 0.5, "base.mass": 1.0, "base.gravity": 9.81}
     made = PhysicsModel(RigidPendulum(), (), {path: Setting(value) for path, value in base.items()}, 0.02, holds=True)
     model = made.with_effect(effect("pendulum", "coulomb_friction"), {"torque": Setting(0.3)})
@@ -343,7 +343,7 @@ def test_a_pendulum_under_less_torque_than_its_friction_stands():
     np.testing.assert_allclose(state, [np.pi + 0.05, 0.0], atol=1e-12)
 
 
-def test_what_turns_a_motion_back_does_not_turn_the_friction_before_it():
+def test_a_reversing_force_does_not_reverse_friction_before_the_motion_reverses():
     """A pendulum that climbs: friction works against it until it turns, however hard gravity pulls."""
     context = Context({}, {}, {}, 0.0, 0.02, FLOATS, True)
     assert resistance(-15.0, 0.2, 1.0, REST_RATE, context) == 1.0
@@ -386,7 +386,7 @@ def _drawn(model: PhysicsModel, count: int, seed: int) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize(("robot", "name"), _EFFECTS)
-def test_side_by_side_is_what_each_model_does(robot: str, name: str) -> None:
+def test_stacked_models_equal_single_ones(robot: str, name: str) -> None:
     models = _variants(robot, name, (0.0, 0.4, 1.0))
     states, actions = _drawn(models[0], 40, 3)
     found = StackedMechanics(models).ahead(list(states.T), list(actions.T), 0.05, np.full(40, 2.0))
@@ -406,7 +406,7 @@ def test_rows_may_have_periods_of_their_own() -> None:
     np.testing.assert_allclose(found, np.array(each), rtol=1e-12, atol=1e-12)
 
 
-def test_networks_go_the_other_way_round() -> None:
+def test_networks_use_the_reference_implementation() -> None:
     """A learned base cannot be recorded: the reference answers, for models with different numbers too."""
     base = load_model("car_learned")
     item = effects_of("car")["quadratic_drag"]
@@ -427,7 +427,7 @@ def test_sine_and_cosine_by_the_half_angle(angle: float) -> None:
 
 
 @pytest.mark.parametrize("tangent", [0.0, 1.0, -3.0, 1e16, 1e155, -1e200, np.inf, -np.inf])
-def test_so_it_is_for_the_angle_of_any_ratio(tangent: float) -> None:
+def test_the_half_angle_formula_holds_for_any_ratio(tangent: float) -> None:
     """Of a robot that stands a ratio of speeds is infinite, and the angle is a right one."""
     table = half_angled(NUMPY)
     angle = table.atan(np.array([tangent]))
@@ -443,7 +443,7 @@ def _random_windows(seed: int) -> tuple[Any, ...]:
 
 
 @given(arrays(np.float64, 3, elements=st.floats(1e-3, 10.0)), st.integers(0, 100))
-def test_what_a_start_explains_is_gone(scale: Any, seed: int) -> None:
+def test_what_a_start_explains_is_eliminated(scale: Any, seed: int) -> None:
     counts, tangent, residuals = _random_windows(seed)
     taken = VariableProjection(counts, tangent)
     reduced = taken.reduced(np.moveaxis(residuals, 0, -1), scale)
@@ -503,7 +503,7 @@ def test_no_window_crosses_a_cut(plain, drive, cuts, horizon, stride, jitter, pa
         assert run.t[end] <= run.t[start] + horizon + 0.5 * run.period + 1e-9
 
 
-def test_several_runs_stand_side_by_side(plain, drive):
+def test_several_runs_share_one_table(plain, drive):
     runs = [drive(plain, 5.0, seed=1, name="one"), drive(plain, 8.0, seed=2, name="two", period=0.02)]
     windows = windows_of(runs, 0.5, every=0.1)
     assert np.bincount(windows.run).tolist() == [45, 75]
@@ -554,7 +554,7 @@ def test_the_table_holds_every_trusted_row_of_every_run() -> None:
 
 
 @pytest.mark.parametrize(("period", "horizon"), [(0.25, 0.25), (0.25, 4.0), (4.0, 2.0), (4.0, 8.0)])
-def test_between_two_stretches_the_clock_leaps_farther_than_a_window(period: float, horizon: float) -> None:
+def test_the_clock_gap_between_stretches_is_longer_than_a_window(period: float, horizon: float) -> None:
     times = period * np.arange(20)
     clock = windows_of([recording(100.0 + times, 300.0 + times), recording(7.0 + times, name="two")], horizon).clock
     assert clock[:20].tolist() == times.tolist()
@@ -590,7 +590,7 @@ def test_a_selection_keeps_the_table_and_the_run_of_each_window(index: Any) -> N
         (0.6, [2, 3]), (0.65, [3, 4]), (0.75, [3, 4]), (9.0, [3, 4]), (-9.0, [1, 2]),
     ],
 )  # fmt: skip
-def test_of_two_rows_equally_near_the_earlier_one_is_taken(seconds: float, rows: list[int]) -> None:
+def test_of_two_equally_close_rows_the_earlier_one_is_chosen(seconds: float, rows: list[int]) -> None:
     assert windows_of([recording(quarters(5, 40.0))], 0.75, stride=1).rows_after(seconds).tolist() == rows
     one = windows_of([recording(quarters(3, 40.0))], 0.25, stride=1)
     assert one.rows_after(seconds).tolist() == [1, 2], "each window has one row"
@@ -639,20 +639,21 @@ LONG = (recording([], quarters(3, 60.0), quarters(7, 70.0)), recording(quarters(
 @pytest.mark.parametrize(
     ("runs", "horizon", "message"),
     [
-        *(([recording(quarters(9))], wrong, f"got {wrong} s, wanted a positive number of seconds; choose 1, say")
+        *(([recording(quarters(9))], wrong, f"got {wrong} s, wanted a positive number of seconds, such as 1")
           for wrong in (0.0, -1.0, float("nan"), float("inf"), float("-inf"))),
         ([recording([0.0, 0.5, 1.0], []), recording(quarters(9), name="two")], 0.1,
          "got 0.1 s, the rows are 0.25 s apart; choose at least that"),
         (LONG, 2.0, "got 2.0 s, the longest stretch without a gap lasts 1.5 s; choose a shorter horizon"),
         *(([recording(quarters(3), quarters(7, 60.0))], horizon,
-           f"got {horizon} s, after no row that begins a window do rows go on for so long, though the longest stretch "
-           "without a gap lasts 1.5 s; choose another horizon, or begin more windows") for horizon in (1.0, 1.5)),
+           f"got {horizon} s, but no window begins in a part without a gap of that length, although the longest "
+           "stretch without a gap lasts 1.5 s; choose another horizon, or begin more windows")
+          for horizon in (1.0, 1.5)),
         ([recording([0.0, 1.0, 1.25, 1.5])], 0.25,
-         "got 0.25 s, after no row that begins a window do rows go on for so long, though the longest stretch without "
-         "a gap lasts 1.5 s; choose another horizon, or begin more windows"),
+         "got 0.25 s, but no window begins in a part without a gap of that length, although the longest stretch "
+         "without a gap lasts 1.5 s; choose another horizon, or begin more windows"),
     ],
 )  # fmt: skip
-def test_a_horizon_that_no_window_can_have_is_refused_with_the_possible_one(runs, horizon, message):
+def test_an_impossible_horizon_is_rejected_with_the_possible_one(runs, horizon, message):
     with pytest.raises(InputError) as refused:
         windows_of(runs, horizon)
     assert str(refused.value) == f"horizon: {message}"
@@ -692,7 +693,7 @@ def test_numbers_that_are_not_finite_are_refused_inside_a_stretch(field: str, wr
     values[12, 0] = wrong
     changed: dict[str, Any] = {field: values}
     broken = replace(run, **changed)
-    with pytest.raises(RunError, match=r"^one: got numbers that are not finite inside a stretch; cut those rows out$"):
+    with pytest.raises(RunError, match=r"^one: got values that are not finite inside a stretch; cut those rows out$"):
         check_runs([broken])
     assert len(windows_of([replace(broken, stretches=(Stretch(0, 12), Stretch(13, 18)))], 0.25).t) == 17
 
@@ -780,7 +781,7 @@ def test_the_actuators_of_every_robot_are_exact(robot):
 
 
 @pytest.mark.parametrize("width", [0.0, 0.02, 0.4, 10.0])
-def test_play_of_whole_stretches_is_exact(width):
+def test_backlash_of_whole_stretches_is_exact(width):
     model = load_model("dfki_pendulum")
     random = np.random.default_rng(3)
     torque = np.cumsum(random.normal(0.0, 0.1, 400))

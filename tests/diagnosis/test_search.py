@@ -47,7 +47,7 @@ FEEDBACK = Case("test", 2884420874, {}, drive="throttle", hard=True)
 
 
 @pytest.mark.long
-def test_an_effect_that_feedback_feigns_is_not_added(tmp_path):
+def test_an_effect_that_driver_feedback_imitates_is_not_added(tmp_path):
     log = write_case(FEEDBACK, tmp_path / "case")
     model = load_model(str(log.model))
     report = diagnose(model, [load_run(str(path), model.system) for path in log.runs])
@@ -121,15 +121,13 @@ def test_each_number_counts_by_how_well_the_filter_knows_it(opinion, name, windo
         (5.0, 0.18, 0.2, False), (0.0, None, 0.25, False), (0.0, None, 0.2501, True), (5.0, 0.38, 0.4, True),
     ],
 )  # fmt: skip
-def test_blocks_decide_alone_if_they_are_sure_if_the_error_falls_far_or_if_much_is_missing(
-    gain, after, before, decided
-):
+def test_blocks_decide_alone_if_the_gain_is_clear_the_error_falls_far_or_much_is_missing(gain, after, before, decided):
     """While a quarter is missing, the filter takes friction itself for lasting pushes."""
     error = None if after is None else SimpleNamespace(value=after)
     assert is_decisive(gain, error, SimpleNamespace(value=before)) is decided
 
 
-def test_each_of_several_effects_has_to_last_and_a_short_recording_decides_nothing(monkeypatch):
+def test_the_filter_must_confirm_every_effect_and_a_short_recording_decides_nothing(monkeypatch):
     items = [effect("car", name) for name in ("quadratic_drag", "understeer")]
     parameters = {f"{item.name}.{p.name}": p for item in items for p in item.parameters}
 
@@ -168,7 +166,7 @@ def test_each_of_several_effects_has_to_last_and_a_short_recording_decides_nothi
         (0.6, {}, []),
     ],
 )  # fmt: skip
-def test_while_much_is_missing_the_effect_that_takes_far_more_off_comes_first(before, after, order):
+def test_while_much_is_missing_the_effect_with_the_far_larger_error_reduction_comes_first(before, after, order):
     """``after``: from the best in the windows on."""
     trials = [SimpleNamespace(effects=(name,)) for name in after]
     errors = {(name,): SimpleNamespace(value=value) for name, value in after.items()}
@@ -224,7 +222,7 @@ def noisy(run, seed):
 TOWED = {"mass_ratio": 0.5, "deceleration": 0.6}
 
 
-def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
+def test_a_payload_and_a_rolling_resistance_are_merged_into_a_towed_load(searching):
     search, heldout = searching({"towed_load": TOWED}, ["rolling_resistance", "payload"], ["towed_load"])
     before = search.error.value
     assert merge_effects(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
@@ -241,7 +239,7 @@ def test_two_effects_without_an_equivalent_third_stay(searching):
     assert search.added == ["turning_drag", "steering_lag"]
 
 
-def test_a_towed_load_that_does_not_resist_is_a_payload(searching):
+def test_a_towed_load_without_resistance_becomes_a_payload(searching):
     hidden = {"payload": {"mass_ratio": 0.5}, "steering_lag": {"time_constant": 0.15}}
     search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["viscous_drag", "payload"])
     before = search.error.value
@@ -260,7 +258,7 @@ def test_a_towed_load_that_resists_stays(searching):
     assert search.added == ["towed_load", "steering_lag"]
 
 
-def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
+def test_two_effects_are_exchanged_for_two_with_fewer_parameters(searching):
     """A towed load and a drag stood for a resistance and a servo that stays below its command."""
     hidden = {"rolling_resistance": {"deceleration": 0.5}, "speed_command_gain": {"gain": 0.8}}
     names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
@@ -272,7 +270,7 @@ def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
     assert accepted(search) == [" + ".join(true)]
 
 
-def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both(searching):
+def test_a_common_delay_that_imitates_two_lags_is_split_into_them(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
     search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag", "payload"])
     before = search.error.value
@@ -282,7 +280,7 @@ def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both
     assert accepted(search) == ["steering_lag + drive_lag"]
 
 
-def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
+def test_an_effect_that_a_split_pushes_to_its_bound_is_removed(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
     search, heldout = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
     split_effect(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
@@ -291,14 +289,14 @@ def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
     assert accepted(search) == ["steering_lag + drive_lag"]
 
 
-def test_a_delay_of_all_actuators_stays_one(searching):
+def test_a_true_common_delay_is_not_split(searching):
     hidden = {"actuator_delay": {"seconds": 0.12}}
     search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag"])
     split_effect(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
     assert search.added == ["actuator_delay"]
 
 
-def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searching):
+def test_an_equivalent_rival_is_reported(searching):
     """Below its limit a servo with a drag stays below its command, like one with a smaller gain."""
     hidden = {"viscous_drag": {"coefficient": 0.4}, "payload": {"mass_ratio": 0.3}}
     names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
@@ -308,13 +306,13 @@ def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searchi
     assert (reported, search.added) == (("viscous_drag",), names)
 
 
-def test_a_single_effect_has_no_equals(searching):
+def test_a_single_effect_gets_no_equivalent_rivals_after_the_search(searching):
     search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
     mark_equivalent_rivals(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
     assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]
 
 
-def test_which_commands_an_effect_makes_late():
+def test_the_commands_that_an_effect_delays_are_determined():
     def late(robot, name, *names):
         return set(delayed_actions(effect(robot, name), names))
 
@@ -339,7 +337,9 @@ def test_which_commands_an_effect_makes_late():
         ({}, "understeer", 0.02, 0.095, False),
     ],
 )
-def test_lateness_that_the_servo_or_another_lateness_may_feign(plain, with_effect, have, name, seconds, after, feigned):
+def test_a_delay_that_the_servo_or_another_delay_can_imitate_is_spurious(
+    plain, with_effect, have, name, seconds, after, feigned
+):
     model = plain
     for other, value in have.items():
         model = with_effect(model, other, time_constant=value)
@@ -358,7 +358,7 @@ def towing(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
+def test_uncertainty_about_an_effect_increases_the_deviation_of_the_others(towing):
     """A load's mass moves by several of its deviations with a lag of the drive that takes hardly anything off."""
     _, model, runs = towing
     shooting, heldout = shooting_of(runs, 1.0), heldout_of(runs, 1.0)
@@ -386,7 +386,7 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
 
 
 @pytest.mark.long
-def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towing):
+def test_a_towed_chair_is_found_with_its_mass_and_no_false_effects(towing):
     """No number appears twice in the report with different values."""
     log, model, runs = towing
     report = diagnose(model, runs)
@@ -417,13 +417,13 @@ def stage(tmp_path_factory):
     return search, {name: fit_trial(search.current, [effect("car", name)], search.shooting) for name in NAMES}
 
 
-def test_of_two_that_explain_the_same_the_one_with_fewer_numbers_is_added(stage):
+def test_of_two_equivalent_effects_the_one_with_fewer_parameters_is_added(stage):
     """(gain u - m d) / (1 + m) with a free gain is gain u - d."""
     search, trials = stage
     assert fewest_parameters(trials["towed_load"], list(trials.values()), search) is trials["rolling_resistance"]
 
 
-def test_an_effect_that_explains_something_else_stays(stage):
+def test_an_effect_that_explains_something_else_is_not_replaced(stage):
     search, trials = stage
     towed = trials["towed_load"]
     assert fewest_parameters(towed, [towed, trials["viscous_drag"]], search) is towed

@@ -22,7 +22,7 @@ from safedpa.records.run import Run, Stretch
 from safedpa.report.diagnosis_page import report_page
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa_lab.experiments.diagnosing import diagnosed
+from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed
 from safedpa_lab.hidden import Case, cases_of, write_case
 from safedpa_lab.hidden.excitation import car_commands
 from safedpa_services.command_line.group import safedpa
@@ -98,7 +98,7 @@ def strip():
 
 
 @pytest.mark.long
-def test_drag_by_the_cube_of_the_speed_is_a_formula_and_no_quadratic_drag(cube):
+def test_cubic_drag_is_reported_as_a_formula_and_not_as_quadratic_drag(cube):
     assert (cube.verdict, cube.added, cube.unexplained.kind) == ("unexplained", (), "formula")
     assert cube.unexplained.depends_on == ("speed",)
     (term,) = cube.unexplained.terms
@@ -110,7 +110,7 @@ def test_drag_by_the_cube_of_the_speed_is_a_formula_and_no_quadratic_drag(cube):
 
 
 @pytest.mark.long
-def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
+def test_yaw_drift_with_the_square_of_the_speed_is_not_a_steering_offset():
     report = report_of(lambda state, _: np.array([0.0, 0.0, 0.08 * state[3] ** 2, 0.0]), 500)
     assert report.verdict == "unexplained"
     (term,) = report.unexplained.terms
@@ -119,7 +119,7 @@ def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
 
 
 @pytest.mark.long
-def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
+def test_a_strip_of_rough_floor_is_rolling_resistance_in_that_region(strip):
     assert (strip.verdict, strip.added) == ("effect_missing", ("rolling_resistance",))
     assert [item.phrase for item in strip.conditions] == ["strip"]
     numbers = {path.split(".")[1]: value.value for path, value in strip.parameters.items()}
@@ -133,7 +133,7 @@ def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
 
 
 @pytest.mark.long
-def test_the_report_and_the_page_show_the_formula_its_map_and_that_it_is_no_effect(cube):
+def test_report_and_page_show_the_formula_its_map_and_a_warning(cube):
     document = json.loads(json.dumps(as_document(cube), allow_nan=False))
     assert document["unexplained"]["terms"][0]["term"] == "speed^3"
     assert document["unexplained"]["dependence"][0]["variable"] == "speed"
@@ -157,6 +157,7 @@ def test_a_resonance_is_a_dependence_with_its_profile():
     assert "no short formula" in rest.expression
 
 
+@pytest.mark.long
 def test_nothing_hidden_leaves_nothing_unexplained():
     report = report_of(lambda *_: np.zeros(4), 600)
     assert report.verdict == "nothing_missing"
@@ -179,7 +180,7 @@ def notice(arguments, capsys):
 
 
 @pytest.mark.long
-def test_add_fits_number_and_border(log, tmp_path, capsys):
+def test_add_fits_the_parameter_and_the_border_of_a_law(log, tmp_path, capsys):
     out = tmp_path / "with.toml"
     phrase = ["--where", "x above", "--out", out, "--json"]
     document = notice(["add", log.model, "rolling_resistance", *log.runs, *phrase], capsys)
@@ -196,20 +197,20 @@ def test_add_fits_number_and_border(log, tmp_path, capsys):
     assert behind.action[0] - before.action[0] == pytest.approx(0.9 / 3.0, rel=0.05)  # deceleration over the gain
 
 
-def test_a_strip_open_to_one_side_is_all_beyond_a_line(log):
+def test_a_strip_with_one_border_outside_the_data_becomes_a_half_plane(log):
     """No run crosses its far border, so unseen blocks cannot tell the two apart; the line has two numbers less."""
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
     search = initial_search(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
     strip = {"angle": 0.0, "offset": 5.4, "half_width": 5.0, "deceleration": 0.9}
-    patch = SimpleNamespace(place=StripRegion(), values=strip, gain=5.0)
-    found = region_effect(patch, search, effects_of("car").values())
+    region_fit = SimpleNamespace(region=StripRegion(), values=strip, gain=5.0)
+    found = region_effect(region_fit, search, effects_of("car").values())
     law = next(item for item in found.fit.model.effects if item.name == "rolling_resistance").law
     assert (law.shape, law.variable) == ("above", "x")
     assert found.fit.model.settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.05)
 
 
-def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
+def test_a_varying_parameter_is_added_by_name(log, tmp_path, capsys):
     phrase = ["--varies", "deceleration with time", "--out", tmp_path / "sag.toml", "--json"]
     document = notice(["add", log.model, "rolling_resistance", *log.runs, *phrase], capsys)
     assert "rolling_resistance.deceleration_per_time" in document["parameters"]
@@ -226,7 +227,7 @@ def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
         (["--where", "x above", "--edge", "0"], "wanted a width above 0 m"),
     ],
 )
-def test_unknown_words_are_refused_in_one_line(phrase, reported, log, tmp_path, capsys):
+def test_unknown_laws_are_rejected_in_one_line(phrase, reported, log, tmp_path, capsys):
     out = tmp_path / "none.toml"
     arguments = ["add", log.model, "rolling_resistance", *log.runs, "--out", out, *phrase]
     assert safedpa.run([str(item) for item in arguments]) == 2
@@ -257,7 +258,7 @@ def test_diagnose_reports_the_law_on_the_correct_side(log, tmp_path, capsys):
     [("patches", 7003, "2739099046"), ("speed_gains", 7002, "3890390788")],
     ids=["carpet_of_three_runs", "border_reported_as_three_effects"],
 )
-def test_the_law_is_found_and_nothing_else(suite, seed, name, tmp_path):
+def test_only_the_law_is_found(suite, seed, name, tmp_path):
     case = next(case for case in cases_of(suite, 10, seed) if case.name.endswith(name))
     log = write_case(case, tmp_path)
     document = diagnosed(log.model, log.runs)

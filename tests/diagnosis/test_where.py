@@ -22,7 +22,7 @@ from safedpa.comparison.summary import (
     where_sentence,
     worse_sentence,
 )
-from safedpa.comparison.where import cells, factors, place, window_errors, window_squares
+from safedpa.comparison.where import cells, factors, window_errors, window_positions, window_squares
 from safedpa.comparison.windows import windows_of
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.effects import effect
@@ -65,7 +65,9 @@ def test_hidden_drag_is_worst_at_the_fastest_speed(plain, with_effect, drive):
     assert f"speed {fastest.low:.3g} to {fastest.high:.3g} m/s" in where_sentence(comparison)
 
 
-def test_hidden_steering_asymmetry_turns_both_sides_one_way_and_spares_straight_on(plain, with_effect, drive):
+def test_hidden_steering_asymmetry_biases_both_sides_in_one_direction_but_not_straight_driving(
+    plain, with_effect, drive
+):
     comparison = _compared(plain, drive, with_effect(plain, "steering_asymmetry", difference=0.5))
     bins = _factor(comparison, "steer").bins
     straight = min(bins, key=lambda item: abs(item.low + item.high))
@@ -77,7 +79,7 @@ def test_hidden_steering_asymmetry_turns_both_sides_one_way_and_spares_straight_
     assert max(physical, key=physical.__getitem__) in ("steer", "speed")
 
 
-def test_hidden_steering_offset_turns_every_bin_of_steer_to_one_side(plain, with_effect, drive):
+def test_hidden_steering_offset_biases_every_bin_of_steer_to_one_side(plain, with_effect, drive):
     comparison = _compared(plain, drive, with_effect(plain, "steering_offset", angle=0.1))
     assert "The state predicted worst is yaw" in state_sentence(comparison)
     assert "rad too low)" in state_sentence(comparison)
@@ -86,7 +88,7 @@ def test_hidden_steering_offset_turns_every_bin_of_steer_to_one_side(plain, with
     assert max(abs(item.bias["speed"]) for item in _factor(comparison, "steer").bins) < 1e-9
 
 
-def test_a_fault_in_time_is_named_as_time(plain, with_effect, drive):
+def test_an_error_at_one_time_is_attributed_to_time(plain, with_effect, drive):
     """Something that happened once: for ten seconds the throttle did nothing."""
     run = drive(plain, 120.0, seed=1)
     actions = run.actions.copy()
@@ -105,18 +107,18 @@ def test_an_exact_model_is_called_exact(plain, drive):
     assert where_sentence(comparison) == "The model predicts these runs exactly."
 
 
-def test_noise_alone_is_nowhere_in_particular(plain, drive):
+def test_noise_alone_gives_a_similar_error_everywhere(plain, drive):
     run = drive(plain, 200.0, seed=3)
     noise = np.random.default_rng(0).normal(size=run.states.shape) * 0.3
     noisy = type(run)("noisy", run.system, run.t, run.states + noise, run.actions, run.stretches)
-    assert "nowhere in particular" in where_sentence(compare_model(plain, [noisy]))
+    assert "similar everywhere" in where_sentence(compare_model(plain, [noisy]))
 
 
 @settings(max_examples=100, deadline=None)
 @given(
     st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=1, max_size=200), st.integers(1, 12), st.integers(1, 30)
 )
-def test_edges_are_round_ordered_and_hold_all_values(numbers, most, smallest):
+def test_bin_edges_are_round_ordered_and_include_all_values(numbers, most, smallest):
     values = np.array(numbers)
     edges = round_edges(values, most)
     assert (np.diff(edges) > 0).all()
@@ -178,11 +180,11 @@ def two_kinds() -> tuple[Any, Any]:
     return windows(run), errors
 
 
-def test_a_window_counts_where_its_mean_lies_or_for_angles_place_and_time_its_middle(two_kinds):
+def test_a_window_is_binned_by_its_mean_or_for_angles_position_and_time_by_its_middle(two_kinds):
     """Speed 1 and 3 with the last row, push 2 and 4 without it; bins of an eighth, those too small joined."""
     found = {item.variable: item for item in factors(*two_kinds, X_ALONE)}
     assert {name: (item.kind, item.unit, edges_of(item)) for name, item in found.items()} == {
-        "x": ("place", "m", [(0.5, 1.0, 20), (1.0, 4.5, 20)]), "y": ("place", "m", [(0.0, 1.0, 40)]),
+        "x": ("position", "m", [(0.5, 1.0, 20), (1.0, 4.5, 20)]), "y": ("position", "m", [(0.0, 1.0, 40)]),
         "yaw": ("state", "rad", [(-math.pi, 0.0, 20), (0.0, math.pi, 20)]),
         "speed": ("state", "m/s", [(1.0, 1.25, 20), (1.25, 3.0, 20)]),
         "push": ("action", "N", [(2.0, 2.25, 20), (2.25, 4.0, 20)]),
@@ -253,7 +255,7 @@ def test_a_bin_has_ten_windows_and_a_hundredth_of_all_at_least(counts, wanted):
     assert edges_of(next(item for item in found if item.variable == "speed")) == wanted
 
 
-def test_a_glitch_counts_as_the_square_below_which_95_percent_lie():
+def test_squares_are_capped_at_their_95_percent_quantile():
     """2 on a scale of 2 and 1 on one of a half: (1 + 4) / 2; a state without scale does not count."""
     errors, scale = np.tile([2.0, -1.0, 7.0], (21, 1)), np.array([2.0, 0.5, 0.0])
     errors[4, 0] = 200.0
@@ -265,7 +267,7 @@ def test_a_glitch_counts_as_the_square_below_which_95_percent_lie():
 
 
 @pytest.mark.parametrize(("largest", "counted"), [(3.0, 9.0), (0.3, 1.0), (1.25, 1.5625)])
-def test_an_infinite_or_missing_error_counts_as_the_largest_and_as_one_at_least(largest, counted):
+def test_an_infinite_or_missing_error_counts_as_the_largest_but_at_least_one(largest, counted):
     wrong = [math.nan, math.inf, -math.inf, 1e100, 1e200, -1e300]
     errors = np.array([*[0.1] * 30, *[largest] * 4, *wrong])[:, None]
     assert window_squares(errors, np.ones(1)) == pytest.approx([0.01] * 30 + [largest**2] * 4 + [counted] * 6)
@@ -286,7 +288,7 @@ def test_the_plane_is_cut_into_squares_of_one_round_width_the_worst_first():
     """
     x, y = middle([*[12.5] * 4, *[41.5] * 5], 99.0), middle([*[-13.0] * 7, *[-3.0] * 2], -99.0)
     made, errors = windows(blocks(9, x=x, y=y)), in_x([*[0.25] * 4, *[1.0] * 3, *[0.0] * 2])
-    assert [column.tolist() for column in place(made)] == [x[:, 2].tolist(), y[:, 2].tolist()]
+    assert [column.tolist() for column in window_positions(made)] == [x[:, 2].tolist(), y[:, 2].tolist()]
     found = [tuple(vars(own).values()) for own in cells(made, errors, X_ALONE)]
     assert found == [
         (40.0, 42.5, -15.0, -12.5, 2.0, pytest.approx(12.0 / 13.0), 3),
@@ -321,7 +323,7 @@ def round_table(*bins):
         (0.0, 8e-6, 1e-6),
     ],
 )  # fmt: skip
-def test_the_width_of_bins_is_the_least_round_one_of_which_eight_cover_the_range(low, high, width):
+def test_bin_width_is_the_smallest_round_one_with_which_eight_bins_cover_the_range(low, high, width):
     edges = round_edges(round_table((low, low, 50), (low, high, 200), (high, high, 50)))
     assert np.diff(edges) == pytest.approx(np.full(len(edges) - 1, width))
     assert edges[0] == pytest.approx(width * math.floor(low / width + 1e-9), abs=1e-12)
@@ -494,7 +496,7 @@ def test_the_error_of_each_run_and_state_is_reported(plain, runs):
         )
 
 
-def test_a_state_that_gets_worse_in_one_run_is_named(plain, runs, with_effect):
+def test_a_state_that_becomes_worse_in_one_run_is_named(plain, runs, with_effect):
     """A model whose steering is a little off: better on the run that has it, worse on the others."""
     biased = with_effect(plain, "steering_offset", angle=0.05)
     before, after = (compare_model(model, runs, 1.0) for model in (plain, biased))
@@ -510,10 +512,10 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
     arguments = ["compare", str(later), *map(str, log.runs), "--before", str(log.model), "--out", str(tmp_path / "out")]
     assert safedpa.run(arguments) == 0
     received = " ".join(capsys.readouterr().out.split())
-    assert "what gets worse: " in received
+    assert "; worse: " in received
     assert "Error by run and state" in received
     assert safedpa.run([*arguments, "--json"]) == 0
-    assert "gets worse" in json.loads(capsys.readouterr().out)["change"]
+    assert "; worse: " in json.loads(capsys.readouterr().out)["change"]
 
 
 @pytest.mark.long

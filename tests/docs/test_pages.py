@@ -84,6 +84,7 @@ def test_the_pages_hold_commands() -> None:
     assert {command.split()[1] for _, command in FOUND if len(command.split()) > 1} >= set(COMMANDS) - {"go", "reject"}
 
 
+@pytest.mark.long
 def test_every_command_of_every_page_is_understood() -> None:
     wrong = []
     for page, command in FOUND:

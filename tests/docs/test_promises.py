@@ -58,7 +58,7 @@ def test_a_remark_below_a_heading_counts_for_its_section(tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize(
     "holder",
-    ["tests/docs/test_nothing.py", "tests/docs/test_promises.py::test_that_nobody_wrote", "faith", "docs/claims.md"],
+    ["tests/docs/test_nothing.py", "tests/docs/test_promises.py::test_that_no one_wrote", "faith", "docs/claims.md"],
 )
 def test_a_holder_that_is_not_there_is_named(holder: str) -> None:
     assert wrong_holders(Promise("README.md", "It never stops.", (holder,))) == [holder]

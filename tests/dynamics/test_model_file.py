@@ -151,7 +151,7 @@ def test_mistake_gets_one_line_that_names_the_key(good: str, bad: str, message: 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (CAR + CAR[CAR.index("[[effects]]") :], "effect 'towed_load' stands twice; leave one out"),
+        (CAR + CAR[CAR.index("[[effects]]") :], "effect 'towed_load' is listed twice; leave one out"),
         (CAR + '[[effects]]\nname = "back_emf"\ncoefficient = 1.0\n',
          "effect 'back_emf' needs the action 'throttle', the model has target_speed"),
         (PENDULUM + 'drive = "throttle"\n', r"base.drive: unknown key"),
@@ -193,7 +193,7 @@ def learned(weights: Weights) -> PhysicsModel:
     return PhysicsModel(LearnedBase(nominal.base, weights), (), settings)
 
 
-def test_it_is_what_the_networks_say(model):
+def test_a_learned_model_steps_as_its_networks_predict(model):
     f, g = model.base.networks.increment(STATE, LATENT)
     np.testing.assert_allclose(model.step(STATE, ACTION, LATENT), STATE + f + g @ ACTION, atol=1e-12)
     tangent = model.affine(STATE, LATENT)
@@ -219,14 +219,14 @@ def test_the_latent_is_free_and_starts_where_nothing_acts(model):
     np.testing.assert_array_equal(model.latent, np.zeros(4))
 
 
-def test_effects_stand_on_top(model):
+def test_effects_are_added_to_the_networks(model):
     wind = effect("car", "constant_force")
     windy = model.with_effect(wind, {"ax": Setting(0.8), "ay": Setting(0.0)})
     change = windy.step(STATE, ACTION, LATENT) - model.step(STATE, ACTION, LATENT)
     np.testing.assert_allclose(change, [0.0, 0.0, 0.0, 0.05 * 0.8 * np.cos(STATE[2])], atol=1e-9)
 
 
-def test_a_file_and_its_weights_lead_back_and_other_weights_are_another_model(model, random_car_weights, tmp_path):
+def test_a_file_with_weights_round_trips_and_other_weights_are_another_model(model, random_car_weights, tmp_path):
     windy = model.with_effect(effect("car", "constant_force"), {"ax": Setting(0.8), "ay": Setting(0.0)})
     save_model(windy, tmp_path / "learned.toml")
     again = load_model(tmp_path / "learned.toml")

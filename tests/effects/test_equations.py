@@ -393,13 +393,13 @@ def test_a_gain_with_a_law_acts_after_the_lag():
 
 
 @pytest.mark.parametrize(("name", "law", "numbers"), LAWS)
-def test_every_road_says_the_same_and_has_its_slopes(name, law, numbers):
+def test_all_implementations_of_a_law_agree_and_have_slopes(name, law, numbers):
     model = car(name, law, numbers, free=True)
-    slow = copy.deepcopy(model)  # takes the road of dictionaries for its first two hundred steps
+    slow = copy.deepcopy(model)  # uses the reference implementation for its first two hundred steps
     random = np.random.default_rng(4)
     for _ in range(250):
         step(model, [0, 0, 0, 1.0], [1.0, 0.1])
-    assert model.straight(model.period) is not None
+    assert model.scalar_step(model.period) is not None
     states = random.uniform([-1, -1, -3, -2], [3, 1, 3, 2], (40, 4))
     actions = random.uniform([-2, -0.5], [2, 0.5], (40, 2))
     batch = model.advance(states, actions, (), model.latent, time=15.0)[0]
@@ -423,7 +423,7 @@ def test_torch_has_gradients_in_border_and_rate():
 
 
 @pytest.mark.parametrize(("name", "law", "numbers"), LAWS)
-def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
+def test_a_law_in_a_model_file_round_trips(name, law, numbers):
     model = car(name, law, numbers)
     text = write_model(model)
     again = parse_model(text)
@@ -463,7 +463,7 @@ def test_a_mistake_is_reported_in_one_line(text, notice):
 
 
 @pytest.mark.parametrize("robot", ["car", "pendulum", "point"])
-def test_every_effect_that_may_have_a_law_can_be_asked(robot):
+def test_every_effect_that_may_have_a_law_steps_with_one(robot):
     model = load_model(robot)
     bare = PhysicsModel(model.base, (), {k: v for k, v in model.settings.items() if k.startswith("base.")})
     state, action = np.full(len(bare.system.state), 0.3), np.full(len(bare.system.action), 0.1)
@@ -483,7 +483,7 @@ def test_every_effect_that_may_have_a_law_can_be_asked(robot):
         (*LAWS[5], "falls by 0.4 % a second"), (*LAWS[6], "until 20 s"),
     ],
 )  # fmt: skip
-def test_a_law_is_described_in_words(name, law, numbers, notice):
+def test_a_law_has_a_description(name, law, numbers, notice):
     model = car(name, law, numbers)
     item = model.effects[0]
     assert item.law.sentence(numbers, item.inner, model.system) == notice

@@ -93,6 +93,7 @@ def test_declares_itself(item: AbstractEffect) -> None:
     assert any(parameter.neutral is not None for parameter in item.parameters)
 
 
+@pytest.mark.long
 @EVERY
 @FEW
 @given(data=st.data())
@@ -152,6 +153,7 @@ def smooth_at(model: PhysicsModel, state: np.ndarray, action: np.ndarray, memory
     return True
 
 
+@pytest.mark.long
 @EVERY
 @FEW
 @given(data=st.data())
@@ -184,6 +186,7 @@ def test_typical_value_changes_something(item: AbstractEffect) -> None:
     assert moved > 1e-4
 
 
+@pytest.mark.long
 @EVERY
 @FEW
 @given(data=st.data())

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.dynamics import load_model, load_own_everywhere, parse_model
-from safedpa.dynamics.own import EFFECTS_VARIABLE
+from safedpa.dynamics import load_model, load_user_file_everywhere, parse_model
+from safedpa.dynamics.user_files import EFFECTS_VARIABLE
 from safedpa.effects import effect, effects_of, load_effects, robots
 from safedpa.errors import InputError
 from safedpa_services.command_line.group import safedpa
@@ -59,7 +59,7 @@ def test_the_documentation_s_python_runs() -> None:
     assert str(load_model("car").latent_names) == run.stdout.strip()
 
 
-def test_the_documentation_s_errors_are_those_that_come() -> None:
+def test_the_documented_errors_are_those_raised() -> None:
     page = (DOCS / "model-files.md").read_text(encoding="utf-8")
     files = ("dynamics/test_model_file.py", "effects/test_equations.py")
     tests = "".join([(Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in files])
@@ -153,7 +153,7 @@ def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[
 def test_a_file_for_every_process_is_named_to_them(tmp_path: Path) -> None:
     path = tmp_path / "for_every_process.py"
     path.write_text(GRASS)
-    load_own_everywhere(path)
+    load_user_file_everywhere(path)
     assert str(path) in os.environ[EFFECTS_VARIABLE]
 
 

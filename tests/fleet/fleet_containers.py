@@ -184,14 +184,14 @@ class Watch:
                 self._changed.notify_all()
 
     def now(self) -> dict[str, Any]:
-        """The newest that was told; waits for one that is new."""
+        """Waits for a new report and returns it."""
         with self._changed:
             heard = self._changed.wait(LONGEST_SILENCE)
             assert heard, "the observer says nothing"
             return self._newest
 
     def until(self, holds: Callable[[dict[str, Any]], Any], seconds: float) -> dict[str, Any] | None:
-        """What was told when ``holds`` did for the first time, or None when it did not within ``seconds``."""
+        """Returns the first report for which ``holds`` is true, or None after ``seconds``."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             reported = self.now()

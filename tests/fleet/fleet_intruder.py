@@ -1,7 +1,7 @@
-"""Runs in a container on the fleet's bus and tries what it should not: says as one line of JSON what it did.
+"""Runs in a container on the fleet's bus and tries attacks; prints what it did as one line of JSON.
 
-``enter``: opens a session as HOW says. ``capture``: records what robots are told. ``act``: commands a robot to drive at
-full speed, or HOW. ``replay``: sends what was captured, again. ``large``, ``malformed``: sends bytes
+``enter``: opens a session as HOW says. ``capture``: records actions sent to robots. ``act``: commands a robot to drive
+at full speed, or HOW. ``replay``: sends what was captured, again. ``large``, ``malformed``: sends bytes
 that are no command. ``enrol``: asks the authority for a robot's certificate.
 """
 
@@ -161,7 +161,7 @@ def _on_the_bus(options: argparse.Namespace) -> dict[str, Any]:
             time.sleep(TICK_SECONDS)
         return {"sent": len(payloads)}
     finally:
-        time.sleep(0.5)  # what was sent is on its way
+        time.sleep(0.5)  # closing the session would drop messages that are still queued
         transport.close()
 
 

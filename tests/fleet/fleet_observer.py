@@ -1,7 +1,7 @@
-"""Runs in a container on the bus, with the recorder's certificate: prints ten times a second what it saw, as JSON.
+"""Runs in a container on the bus with the recorder's certificate; prints what it received ten times a second as JSON.
 
-``run`` tells since when a robot is driven by the filter without a break: every period's action came from the filter,
-and its verdict on it was no fallback. ``foreign`` counts actions that a robot applied and the filter never chose.
+``run`` is the time since when the filter drives a robot without interruption: the action of every period came from the
+filter, and its verdict was no fallback. ``foreign`` counts actions that a robot applied and the filter never chose.
 """
 
 import argparse

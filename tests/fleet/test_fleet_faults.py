@@ -161,4 +161,4 @@ def test_a_full_disk_stops_the_recording_and_not_the_robots(
     fleet.compose("start", "recorder")
     back = recovery(watch, fleet, "recorder", time.time())
     assert back is not None
-    rows.append(("full disk of the recorder", f"said so after {took:.1f} s", felt(before, later), "no collision"))
+    rows.append(("full disk of the recorder", f"reported after {took:.1f} s", felt(before, later), "no collision"))

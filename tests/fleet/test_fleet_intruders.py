@@ -1,4 +1,4 @@
-"""Those who do not belong there: none of them moves a robot, and each attempt stands in a log."""
+"""Intruders: none of them moves a robot, and each attempt is logged."""
 
 import json
 import time

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.fleet
 
 
 def test_loop_and_chain_are_measured_and_taken_away(fleet: Fleet, rows: list[tuple[str, ...]]) -> None:
-    """Next to the fleet of the other tests, so that nothing is said of how long it takes."""
+    """Runs alongside the fleet of the other tests, so the durations are not asserted."""
     assert fleet.robots
     script = str(ROOT / "deploy" / "container_latency.py")
     found = json.loads(run(sys.executable, script, "--seconds", "5", "--rate", "20", timeout=120.0).stdout)

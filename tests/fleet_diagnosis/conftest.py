@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
-from safedpa_lab.experiments.fleet_diagnosis import fleet_diagnosis_experiment
+from safedpa_lab.experiments.fleet.diagnosis import fleet_diagnosis_experiment
 
 UNITS = {"deceleration": "m/s2", "mass_ratio": "1", "angle": "rad", "ax": "m/s2", "ay": "m/s2", "coefficient": "1/m"}
 

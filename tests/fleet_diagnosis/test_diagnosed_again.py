@@ -122,9 +122,9 @@ def test_what_is_no_recording_is_left_out_with_a_reason(tmp_path):
 
 
 def test_nothing_to_find_is_bad_input(tmp_path):
-    with pytest.raises(InputError, match="holds no recording"):
+    with pytest.raises(InputError, match="contains no recording"):
         robots_in_folder(tmp_path)
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         robots_in_folder(tmp_path / "none")
     touched(tmp_path / "a.csv")
     with pytest.raises(InputError, match="--by file"):
@@ -274,7 +274,7 @@ def test_a_model_in_the_folder_of_the_results_is_refused(asked: Fleet, tmp_path:
         if place != asked.out / "model.toml":
             assert len(diagnosed(fleet, again=True)[0]) == 3
             continue
-        with pytest.raises(InputError, match="the given model's own folder"):
+        with pytest.raises(InputError, match="contains the given model"):
             diagnose_fleet(fleet, Hands())
         assert place.read_text(encoding="utf-8") == write_model(load_model("car"))
 

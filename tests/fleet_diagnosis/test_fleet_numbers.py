@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from safedpa.dynamics import load_model
-from safedpa.fleet.alike import connected_components, differ_significantly, same_effects, with_one_name
 from safedpa.fleet.common import (
     common_effects,
     confirm_correction,
@@ -24,7 +23,8 @@ from safedpa.fleet.discovery import FALSE_SHARE, believed, chance, upper_tail
 from safedpa.fleet.document import analyse_fleet, fleet_document
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of, outcome_of
 from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
-from safedpa.fleet.story import common_sentence, discovery_sentence, group_title, headline, listed, range_text
+from safedpa.fleet.similar_robots import connected_components, differ_significantly, same_effects, with_one_name
+from safedpa.fleet.summary import common_sentence, discovery_sentence, group_title, headline, listed, range_text
 
 RESULT = {"robot": "car_1", "status": "diagnosed", "reason": "", "unreadable_files": [{"path": "x", "reason": "y"}]}
 
@@ -83,7 +83,7 @@ def test_a_pair_is_found_effect_by_effect():
 
 
 def test_what_was_rejected_again_later_does_not_speak_for_what_was_found():
-    """The candidate of a found effect is the one that was accepted, whatever was said of it afterwards."""
+    """The candidate of a found effect is the one that was accepted, whatever later stages decide about it."""
     first = candidate(0, "payload", 6.0, "accepted", ("towed_load",), mass_ratio=(0.3, 0.01))
     again = candidate(1, "payload", 0.4, "rejected", ("understeer",), mass_ratio=(0.2, 0.01))
     numbers = [("payload.mass_ratio", 0.31, 0.005)]
@@ -268,14 +268,14 @@ def test_the_example_of_benjamini_and_hochberg():
         0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719, 0.6528,
         0.7590, 1.0,
     ]  # fmt: skip
-    stationary_for, limit = believed(p, 0.05)
-    assert (stationary_for, limit) == ([True] * 4 + [False] * 11, 0.0095)
+    significant, limit = believed(p, 0.05)
+    assert (significant, limit) == ([True] * 4 + [False] * 11, 0.0095)
 
 
 @given(chances)
 def test_what_is_believed_is_what_has_the_smallest_chances(p):
-    stationary_for, limit = believed(p)
-    assert [value <= limit and any(stationary_for) for value in p] == stationary_for
+    significant, limit = believed(p)
+    assert [value <= limit and any(significant) for value in p] == significant
     assert limit <= FALSE_SHARE
 
 
@@ -300,8 +300,8 @@ def test_three_hundred_healthy_robots_give_no_false_group_but_rarely():
 
 def test_true_ones_among_many_are_believed():
     p = [chance(8.0, 29)] * 6 + [1.0] * 294 + [chance(3.1, 29)]
-    stationary_for, _ = believed(p)
-    assert stationary_for == [True] * 6 + [False] * 295
+    significant, _ = believed(p)
+    assert significant == [True] * 6 + [False] * 295
 
 
 numbers = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 2.0)), min_size=1, max_size=30)

@@ -13,7 +13,7 @@ import pytest
 from safedpa.fleet.inputs import Options, options_digest
 from safedpa.fleet.one_robot import Task, diagnose_robot
 from safedpa.fleet.robots import RobotLogs
-from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
+from safedpa_lab.experiments.fleet.diagnosis import judged_fleet
 from safedpa_services.command_line.group import safedpa
 
 
@@ -93,9 +93,9 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
     ("arguments", "reported"),
     [
         (["car"], "--fleet FOLDER"), (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
-        (["car", "--again", "a.csv"], "--again: got no fleet"), (["car", "--fleet", "nowhere"], "is no folder"),
-        (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of the two out"),
-        (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
+        (["car", "--again", "a.csv"], "--again: got no fleet"), (["car", "--fleet", "nowhere"], "is not a folder"),
+        (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of them out"),
+        (["car", "--fleet", ".", "--out", "."], "choose another folder for the results"),
     ],
 )  # fmt: skip
 def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, reported, tmp_path, monkeypatch, capsys):

@@ -64,6 +64,7 @@ def alive(process: int) -> bool:
     return status.rsplit(")", 1)[1].split()[0] != "Z"
 
 
+@pytest.mark.long
 def test_a_killed_command_leaves_no_process_behind(tmp_path):
     script = tmp_path / "driver.py"
     script.write_text(_DRIVER, encoding="utf-8")

@@ -24,7 +24,7 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots import CarRobot, Scene
-from safedpa_sim.robots.fleet_loop import FleetLoop
+from safedpa_sim.robots.fleet.loop import FleetLoop
 
 PERIOD = 0.05
 LOADS = ("none", "box", "chair")
@@ -70,7 +70,7 @@ class Stack:
     def turn(self) -> None:
         """Everybody once, in the direction of the data."""
         if self.fleet is not None:
-            self.fleet.turn()
+            self.fleet.step()
         for service in self.services:
             service.turn(0.0)
 

@@ -9,6 +9,8 @@ import pytest
 
 from safedpa.bus.service.process import GROWTH, freeze_garbage_collector
 
+pytestmark = pytest.mark.long
+
 
 class Knot:
     """What refers to itself."""

@@ -20,7 +20,7 @@ from safedpa.safety.barriers.base import CachingBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.margins.conformal import OnlineMargin
 from safedpa.safety.settings import FilterSettings
-from safedpa_sim.robots.fleet_loop import Durations
+from safedpa_sim.robots.fleet.loop import Durations
 
 anything = st.one_of(
     st.floats(), st.integers(-5, 5), st.booleans(), st.none(), st.text(max_size=2), st.just(1e12), st.just(1.1e12)
@@ -128,11 +128,11 @@ def test_a_stack_with_a_memory_has_the_values_of_the_stack(states: list[tuple[fl
     remembering = CachingBarrierSet(stack)
     for values in (*states, *states[-3:]):
         state = np.array(values)
-        h = remembering.values(state)
-        assert h.tobytes() == stack.values(state).tobytes()
+        h = remembering.h(state)
+        assert h.tobytes() == stack.h(state).tobytes()
         h[:] = np.nan  # an array of its own: what is remembered stays
-        assert remembering.values(state).tobytes() == stack.values(state).tobytes()
-        assert remembering.gradient(state).tobytes() == stack.gradient(state).tobytes()
+        assert remembering.h(state).tobytes() == stack.h(state).tobytes()
+        assert remembering.grad_h(state).tobytes() == stack.grad_h(state).tobytes()
 
 
 @pytest.mark.parametrize("name", ["car", "car_measured", "car_learned", "pendulum"])
@@ -144,8 +144,8 @@ def test_a_held_action_leads_where_single_steps_lead(name: str) -> None:
         action = draw.uniform(model.system.action_low, model.system.action_high)
         memory = model.initial_memory(action)
         latent = model.latent if draw.random() < 0.5 else None
-        got, after = model.held(state, action, memory, latent, 8, period=0.05)
-        wanted, cached = AbstractDynamics.held(model, state, action, memory, latent, 8, period=0.05)
+        got, after = model.rollout_held(state, action, memory, latent, 8, period=0.05)
+        wanted, cached = AbstractDynamics.rollout_held(model, state, action, memory, latent, 8, period=0.05)
         np.testing.assert_array_equal(got, wanted)
         assert after == cached
 

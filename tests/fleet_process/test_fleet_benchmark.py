@@ -41,7 +41,7 @@ def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> Non
 
 
 @pytest.mark.long
-def test_a_process_that_cannot_begin_ends_the_benchmark_with_its_last_words() -> None:
+def test_a_process_that_cannot_start_ends_the_benchmark_with_its_last_message() -> None:
     with pytest.raises(SafedpaError, match=r"ended with exit code 2.*no_such_load"):
         fleet_benchmark(FleetTrial(robots=1, seconds=1.0, loads="no_such_load"))
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ACTION, VERDICT, Bus, MemoryTransport, ReceivedMessage, VerdictMessage
-from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.fleet_loop import FleetLoop
+from safedpa_sim.robots.car.contacts import Collision
+from safedpa_sim.robots.fleet.loop import FleetLoop
 
 Make = Callable[..., Any]
 NAMES = tuple(f"car{index}" for index in range(5))
@@ -53,15 +53,15 @@ def test_an_action_older_than_two_periods_does_not_begin_to_act(stack: Make) -> 
     fleet.drive(0.5)
     car = fleet.cars["a"]
     actions = fleet.bus().inbox((ACTION,), clock=fleet.clock)
-    fleet.fleet.turn()
+    fleet.fleet.step()
     while not actions.take(0.0):  # its state is out, its action comes, and then this process is held up
-        fleet.fleet.turn()
+        fleet.fleet.step()
         fleet.clock.now += 0.0025
         for service in fleet.services:
             service.turn(0.0)
     before = car.watchdog_ticks
     fleet.clock.now += 0.2
-    fleet.fleet.turn()
+    fleet.fleet.step()
     assert car.guard.refusals["too old"] == 1
     assert car.watchdog_ticks == before + 1
 
@@ -73,7 +73,7 @@ def sensed_together(stack: Make, robots: int, *, in_step: bool = False) -> list[
     loop = FleetLoop(cars, Bus(MemoryTransport(fleet.broker), "test"), in_step=in_step, clock=fleet.clock)
     counts = [0]
     for _ in range(19):
-        loop.turn()
+        loop.step()
         counts.append(loop.lateness.count)
         fleet.clock.now += 0.0025
     return [later - sooner for sooner, later in pairwise(counts) if later > sooner]

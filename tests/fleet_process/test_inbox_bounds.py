@@ -106,10 +106,10 @@ def test_a_message_that_several_inboxes_hold_is_read_once_and_the_whole_of_one_t
     largest = max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == "latest")
     reader, payload = Reader(), bytes(largest + over)
     inboxes, unheld = (Inbox(decode=reader), Inbox(decode=reader)), sys.getrefcount(payload)
-    parcels = [SharedPayload("safedpa/f/a/state", payload)]
+    payloads = [SharedPayload("safedpa/f/a/state", payload)]
     for inbox in inboxes:
-        inbox.keep_parcels(parcels, all_of_them=False)
-    parcels.clear()
+        inbox.keep_payloads(payloads, all_of_them=False)
+    payloads.clear()
     assert (sys.getrefcount(payload) > unheld) is (over <= 1), "one byte more is kept to see that it is too large"
     for inbox in inboxes:
         assert [type(item) for item in inbox.take(0.0)] == [RejectedMessage]

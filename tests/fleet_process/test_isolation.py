@@ -55,6 +55,7 @@ def poisoned(state: StateMessage, kind: str) -> bytes:
 KINDS = ("garbage", "too large", "values", "more values", "period", "huge", "many obstacles", "field", "text")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_one_robot_sends_changes_nothing_for_the_others(
     kind: str, stack: Make, undisturbed: dict[str, str]
@@ -217,7 +218,7 @@ def test_an_error_of_the_process_itself_ends_it(
         fleet.drive(0.5)
 
 
-@pytest.mark.parametrize("method", ["prepare", "afterwards", "hear", "welcome"])
+@pytest.mark.parametrize("method", ["prepare", "afterwards", "hear", "adopt_model"])
 def test_an_error_outside_the_step_is_handled_likewise(
     method: str, stack: Make, undisturbed: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

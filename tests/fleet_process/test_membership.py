@@ -38,8 +38,8 @@ def test_what_sending_needed_is_given_back_when_a_robot_leaves() -> None:
     released: list[str] = []
 
     class Transport(MemoryTransport):  # type: ignore[misc]  # final, but for a test that listens
-        def release(self, beginning: str) -> None:
-            released.append(beginning)
+        def release(self, prefix: str) -> None:
+            released.append(prefix)
 
     now = [0.0]
     broker = MemoryBroker()
@@ -54,7 +54,7 @@ def test_what_sending_needed_is_given_back_when_a_robot_leaves() -> None:
 
 
 @given(moments=st.lists(st.tuples(st.floats(0.0, 10.0), st.sampled_from("abc")), max_size=30), now=st.floats(0.0, 10.0))
-def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[tuple[float, str]], now: float) -> None:
+def test_a_timer_queue_returns_each_robot_once_when_it_is_due(moments: list[tuple[float, str]], now: float) -> None:
     timers = TimerQueue()
     for when, robot in moments:
         timers.at(when, robot)

@@ -35,10 +35,11 @@ def test_the_shares_of_a_fleet_are_alike() -> None:
 
 @pytest.mark.parametrize("share", ["", "1", "0/2", "3/2", "a/b", "1/0", "-1/2", "1/2/3"])
 def test_a_malformed_share_is_refused(share: str) -> None:
-    with pytest.raises(InputError, match="wanted a number and how many"):
+    with pytest.raises(InputError, match="wanted NUMBER/COUNT"):
         assigned_robots(share)
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_two_stacks_drive_ten_robots_in_batches() -> None:
     result = fleet_benchmark(FleetTrial(robots=10, seconds=2.0, loads="none,box", stacks=2))

@@ -17,7 +17,7 @@ _PATIENCE_SECONDS = 60.0
 
 
 def knocked(sender: ZenohTransport, key: str, heard: Callable[[], bool]) -> None:
-    """Returns once what is said under the key is heard, and a little later: what comes together is a flood."""
+    """Sends under the key until a message is received, and waits a little, so that the flood meets empty queues."""
     deadline = time.monotonic() + _PATIENCE_SECONDS
     while not heard():
         assert time.monotonic() < deadline, f"no one hears {key}"

@@ -11,9 +11,9 @@ import pyarrow
 import pytest
 from pyarrow import parquet
 
-from safedpa_lab.commands.experiments.hostile_pages import page_targets
 from safedpa_lab.experiments.hostile.fuzz import fuzz
 from safedpa_lab.experiments.hostile.mutations import mutated
+from safedpa_lab.experiments.hostile.pages import page_targets
 from safedpa_lab.experiments.hostile.targets import Target
 from safedpa_services.command_line.group import safedpa
 

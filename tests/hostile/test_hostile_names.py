@@ -17,8 +17,8 @@ from safedpa.bus.messages.topics import topic_of
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa_services.command_line.group import safedpa
-from safedpa_services.lines import print_plain
-from safedpa_services.supervisor.warnings import readable as event_line
+from safedpa_services.plain_output import print_plain
+from safedpa_services.supervisor.log_warnings import readable as event_line
 from safedpa_services.terminal import terminal
 
 HOSTILE = (
@@ -115,7 +115,7 @@ def test_a_line_of_the_log_is_one_line_of_text(text: str, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("text", HOSTILE)
 def test_a_page_shows_it_as_text(text: str) -> None:
     pytest.importorskip("nicegui")
-    from safedpa_services.workbench.elements import escaped
+    from safedpa_services.workbench.panels.elements import escaped
 
     shown = escaped(text)
     assert not set(shown) & set('<>"')

@@ -67,7 +67,7 @@ def test_a_reference_loop_sees_that_its_core_was_taken(tmp_path: Path) -> None:
     while not _hears(process.pid, signal.SIGTERM) and time.monotonic() < until:
         time.sleep(0.02)
     taken = []
-    for _ in range(3):  # at the first it may still be on its way into the loop
+    for _ in range(3):  # at the first attempt it may not have reached its loop yet
         time.sleep(0.1)
         process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
@@ -135,5 +135,5 @@ def test_an_attack_that_did_not_hold_ends_with_code_1(
     monkeypatch.setattr(silent, "silent_benchmark", lambda *_, **__: account)
     assert safedpa.run(["experiment", "hostile", "--attack", "silent"]) == 1
     notice = capsys.readouterr()
-    assert "under attack  exit code 1, 3 ticks" in notice.out
+    assert "| under attack | 1 | 3 |" in notice.out
     assert "did not hold" in notice.err

@@ -116,6 +116,7 @@ def test_a_thousand_silent_connections_keep_no_member_out(free_port: int, certif
         assert len(os.listdir(f"/proc/{pid}/fd")) < 200, "none of them holds a descriptor"
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize("reports", [b"", b"\x16"], ids=["silent", "with a first byte"])
@@ -134,13 +135,13 @@ def test_members_of_another_session_of_the_process_are_left_alone(
     free_port: int, monkeypatch: pytest.MonkeyPatch, links_outlive: None
 ) -> None:
     """Two sessions in one process each guard their own port."""
-    cut, look = defaultdict[int, list[int]](list), ConnectionReaper.look
+    cut, look = defaultdict[int, list[int]](list), ConnectionReaper.check
 
     def counted(keeper: ConnectionReaper) -> int:
         cut[id(keeper)].append(look(keeper))
         return cut[id(keeper)][-1]
 
-    monkeypatch.setattr(ConnectionReaper, "look", counted)
+    monkeypatch.setattr(ConnectionReaper, "check", counted)
     doors = [f"tcp/127.0.0.1:{port}" for port in (free_port, ports.free_port())]
     sessions = [ZenohTransport(ZenohSettings("router", (door,))) for door in doors]
     guests = [ZenohTransport(ZenohSettings("client", connect=(door,))) for door in doors]
@@ -177,7 +178,7 @@ def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
                 with pytest.raises(TimeoutError):
                     link.recv(1)
             clock[0] += 2.0  # known for as long at most
-            keeper.look()
+            keeper.check()
             with pytest.raises(TimeoutError):
                 stranger.recv(1)
             clock[0] += 2.0
@@ -191,7 +192,7 @@ def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
                 link.close()
 
 
-def test_no_doorkeeper_watches_a_socket_in_the_file_system(tmp_path: Path) -> None:
+def test_no_connection_reaper_watches_a_unix_socket(tmp_path: Path) -> None:
     """Whatever may open the folder may connect; looking for strangers ten times a second would find none."""
     listening = ZenohTransport(ZenohSettings(listen=(f"unixsock-stream/{tmp_path}/bus",)))
     try:
@@ -226,7 +227,7 @@ class Scripted:
     waits: bool = False
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         return self.pid > 0
 
     def begin(self) -> None:

@@ -23,15 +23,15 @@ from safedpa.errors import BusError, InputError
 from safedpa_services.router import __main__ as router_process
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import DuplicateCertificates, RevocationList
+from safedpa_services.supervisor.certificate_store import ephemeral_certificates
 from safedpa_services.supervisor.private_folder import private_folder
-from safedpa_services.supervisor.securing import ephemeral_certificates
 
 _HOLDS = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # who starts the tests in the background has it ignored
-from safedpa_services.supervisor.securing import ephemeral_certificates
-with ephemeral_certificates("f", "r1") as wallet:
-    print(wallet.folder, flush=True)
+from safedpa_services.supervisor.certificate_store import ephemeral_certificates
+with ephemeral_certificates("f", "r1") as certificates:
+    print(certificates.folder, flush=True)
     time.sleep(60)
 """
 
@@ -66,13 +66,13 @@ def test_what_a_killed_machine_left_behind_goes_with_the_next_run(
     with private_folder() as living:
         forgotten = tmp_path / "safedpa-run-forgotten"
         shutil.copytree(living, forgotten)
-        (tmp_path / "safedpa-run-of-somebody-else").mkdir()
+        (tmp_path / "safedpa-run-of-another-user").mkdir()
         with private_folder() as next_one:
             assert living.exists(), "another run's"
             assert next_one.exists()
             assert not forgotten.exists()
-            assert (tmp_path / "safedpa-run-of-somebody-else").exists(), "it is none of ours: no one ever held it"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["safedpa-run-of-somebody-else"]
+            assert (tmp_path / "safedpa-run-of-another-user").exists(), "not ours: it was never locked"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["safedpa-run-of-another-user"]
 
 
 def test_no_argument_of_any_process_contains_a_key_or_a_token(tmp_path: Path) -> None:
@@ -92,16 +92,16 @@ def test_no_argument_of_any_process_contains_a_key_or_a_token(tmp_path: Path) ->
 
 
 def test_a_process_reads_its_card_once_and_publishes_nothing_of_it() -> None:
-    with ephemeral_certificates("f", "r1") as wallet:
-        card = wallet.cards["workbench"]
+    with ephemeral_certificates("f", "r1") as certificates:
+        card = certificates.credentials["workbench"]
     parser = argparse.ArgumentParser()
     add_bus_options(parser)
     descriptor = card.pipe()
     options = parser.parse_args(["--role", "workbench", "--card", str(descriptor)])
     assert identity_from_options(options) == card
-    assert "PRIVATE" not in repr(card) + repr(wallet) + repr(options)
-    assert options.card is None, "options are told on the bus and handed on"
-    with pytest.raises(BusError, match="got no --certificates"):
+    assert "PRIVATE" not in repr(card) + repr(certificates) + repr(options)
+    assert options.card is None, "options are published on the bus"
+    with pytest.raises(BusError, match="--certificates is missing"):
         identity_from_options(options)
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(descriptor)
@@ -113,7 +113,7 @@ def test_a_card_that_is_none_is_refused(notice: bytes) -> None:
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 18)
     os.write(writing, notice)
     os.close(writing)
-    with pytest.raises(BusError, match="no authority, certificate and key"):
+    with pytest.raises(BusError, match="wanted authority, certificate and key"):
         PemCredentials.from_descriptor(reading, "policy")
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(reading)
@@ -174,7 +174,7 @@ def fleet(tmp_path: Path, free_port: int, links_outlive: None) -> tuple[ZenohTra
 def _member(router: ZenohTransport, endpoint: str, folder: Path, role: str) -> ZenohTransport:
     """Joined, and known to the router, which is so a moment later."""
     before = len(router.members())
-    found = ZenohTransport(ZenohSettings("client", (), (endpoint,), Certificates(folder, role), patience=60.0))
+    found = ZenohTransport(ZenohSettings("client", (), (endpoint,), Certificates(folder, role), connect_timeout=60.0))
     assert until(lambda: len(router.members()) > before)
     return found
 

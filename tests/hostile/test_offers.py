@@ -19,7 +19,7 @@ from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
-from safedpa_services.trying import tried
+from safedpa_services.model_trial import run_model_trial
 
 CAR = load_model("car")
 DOCUMENT = write_model(CAR) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
@@ -61,7 +61,7 @@ def state_at(tick: int) -> StateMessage:
 
 @pytest.fixture
 def apart() -> Iterator[JobProcess]:
-    found = JobProcess("safedpa_services.trying:tried", lambda: time.monotonic() / _BEHIND_OTHERS)
+    found = JobProcess("safedpa_services.model_trial:run_model_trial", lambda: time.monotonic() / _BEHIND_OTHERS)
     yield found
     found.close()
 
@@ -74,7 +74,7 @@ def turn(node: AbstractNode, tick: int) -> Any:
 
 def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractJobHandle]:
     """Has offers to a node tried in the process apart, as a service does."""
-    return lambda robot, offer: apart.hand_in(
+    return lambda robot, offer: apart.submit(
         (node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot))
     )
 
@@ -89,7 +89,7 @@ def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
         parse_model(DOCUMENT)
         good = min(good, time.thread_time() - began)
     node = AdaptationNode(CAR)
-    node.try_apart(tried_by(apart, node))
+    node.use_sandbox(tried_by(apart, node))
     turn(node, 0)
     ticks, longest = count(1), dict.fromkeys(BOMBS, math.inf)
     for change, name in enumerate([*BOMBS] * 3, 1):
@@ -110,7 +110,7 @@ def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
 
 def test_a_good_offer_is_taken_as_before(apart: JobProcess, offer_of: Callable[..., ModelMessage]) -> None:
     node = AdaptationNode(CAR)
-    node.try_apart(tried_by(apart, node))
+    node.use_sandbox(tried_by(apart, node))
     turn(node, 0)
     node.hear("r1", offer_of(DOCUMENT, NEW))
     answer, ticks, until = None, count(1), time.monotonic() + _PATIENCE
@@ -127,10 +127,10 @@ def test_each_service_tries_an_offer_as_it_would_take_it(service: str, offer_of:
     """Margins are the filter's business: without one it refuses, as in the loop."""
     work = (service, OPTIONS, "r1", offer_of(DOCUMENT, NEW), state_at(3), None)
     if service == "safety_filter":
-        with pytest.raises(InputError, match="margin: got none"):
-            tried(work)
+        with pytest.raises(InputError, match="margin: missing"):
+            run_model_trial(work)
     else:
-        assert fingerprint(parse_model(tried(work)["document"])) == NEW
+        assert fingerprint(parse_model(run_model_trial(work)["document"])) == NEW
 
 
 def test_a_model_that_takes_more_than_a_tick_has_is_refused(
@@ -145,8 +145,8 @@ def test_a_model_that_takes_more_than_a_tick_has_is_refused(
         return step(self, robot, state, inputs)
 
     monkeypatch.setattr(AdaptationNode, "step", slow)
-    with pytest.raises(Exception, match=r"takes .* ms of the processor"):
-        tried(("adaptation", OPTIONS, "r1", offer_of(DOCUMENT, NEW), state_at(3), None))
+    with pytest.raises(Exception, match=r"takes .* ms of CPU time"):
+        run_model_trial(("adaptation", OPTIONS, "r1", offer_of(DOCUMENT, NEW), state_at(3), None))
 
 
 def test_a_car_with_every_effect_free_is_a_bounded_matter(offer_of: Callable[..., ModelMessage]) -> None:
@@ -157,7 +157,7 @@ def test_a_car_with_every_effect_free_is_a_bounded_matter(offer_of: Callable[...
         document += "".join(f"{p.name} = {{ value = {p.start!r}, free = true }}\n" for p in item.parameters)
     assert len(document) < 65_536
     with pytest.raises(InputError):  # not of this fingerprint; what costs time was done before
-        tried(("adaptation", OPTIONS, "r1", offer_of(document), state_at(3), None))
+        run_model_trial(("adaptation", OPTIONS, "r1", offer_of(document), state_at(3), None))
 
 
 # the process apart
@@ -185,6 +185,7 @@ def reports_its_niceness(work: object) -> dict[str, Any]:
     return {"nice": os.nice(0), "policy": os.sched_getscheduler(0)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("function", "phrase"),
     [("spins", "more than 5 s of processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
@@ -192,7 +193,7 @@ def reports_its_niceness(work: object) -> dict[str, Any]:
 def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, phrase: str, tmp_path: Path) -> None:
     apart = _apart(function, tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
-        outcome = apart.hand_in(str(tmp_path / "file")).outcome(wait=True)
+        outcome = apart.submit(str(tmp_path / "file")).outcome(wait=True)
         assert outcome is not None
         assert phrase in outcome["problem"]
         assert outcome["problem"]
@@ -204,7 +205,7 @@ def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, p
 def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
     apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
-        assert apart.hand_in(None).outcome(wait=True) == {"nice": 19, "policy": os.SCHED_OTHER}
+        assert apart.submit(None).outcome(wait=True) == {"nice": 19, "policy": os.SCHED_OTHER}
     finally:
         apart.close()
 
@@ -217,7 +218,7 @@ def test_each_answer_comes_while_the_process_waits_for_more_work(
     apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
         for number in range(3):
-            assert (apart.hand_in(number).outcome(wait=True) or {}).get("nice") == 19
+            assert (apart.submit(number).outcome(wait=True) or {}).get("nice") == 19
         assert apart.pid
     finally:
         apart.close()
@@ -233,7 +234,7 @@ def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(
         waited = []
         for _ in range(40):
             before = sum(slept)
-            apart.hand_in("x" * 65_536)
+            apart.submit("x" * 65_536)
             waited.append(sum(slept) - before)
         assert 0.001 < max(waited) < 0.0025
     finally:
@@ -244,7 +245,7 @@ def test_giving_up_waits_for_no_process(tmp_path: Path, monkeypatch: pytest.Monk
     """On a busy machine a process at the lowest priority takes tens of milliseconds to die, with much memory more."""
     now = [0.0]
     apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
-    ticket, first = apart.hand_in(None), apart.pid
+    ticket, first = apart.submit(None), apart.pid
     monkeypatch.setattr("subprocess.Popen.wait", lambda *_, **__: pytest.fail("the loop waited for a process to die"))
     now[0] += 30.0
     assert "could not be tried" in (ticket.outcome() or {})["problem"]
@@ -262,10 +263,10 @@ def test_works_behind_one_that_takes_too_long_fail_at_once_and_end_no_other(tmp_
     now = [0.0]
     apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
     try:
-        first, second, third = (apart.hand_in(number) for number in range(3))
+        first, second, third = (apart.submit(number) for number in range(3))
         now[0] += 30.0
         assert "within 20 s" in (first.outcome() or {})["problem"]
-        later, process = apart.hand_in("later"), apart.pid
+        later, process = apart.submit("later"), apart.pid
         for ticket in (second, third):
             assert "another work" in (ticket.outcome() or {})["problem"]
         assert later.outcome() is None
@@ -278,9 +279,9 @@ def test_many_that_do_not_die_are_not_joined_by_more(tmp_path: Path, monkeypatch
     apart = _apart("spins", tmp_path)
     monkeypatch.setattr("subprocess.Popen.poll", lambda _: None)
     for _ in range(4):
-        apart.hand_in(None)
-        apart.give_up()
-    assert "have not ended" in (apart.hand_in(None).outcome() or {})["problem"]
+        apart.submit(None)
+        apart.kill()
+    assert "have not exited" in (apart.submit(None).outcome() or {})["problem"]
     assert apart.pid == 0
     monkeypatch.undo()
     apart.close()
@@ -313,7 +314,7 @@ def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMess
         return "new"
 
     versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, load, clock=lambda: now[0])
-    versions.hand_in = lambda robot, offer: Tried()
+    versions.submit = lambda robot, offer: Tried()
     robots = [f"r{number}" for number in range(8)]
     for robot in robots:
         versions.hear(robot, offer_of("document"))
@@ -334,7 +335,7 @@ def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., Mode
             assert wait
             return {"document": "good"}
 
-    versions.hand_in = lambda robot, offer: Tried()
+    versions.submit = lambda robot, offer: Tried()
     for robot in ("r1", "r2", "r3"):
         versions.hear(robot, offer_of("document"))
         answer = versions.answer(robot, replace(state_at(1), lockstep=True))
@@ -345,8 +346,8 @@ def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., Mode
 def test_a_repaired_version_needs_no_trial(offer_of: Callable[..., ModelMessage]) -> None:
     """What is in force already is not loaded again."""
     versions: ModelVersions[str] = ModelVersions("policy", "held", "0123456789ab", lambda robot, offer: "other")
-    versions.hand_in = lambda robot, offer: pytest.fail("nothing is to be tried")
-    versions.welcome("r1", Answer(ok=True, sentence="", fingerprint="0123456789ab"))
+    versions.submit = lambda robot, offer: pytest.fail("nothing is to be tried")
+    versions.adopt_model("r1", Answer(ok=True, sentence="", fingerprint="0123456789ab"))
     versions.hear("r1", offer_of("document"))
     answer = versions.answer("r1", state_at(1))
     assert answer is not None

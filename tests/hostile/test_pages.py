@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from safedpa.errors import InputError, RunError
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench.page_address import PageServerOptions
+from safedpa_services.workbench.server_options import PageServerOptions
 
 _PATIENCE = 120.0
 """s; nothing is waited for that long but on a busy machine."""
@@ -263,7 +263,7 @@ def test_other_machines_come_in_with_a_password_or_a_certificate_only(monkeypatc
     with pytest.raises(InputError, match=r"--host 0\.0\.0\.0: every machine"):
         PageServerOptions("0.0.0.0", 8080)
     monkeypatch.setenv("SAFEDPA_PAGE_PASSWORD", "short")
-    with pytest.raises(InputError, match="got 5 letters"):
+    with pytest.raises(InputError, match="got 5 characters"):
         PageServerOptions("0.0.0.0", 8080)
     monkeypatch.setenv("SAFEDPA_PAGE_PASSWORD", "correct horse battery")
     assert "token" not in PageServerOptions("0.0.0.0", 8080).address("/")
@@ -306,7 +306,7 @@ def test_a_recording_below_the_named_folder_is_opened(upload_store: FileStore, t
         "named/run.csv\0.txt", "named/run.csv/", "named/" + "a" * 5000 + ".csv", "named/run%2ecsv", "named/key*.csv",
     ],
 )  # fmt: skip
-def test_everything_else_is_refused_with_the_same_words(upload_store: FileStore, tmp_path: Path, name: str) -> None:
+def test_everything_else_is_refused_with_the_same_answer(upload_store: FileStore, tmp_path: Path, name: str) -> None:
     if name == "named/run.csv/":
         pytest.skip("the same file")
     with pytest.raises(RunError, match=r"cannot be opened from here; wanted a recording") as refusal:

@@ -13,7 +13,7 @@ def test_lines_come_whole_and_in_order() -> None:
     os.write(file.descriptor, b"o\nthree\n")
     assert file.lines() == ["two", "three"]
     assert file.lines() == []
-    assert file.passed_over == 0
+    assert file.skipped == 0
     os.close(file.descriptor)
 
 
@@ -23,7 +23,7 @@ def test_an_unread_flood_never_blocks_the_writer_and_is_given_back() -> None:
     for _ in range(20_000):
         assert os.write(file.descriptor, line) == len(line), "no error, of which the logger would tell, waiting"
     assert file.lines() == []
-    assert file.passed_over == 20_000 * len(line)
+    assert file.skipped == 20_000 * len(line)
     os.write(file.descriptor, b"after it\n")
     assert file.lines() == ["after it"]
     assert os.fstat(file.descriptor).st_blocks * 512 < 1 << 20

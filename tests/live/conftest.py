@@ -9,7 +9,7 @@ import pytest
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
+from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 
 PERIOD = 0.05
 Row = tuple[int, np.ndarray, np.ndarray]

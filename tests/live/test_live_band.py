@@ -5,7 +5,7 @@ import pytest
 
 from safedpa.dynamics import load_model
 from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, stretch_error
-from safedpa.live.watch import ErrorBand, describe_conditions, has_moved, learned_band
+from safedpa.live.model_monitor import ErrorBand, describe_conditions, has_moved, learned_band
 
 SYSTEM = load_model("car").system
 BAND = ErrorBand(scale=np.ones(4), usual=np.ones(2), edges=np.full(4, 0.01), error=0.1)

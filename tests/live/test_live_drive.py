@@ -14,12 +14,13 @@ from safedpa.policy import PolicyNode
 from safedpa.records.readers.mcap import read_messages
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.commands.experiments.live import command
-from safedpa_lab.experiments.live import LiveExperiment, live_experiment
-from safedpa_lab.experiments.live_drive import CASES, drive_live, live_scene
-from safedpa_lab.experiments.live_record import record_drive
+from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
+from safedpa_lab.experiments.diagnosis.live import LiveExperiment, live_experiment
+from safedpa_lab.experiments.diagnosis.live_drive import CASES, drive_live, live_scene, record_drive
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.car.robot import CarRobot
+
+COMMAND = ExperimentCommand(EXPERIMENTS["live"])
 
 pytestmark = pytest.mark.slow
 
@@ -97,7 +98,7 @@ def test_the_scene_has_passages_for_a_chair_that_is_not_there_yet():
 )
 def test_bad_options_are_refused_with_a_reason(options, phrase, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(command, options)
+    done = CliRunner().invoke(COMMAND, options)
     assert done.exception is not None
     assert phrase in str(done.exception) + done.output
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.live.watch import ALPHA, BEYOND, EDetector
+from safedpa.live.model_monitor import ALPHA, BEYOND, EDetector
 
 INSIDE, OUTSIDE, FAR = 0.5, 1.5, BEYOND + 1.0
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from safedpa.bus import MODEL, STATE, ModelMessage, ReceivedMessage
-from safedpa_lab.experiments import live, live_drive
-from safedpa_lab.experiments.live_drive import LiveDrive, drive_live
+from safedpa_lab.experiments.diagnosis import live, live_drive
+from safedpa_lab.experiments.diagnosis.live_drive import LiveDrive, drive_live
 
 
 @pytest.mark.parametrize("quiet", [True, False])

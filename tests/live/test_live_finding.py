@@ -11,7 +11,7 @@ from safedpa.dynamics import Setting, fingerprint, load_model, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
 from safedpa.live.named_candidate import named_candidate
-from safedpa.live.work import InlineWorker, SearchJob, WorkOutcome
+from safedpa.live.search_jobs import InlineWorker, SearchJob, WorkOutcome
 
 CHANGE = 800
 NUMBERS = {"angle": 0.08}
@@ -89,7 +89,7 @@ def test_the_sentence_of_each_stage_says_what_is_going_on(drive):
     for message in drive.messages:
         first.setdefault(message.stage, message.sentence)
     error = "the error over 1 s is 0.000"
-    assert first["learning"] == f"{error}; still learning what is usual: 20 s of driving to go"
+    assert first["learning"] == f"{error}; still learning the usual error: 20 s of driving to go"
     watching = next(message for message in drive.messages if message.stage == "watching")
     assert watching.sentence == (
         f"the error over 1 s is {watching.error:.3f}, within its band up to {watching.band:.3f}"
@@ -192,13 +192,13 @@ def test_an_adopted_model_is_reported_with_the_error_before_and_after(drive, fit
     assert last.stage == "learning"
     assert last.model != before.model
     assert last.error < 0.2 * before.error
-    assert f"{before.error:.3f} with the model before" in last.sentence
+    assert f"{before.error:.3f} with the previous model" in last.sentence
 
 
 @pytest.mark.parametrize(("later", "reported"), [(1.0, True), (59.0, True), (62.0, False), (600.0, False)])
 def test_the_error_before_is_reported_for_a_minute_after_a_model_was_adopted(drive, fitted, later, reported):
     drive.diagnosis.adopt(fitted)
-    assert ("with the model before" in drive.after_a_pause(later).sentence) is reported
+    assert ("with the previous model" in drive.after_a_pause(later).sentence) is reported
 
 
 def test_when_the_error_returns_to_its_band_the_finding_is_closed_and_the_search_given_up(

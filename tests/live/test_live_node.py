@@ -9,9 +9,9 @@ from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stal
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
-from safedpa.live.foresight import CandidateForecasts, forecast_with
+from safedpa.live.candidate_forecasts import CandidateForecasts, forecast_with
 from safedpa.live.node import DiagnosisNode
-from safedpa.live.work import WorkOutcome
+from safedpa.live.search_jobs import WorkOutcome
 from safedpa.safety.margins.calibration import MarginCalibration, margin_text
 
 CHANGE = 800
@@ -104,7 +104,7 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
     car, worker, drive_of, state_of, verdict_of, margin_of
 ):
     rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
-    reported = {"margin": margin_of(0.05), "foretell": forecast_with("car")}
+    reported = {"margin": margin_of(0.05), "predict_effect": forecast_with("car")}
     driven = Driven(car, worker, rows, state_of, verdict_of, **reported)
     driven.found("steering_offset", "steering_gain")
     assert driven.ask("status").foreseen == ("", "")
@@ -126,14 +126,14 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
 
 
 def test_a_foreseen_model_that_cannot_be_made_and_an_unchanged_margin_are_reported(margin_of):
-    ahead, foretell = CandidateForecasts(), forecast_with("car")
+    ahead, predict_effect = CandidateForecasts(), forecast_with("car")
     ahead.found = {
         "a": WorkOutcome(failure="too few rows"),
         "b": WorkOutcome(margin=margin_of(0.05)),
         "c": WorkOutcome(),
     }
-    reported = ahead.reported(margin_of(0.05), foretell)
-    assert reported["a"] == "it cannot be made: too few rows"
+    reported = ahead.reported(margin_of(0.05), predict_effect)
+    assert reported["a"] == "its model cannot be created: too few rows"
     assert reported["b"] == "the margin stays as it is: obstacle 0.05"
     assert "no margin could be calibrated" in reported["c"]
 
@@ -186,7 +186,7 @@ def test_what_is_asked_about_another_finding_model_or_effect_is_refused_with_a_r
         (driven.ask("accept", "steering_offset", finding=7), "number 1"),
         (driven.ask("accept", "steering_offset", model="0123456789ab"), "you saw 0123456789ab"),
         (driven.ask("accept", "flood"), "steering_offset"),
-        (driven.ask("roll_back"), "none to go back to"),
+        (driven.ask("roll_back"), "there is no earlier one"),
         (driven.ask("dance"), "accept"),
     ):
         assert not answer.ok

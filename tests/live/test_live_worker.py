@@ -18,7 +18,7 @@ from safedpa.dynamics import Setting, load_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.live.finding import DriveHistory
-from safedpa.live.work import SearchJob
+from safedpa.live.search_jobs import SearchJob
 from safedpa.records.run import Run, Stretch
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import margin_from_text
@@ -80,6 +80,7 @@ def test_a_work_is_the_same_behind_the_files(tmp_path, prepare):
     assert (again.run.actions == prepare.run.actions).all()
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_killed_work_is_begun_again_and_done(worker, prepare):
     worker.begin("r1", prepare)

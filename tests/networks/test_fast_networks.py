@@ -120,7 +120,7 @@ def test_a_row_of_plain_numbers_is_the_row_of_arrays():
         np.testing.assert_allclose(one, encoder.rows(states, action[None])[0], rtol=1e-12, atol=1e-12)
 
 
-def test_threads_and_copies_do_not_share_what_lies_between_the_layers():
+def test_threads_and_copies_do_not_share_buffers():
     networks = LearnedNetworks(shipped("car_learned"))
     draw = np.random.default_rng(4)
     states, latents = draw.normal(size=(64, 4)).tolist(), draw.normal(size=(64, 4)).tolist()

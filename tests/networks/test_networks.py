@@ -101,7 +101,7 @@ def test_a_latent_stays_in_the_range_that_the_networks_know(random_car_weights):
     assert np.abs(encoder.encode(1e3 * np.random.default_rng(0).normal(size=(20, 50, 9)))).max() == 3.0
 
 
-def test_what_is_written_is_read(random_car_weights, tmp_path):
+def test_saved_weights_are_read_back(random_car_weights, tmp_path):
     weights = random_car_weights(7)
     save_weights(weights, tmp_path / "car.safetensors")
     again = load_weights(tmp_path / "car.safetensors")

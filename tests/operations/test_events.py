@@ -1,4 +1,4 @@
-"""Events: one catalogue, told once when something changes, readable and never a flood."""
+"""Events: one catalogue, one line per change, readable and rate limited."""
 
 import ast
 import json
@@ -11,7 +11,7 @@ from safedpa.bus import TAKEOVER, VERDICT, Bus, MemoryBroker, MemoryTransport, S
 from safedpa.bus.logging import KINDS, log_event
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.warnings import Warnings, readable
+from safedpa_services.supervisor.log_warnings import LogWarnings, readable
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [path for folder in ("shared", "services", "sim") for path in (ROOT / folder).rglob("*.py")]
@@ -57,7 +57,7 @@ def test_verdicts_are_logged_where_they_change(
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
-def test_every_event_of_a_journal_is_in_the_catalogue(service_log: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
+def test_every_event_of_a_service_log_is_in_the_catalogue(service_log: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
     reported, events = service_log
     reported.met("r1", 0, again=False)
     reported.met("r1", 0, again=True)
@@ -130,10 +130,10 @@ def line(**event: Any) -> str:
 
 def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr("safedpa_services.supervisor.warnings.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("safedpa_services.supervisor.log_warnings.time.monotonic", lambda: now[0])
     reported: list[str] = []
     policy, recorder = child(tmp_path, "policy"), child(tmp_path, "recorder")
-    warnings = Warnings((policy, recorder), tmp_path, reported.append)
+    warnings = LogWarnings((policy, recorder), tmp_path, reported.append)
     warnings.look()
     now[0] += 1.0
     assert reported == [], "no log, no warning"
@@ -154,12 +154,12 @@ def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: p
         log.writelines(line(kind="l", sentence=f"{number}") for number in range(100))
     warnings.look()
     now[0] += 1.0
-    assert [entry.split(": ", 1)[-1] for entry in reported[2:]] == ["0"], "the like of it was told less than 5 s ago"
+    assert [entry.split(": ", 1)[-1] for entry in reported[2:]] == ["0"], "a similar one was shown less than 5 s ago"
     assert "half a line before" in reported[1]
     recorder.restarts = 2
     warnings.look()
     now[0] += 1.0
-    assert "recorder died or hung and was started again (2 times so far)" in reported[-1]
+    assert "recorder died or hung and was restarted (2 times so far)" in reported[-1]
     retained = json.loads((tmp_path / "supervisor.log").read_text())
     assert retained["kind"] == "child.restarted"
     assert len(warnings.newest) <= 4
@@ -175,16 +175,16 @@ def test_removing_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
     reported: list[str] = []
     policy = child(tmp_path / "run", "policy")
     policy.restarts = 1
-    warnings = Warnings((policy,), tmp_path / "run", reported.append)
+    warnings = LogWarnings((policy,), tmp_path / "run", reported.append)
     policy.restarts = 2
     warnings.look()
-    assert "policy died or hung and was started again" in reported[0]
-    assert policy.last_text() == "it said nothing"
+    assert "policy died or hung and was restarted" in reported[0]
+    assert policy.last_text() == "it wrote no message"
     started_and_ended(policy)
-    assert policy.log.exists(), "the folder is there again, for what is said from now on"
+    assert policy.log.exists(), "the folder is there again, for further messages"
 
 
-def test_last_words_are_the_last_line_that_is_no_event(tmp_path: Path) -> None:
+def test_the_last_text_is_the_last_line_that_is_no_event(tmp_path: Path) -> None:
     robot = child(tmp_path, "robot")
     robot.log.write_text("safedpa-robot: --start: got far, wanted two numbers\n" + line())
     assert robot.last_text() == "--start: got far, wanted two numbers"

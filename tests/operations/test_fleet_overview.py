@@ -1,4 +1,4 @@
-"""What a listener makes of a fleet: counts, shares, concerns, and how they are told."""
+"""The fleet overview: counts, shares and alerts, and their presentation."""
 
 import dataclasses
 import json
@@ -44,7 +44,7 @@ def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
 
 @pytest.mark.parametrize(("promised", "coverage"), [(0.99, 0.95), (0.99, -1.0), (0.0, 0.0), (-1.0, -1.0)])
 def test_the_row_of_a_robot(fleet: Any, promised: float, coverage: float) -> None:
-    """A margin without a promise, and a coverage of no step yet, are told as nothing."""
+    """A margin without a promised coverage, and a coverage without any step, are left empty."""
     state = {"lockstep": True, "goals_reached": 3, "collisions": 1}
     verdict = {"h_now": 0.25, "margin": 0.125, "promised": promised, "coverage": coverage, "status": "corrected"}
     fleet.drive(1, 1.0, r1={"state": state, "verdict": verdict})
@@ -63,7 +63,7 @@ def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: 
     fleet.overview.listen(0.0)
     document = document_of(fleet.overview)
     assert not document["healthy"]
-    assert [(row["robot"], row["sentence"]) for row in document["concerns"]] == [("r9", "is not heard")]
+    assert [(row["robot"], row["sentence"]) for row in document["concerns"]] == [("r9", "sends nothing")]
 
 
 def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: Any) -> None:
@@ -120,7 +120,7 @@ def test_missing_silent_failing_and_disagreeing_services(fleet: Any) -> None:
     assert sentences(fleet, "trouble") == ["policy: no heartbeat"]
     fleet.beat("policy", "r1", model="ba9876543210")
     fleet.overview.listen(0.0)
-    assert "not all use one model" in sentences(fleet, "trouble")[0]
+    assert "services use different models" in sentences(fleet, "trouble")[0]
     fleet.beat("policy", "r1", state="failing", detail="no goal")
     fleet.drive(1, silent=("policy",))
     assert sentences(fleet, "trouble")[0] == "policy: silent for 2 s"
@@ -131,7 +131,7 @@ def test_missing_silent_failing_and_disagreeing_services(fleet: Any) -> None:
 
 def test_a_recorder_that_fails_is_trouble_and_none_is_worth_a_look(fleet: Any) -> None:
     fleet.drive(1, silent=("recorder",))
-    assert sentences(fleet, "attention") == ["no one records"]
+    assert sentences(fleet, "attention") == ["no recorder is running"]
     fleet.beat("recorder", free_bytes=5_000_000, acknowledged=1)
     fleet.overview.listen(0.0)
     assert "recorder: 5 MB of disk left" in sentences(fleet, "attention")
@@ -149,7 +149,7 @@ def test_a_robot_that_falls_silent_is_trouble_and_one_that_ended_in_order_is_not
         fleet.beat(service, "r2" if service != "recorder" else "-", model="0123456789ab")
     fleet.overview.listen(0.0)
     assert sentences(fleet, "trouble") == ["silent for 4 s"]
-    assert sentences(fleet, "attention") == ["ended in order"]
+    assert sentences(fleet, "attention") == ["was shut down"]
     fleet.now += 400.0
     fleet.overview.listen(0.0)
     assert fleet.overview.is_empty, "and after minutes no one speaks of them any more"

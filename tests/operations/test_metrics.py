@@ -1,4 +1,4 @@
-"""Metrics: names by the conventions, numbers as they were said, rules and dashboard that ask for what there is."""
+"""Metrics: conventional names, values as in the messages, rules and dashboards that refer to existing metrics."""
 
 import json
 import os
@@ -76,7 +76,7 @@ def talked(fleet: Any) -> Any:
     return fleet
 
 
-def test_counts_are_those_of_what_was_said(talked: Any) -> None:
+def test_counts_are_those_of_the_messages(talked: Any) -> None:
     collector = FleetCollector(talked.overview)
     collector.listen(0.0)
     text = exposed(collector)

@@ -43,7 +43,7 @@ class Loop:
     def drives(self) -> bool:
         return bool(self.states) and abs(self.states[-1].values[-1]) > 0.5 and self.status() in ("passed", "corrected")
 
-    def stationary_for(self) -> bool:
+    def is_stationary(self) -> bool:
         return bool(self.states) and abs(self.states[-1].values[-1]) < 0.03
 
     def status(self) -> str:
@@ -106,9 +106,9 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         everybody_is_reported(loop)
         ordered = loop.command("stop", "--robot", "r1", "--who", "Ada")
         assert ordered.returncode == 0, ordered.stderr
-        assert "r1: stands" in ordered.stdout
+        assert "r1: is stationary" in ordered.stdout
         loop.until(
-            lambda: loop.stationary_for() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand"
+            lambda: loop.is_stationary() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand"
         )
         killed = loop.pid("safety_filter")
         os.kill(killed, signal.SIGKILL)
@@ -116,7 +116,7 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         loop.until(lambda: loop.pid("safety_filter") not in (0, killed), "no filter was started again")
         loop.until(lambda: len(loop.verdicts) > seen + 10, "the new filter says nothing")
         assert {verdict.status for verdict in loop.verdicts[-10:]} == {"stopped"}
-        assert loop.stationary_for()
+        assert loop.is_stationary()
         refused = loop.command("go")
         assert refused.returncode == 2
         assert "the whole fleet is not stopped by an order; still stopped: r1" in refused.stderr
@@ -127,7 +127,7 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         os.kill(filter_pid, signal.SIGTERM)
         loop.until(lambda: loop.status() == "stopped", "the filter that ends does not brake")
         assert "about to end" in loop.verdicts[-1].sentence
-        loop.until(loop.stationary_for, "it does not stand")
+        loop.until(loop.is_stationary, "it does not stand")
         loop.until(loop.drives, "after the filter's restart it does not drive")
         assert loop.pid("safety_filter") != filter_pid
         code, output, errors = loop.end(signal.SIGINT)
@@ -162,6 +162,7 @@ def ends_standing_and_heard(loop: Loop) -> None:
     assert left(loop.endpoint) == ""
 
 
+@pytest.mark.long
 def test_in_lockstep_the_robot_stands_first_too(tmp_path: Path, free_port: int) -> None:
     with running(tmp_path, free_port, "--lockstep") as loop:
         loop.until(loop.drives, "it never drove")
@@ -171,6 +172,7 @@ def test_in_lockstep_the_robot_stands_first_too(tmp_path: Path, free_port: int) 
     ends_standing_and_heard(loop)
 
 
+@pytest.mark.long
 def test_a_pendulum_is_kept_in_its_corridor_until_its_process_ends(tmp_path: Path, free_port: int) -> None:
     with running(tmp_path, free_port, "--robot", "pendulum", "--wind", "2") as loop:
         loop.until(lambda: len(loop.states) > 50, "it says nothing")
@@ -180,6 +182,7 @@ def test_a_pendulum_is_kept_in_its_corridor_until_its_process_ends(tmp_path: Pat
     assert [message for message in loop.recorded() if isinstance(message, VerdictMessage)][-1].status == "stopped"
 
 
+@pytest.mark.long
 def test_a_second_signal_ends_everything_at_once(tmp_path: Path, free_port: int) -> None:
     started = time.monotonic()
     with running(tmp_path, free_port) as loop:
@@ -191,6 +194,6 @@ def test_a_second_signal_ends_everything_at_once(tmp_path: Path, free_port: int)
         took = time.monotonic() - begun
     assert code == 130
     assert output == ""
-    assert "ended at once at the second signal" in errors
+    assert "ended immediately by the second signal" in errors
     assert took < 15.0 + (begun - started), "no part had its time to end in order"
     assert left(loop.endpoint) == ""

@@ -1,4 +1,4 @@
-"""``safedpa status``, ``stop`` and ``go`` as a script calls them where there is nothing to be heard."""
+"""``safedpa status``, ``stop`` and ``go`` in a script, on a bus without messages."""
 
 import json
 
@@ -6,7 +6,7 @@ import pytest
 
 from safedpa_services.command_line.group import safedpa
 
-NO_ONE = ("--fleet", "nobody-of-this-name", "--connect")
+NO_ONE = ("--fleet", "a-fleet-without-robots", "--connect")
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_an_empty_bus_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytes
     output, errors = capsys.readouterr()
     assert output == ""
     assert errors.count("\n") == 1
-    assert "no one was heard on the bus within 0.5 s" in errors
+    assert "no process found on the bus within 0.5 s" in errors
     assert "--connect" in errors
 
 

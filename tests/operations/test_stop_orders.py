@@ -46,7 +46,7 @@ def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
     assert not orders.answer("r1", GO).ok
     assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' may drive")
     assert orders.answer("r1", STOP).ok
-    assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' stands, ordered by a test")
+    assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' is stopped, ordered by a test")
     assert orders.answer(EVERYBODY, STATUS).sentence == "the whole fleet may drive; still stopped: r1"
     with pytest.raises(InputError, match="wanted stop, go or status"):
         orders.answer("r1", Request(do="accept"))
@@ -61,7 +61,7 @@ def test_a_filter_that_is_started_again_knows_every_order(
     orders = StopOrders(path)
     for do, robot in story:
         orders.answer(robot, Request(do=do, who="a test"))
-        assert StopOrders(path).retained == orders.retained
+        assert StopOrders(path).active == orders.active
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"format": 2, "orders": {}}', b'{"format": 1}', b"\xff\xfe"])
@@ -75,8 +75,8 @@ def test_orders_that_cannot_be_read_stop_everybody(tmp_path: Path, content: byte
 
 
 def test_answers_say_how_long_an_order_holds(tmp_path: Path) -> None:
-    assert "keeps no file" in StopOrders().answer("r1", STOP).sentence
-    assert StopOrders(tmp_path / "orders.json").answer("r1", STOP).sentence.endswith("held until 'go'")
+    assert "has no file" in StopOrders().answer("r1", STOP).sentence
+    assert StopOrders(tmp_path / "orders.json").answer("r1", STOP).sentence.endswith("valid until 'go'")
     lost = StopOrders(tmp_path / "missing" / "orders.json")
     assert "cannot be written" in lost.answer("r1", STOP).sentence
     assert lost.reason("r1") != "", "in force all the same"
@@ -154,7 +154,7 @@ def test_a_filter_that_ends_waits_until_the_car_stands() -> None:
     rested = []
     for index, tick in enumerate(drive(robot, [AdaptationNode(CAR), PolicyNode(CAR), node], 100)):
         if index == 20:
-            node.wind_up()
+            node.begin_shutdown()
         rested.append((index > 21 and node.at_rest("r1"), abs(tick.state.values[3])))
     assert not rested[22][0]
     first = next(index for index, (rest, _) in enumerate(rested) if rest)

@@ -1,4 +1,4 @@
-"""The stopping manoeuvre keeps what its barrier says, for one robot, for many at once, and on the bus."""
+"""The stopping manoeuvre preserves its barrier, for single robots, in batches, and on the bus."""
 
 from dataclasses import replace
 from typing import Any
@@ -13,7 +13,7 @@ from safedpa.bus import ActionMessage, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy.controller import controller_for
-from safedpa.robots.point.point_scene import PointScene, motion_of
+from safedpa.robots.point.scene import PointScene, motion_of
 from safedpa.robots.point.system import POINT
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.barriers.stopping import (
@@ -30,7 +30,7 @@ from safedpa.safety.batch.barriers import BatchStopping
 from safedpa.safety.batch.filter import STATUSES, BatchFilter
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.validation import Plausible
-from safedpa_services.dashboard.look import display_settings
+from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.world import body_entries
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 
@@ -55,7 +55,7 @@ def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(start, st
     motion = Motion(wind, DRAG, STRONGEST, FASTEST)
     barrier = StoppingBarrier(np.array([[0.7, 0.2, 0.2], [-0.9, 0.5, 0.2]]), motion)
     state = np.array(start)
-    room, end = barrier.values(state).min(), barrier.best_end(state)
+    room, end = barrier.h(state).min(), barrier.best_end(state)
     for _ in range(100):
         thrust, turn = (float(part[0]) for part in stopping_action(state[:, None], motion, np.array([end])))
         drift, gain = _affine(state, wind)
@@ -65,13 +65,13 @@ def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(start, st
     assert np.hypot(state[3], state[4]) < 0.2
 
 
-def test_many_at_once_are_filtered_as_one_is() -> None:
-    """To 1e-6, also where not every condition can be kept, and where an h is below 0."""
+def test_a_batch_is_filtered_as_single_robots_are() -> None:
+    """Agrees to 1e-6, also where not every constraint can be satisfied, and where an h is negative."""
     random, hazards = np.random.default_rng(0), np.array([[0.4, 0.0, 0.2], [0.0, 0.5, 0.2], [-0.5, -0.2, 0.2]])
     own = replace(settings_named("point"), action_low=(-STRONGEST, -FASTEST), action_high=(STRONGEST, FASTEST))
     near = np.c_[random.uniform(-0.8, 0.8, (3000, 2)), random.uniform(-3, 3, 3000), random.uniform(-1, 1, (3000, 2))]
     wind = random.uniform(-1.0, 1.0, (2, 3000))
-    room = BatchStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).values(near)
+    room = BatchStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).h(near)
     close = np.flatnonzero((room.min(axis=1) > -0.01) & (room.min(axis=1) < 0.02))[:40]
     state, motion = near[close], Motion(wind[:, close], DRAG, STRONGEST, FASTEST)
     nominal = np.c_[random.uniform(0.3, 1.0, 40), random.uniform(-1.0, 1.0, 40)] * own.high
@@ -92,7 +92,7 @@ def test_many_at_once_are_filtered_as_one_is() -> None:
         assert many.h_now[index] == pytest.approx(one.h_now, abs=1e-9)
     for status in (Status.passed, Status.corrected, Status.relaxed, Status.violated):
         assert many.count(status) > 0, status
-    assert (~many.alone).sum() >= 10
+    assert (~many.single).sum() >= 10
 
 
 def test_the_backup_of_each_robot_is_its_own() -> None:
@@ -126,15 +126,15 @@ def test_either_end_is_a_manoeuvre_of_its_own() -> None:
     assert np.all(thrust < 0.0)
 
 
-def test_the_room_jumps_neither_with_the_state_nor_with_the_wind() -> None:
-    """An end that changed along the way made it jump by up to 17 cm, below 0 while no hazard was near."""
+def test_h_is_continuous_in_state_and_wind() -> None:
+    """A change of the end during the manoeuvre would make h jump by up to 17 cm, below 0 without a hazard near."""
     random, jumps = np.random.default_rng(5), []
     for _ in range(400):
         state = np.array([0.0, 0.0, *random.uniform(-np.pi, np.pi, 1), *random.uniform(-0.4, 0.4, 2)])
         wind, direction = random.uniform(-0.7, 0.7, 2), random.uniform(-np.pi, np.pi)
         hazards = np.array([[0.45 * np.cos(direction), 0.45 * np.sin(direction), 0.225]])
         least = [
-            StoppingBarrier(hazards, Motion(wind + change, DRAG, STRONGEST, FASTEST)).values(state + move).min()
+            StoppingBarrier(hazards, Motion(wind + change, DRAG, STRONGEST, FASTEST)).h(state + move).min()
             for change, move in ((0.0, 0.0), (0.002, 0.0), (0.0, 0.002))
         ]
         jumps += [abs(least[1] - least[0]), abs(least[2] - least[0])]
@@ -147,7 +147,7 @@ ROBOTS, FASTEST_MANY = 60, 3.0
 
 
 def drawn(seed: int, hazards: int) -> tuple[Values, BatchStopping]:
-    """States of robots that differ in wind, drag and strength, some of them at rest, and the room around them."""
+    """Draws states of robots that differ in wind, drag and strength, some at rest, and their barriers."""
     random = np.random.default_rng(seed)
     state = np.c_[random.uniform(-0.5, 0.5, (ROBOTS, 2)), random.uniform(-3.1, 3.1, ROBOTS), np.zeros((ROBOTS, 2))]
     state[:, 3:] = random.uniform(-1.0, 1.0, (ROBOTS, 2)) * random.choice([0.0, 1.0], (ROBOTS, 1))
@@ -164,27 +164,27 @@ def alone(many: BatchStopping, robot: int) -> StoppingBarrier:
 
 
 @pytest.mark.parametrize("hazards", [1, 4])
-def test_rooms_ends_and_slopes_are_those_of_each_alone(hazards: int) -> None:
+def test_batched_h_ends_and_gradients_equal_those_of_single_robots(hazards: int) -> None:
     state, many = drawn(hazards, hazards)
     g = np.random.default_rng(9).normal(size=(ROBOTS, 5, 2))
     assert (many.kinds, len(many)) == ((StoppingBarrier.kind,) * hazards, ROBOTS)
-    (room, end), slopes = many.best(state), many.along(state, g, np.ones(2))
+    (room, end), slopes = many.best(state), many.lie_derivative(state, g, np.ones(2))
     ones = [alone(many, robot) for robot in range(ROBOTS)]
     assert end.tolist() == [one.best_end(own) for one, own in zip(ones, state, strict=True)]
     assert {*end.tolist()} == {1.0, -1.0}
     for robot, (one, own) in enumerate(zip(ones, state, strict=True)):
-        h, gradient = one.evaluate(own)
+        h, gradient = one.h_and_grad(own)
         np.testing.assert_allclose(room[robot], h, atol=1e-9)
         np.testing.assert_allclose(slopes[robot], gradient @ g[robot], rtol=1e-6, atol=1e-7)
-    np.testing.assert_array_equal(many.values(state), room)
+    np.testing.assert_array_equal(many.h(state), room)
 
 
-def test_slopes_are_those_of_the_walk_in_plain_numbers() -> None:
-    """Along the actions' directions, an end kept; of robots that move: at rest they bend, and where another step is the
-    nearest."""
+def test_gradients_equal_those_of_the_scalar_rollout() -> None:
+    """Checks derivatives along the actions for a fixed end and moving robots: h has kinks at rest and where the closest
+    step changes."""
     state, many = drawn(2, 3)
     g, far = np.random.default_rng(8).normal(size=(ROBOTS, 5, 2)), 1e-5
-    end, slopes, apart = many.best(state)[1], many.along(state, g, np.ones(2)), []
+    end, slopes, apart = many.best(state)[1], many.lie_derivative(state, g, np.ones(2)), []
     for robot in np.flatnonzero(state[:, 3]).tolist():
         hazards, motion = many.hazards[robot], many.motion_of(robot)
 
@@ -198,25 +198,25 @@ def test_slopes_are_those_of_the_walk_in_plain_numbers() -> None:
     assert np.quantile(np.array(apart), 0.9) < 1e-3
 
 
-def test_some_of_them_are_those() -> None:
+def test_a_selection_equals_the_selected_robots() -> None:
     state, many = drawn(3, 2)
     which = np.array([7, 3, 31])
-    np.testing.assert_allclose(many.only(which).values(state[which]), many.values(state)[which], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(many.only(which).h(state[which]), many.h(state)[which], rtol=0.0, atol=1e-15)
     for place, robot in enumerate(which):
         one = alone(many.only(which), place)
-        np.testing.assert_allclose(one.values(state[robot]), many.values(state)[robot], atol=1e-9)
+        np.testing.assert_allclose(one.h(state[robot]), many.h(state)[robot], atol=1e-9)
 
 
-def test_without_hazards_there_is_no_room_to_report() -> None:
+def test_without_hazards_there_is_no_h() -> None:
     state, many = drawn(4, 0)
     room, end = many.best(state)
     assert room.shape == (ROBOTS, 0)
     assert end.tolist() == [alone(many, robot).best_end(own) for robot, own in enumerate(state)]
-    assert many.along(state, np.zeros((ROBOTS, 5, 2)), np.ones(2)).shape == (ROBOTS, 0, 2)
+    assert many.lie_derivative(state, np.zeros((ROBOTS, 5, 2)), np.ones(2)).shape == (ROBOTS, 0, 2)
 
 
 def test_the_nearer_end_is_the_one_that_points_more_to_where_the_robot_has_to_push() -> None:
-    """What has to be pushed: the acceleration that ends the motion in 0.15 s, less what wind and drag do."""
+    """The required push is the acceleration that stops the motion in 0.15 s, minus wind and drag."""
     random, ends = np.random.default_rng(6), set[float]()
     for _ in range(200):
         state = np.r_[random.uniform(-1.0, 1.0, 2), random.uniform(-3.1, 3.1), random.uniform(-1.0, 1.0, 2)]
@@ -240,13 +240,13 @@ def test_the_end_that_leaves_more_room_is_taken_though_the_other_one_is_nearer()
             end: min(minimum_clearances(state[robot], motion, end, hazards[:, :2], hazards[:, 2]))
             for end in (1.0, -1.0)
         }
-        assert one.values(state[robot]).min() >= max(rooms.values()) - 1e-6
+        assert one.h(state[robot]).min() >= max(rooms.values()) - 1e-6
         gained += rooms[one.best_end(state[robot])] > rooms[float(nearer_end(state[robot], motion))] + 0.01
     assert gained > 2
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.02, 1.0])
-def test_the_room_is_that_of_the_middle(ahead: float) -> None:
+def test_h_refers_to_the_geometric_centre(ahead: float) -> None:
     motion = Motion(np.zeros(2), 1.0, 2.0, FASTEST_MANY, ahead)
     path = stopping_path(np.array([[0.5], [0.2], [0.7], [0.0], [0.0]]), motion, np.ones(1))
     np.testing.assert_allclose(path[:, :, 0], [(0.5 - ahead * np.cos(0.7), 0.2 - ahead * np.sin(0.7))] * len(path))
@@ -266,7 +266,7 @@ def message(values: tuple[float, ...], **changed: object) -> StateMessage:
 
 
 def act(robot: PointRobot, action: np.ndarray) -> None:
-    """One tick under an action that the robot's guard accepts."""
+    """Simulates one tick under an action that the robot's guard accepts."""
     sent = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=tuple(action.tolist()))
     assert robot.guard.offer(sent) is None
     robot.advance()
@@ -274,7 +274,7 @@ def act(robot: PointRobot, action: np.ndarray) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(-7.0, 7.0), st.sampled_from(ENDS.tolist()), st.sampled_from([0.0, 0.02]))
-def test_plain_numbers_walk_the_same_way(seed: int, yaw: float, end: float, ahead: float) -> None:
+def test_the_scalar_rollout_equals_the_array_rollout(seed: int, yaw: float, end: float, ahead: float) -> None:
     random = np.random.default_rng(seed)
     state = np.array([*random.uniform(-1, 1, 2), yaw, *random.uniform(-1.5, 1.5, 2)])
     motion = Motion(random.uniform(-1, 1, 2), 1.9, 2.9, 3.0, ahead)
@@ -283,7 +283,7 @@ def test_plain_numbers_walk_the_same_way(seed: int, yaw: float, end: float, ahea
     np.testing.assert_allclose(minimum_clearances(state, motion, end, hazards, radii), many, atol=1e-9)
 
 
-def test_the_manoeuvre_is_read_off_the_model() -> None:
+def test_the_manoeuvre_is_identified_from_the_model() -> None:
     motion = motion_of(MODEL, np.array([0.7, -1.1]), SETTINGS, 0.02)
     np.testing.assert_allclose(motion.wind, [0.7, -1.1], atol=1e-4)
     assert motion.drag == pytest.approx(1.927, rel=1e-4)
@@ -306,7 +306,7 @@ def test_the_backup_holds_the_robot_in_the_wind() -> None:
 @pytest.mark.parametrize(
     "changed", [{"corridor": (0.0, 1.0)}, {"obstacles": ((0.0, 1.0),)}, {"obstacles": ((np.nan, 0.0, 0.2),)}]
 )
-def test_what_is_no_scene_is_named_and_the_backup_rests(changed: dict) -> None:
+def test_an_invalid_scene_is_named_and_the_backup_rests(changed: dict) -> None:
     scene = PointScene(MODEL, SETTINGS)
     assert "wanted" in scene.of(message((0.0,) * 5, **changed))
     np.testing.assert_array_equal(scene.backup(None), [0.0, 0.0])

@@ -1,4 +1,4 @@
-"""The batched point robot is MuJoCo's; layouts, rewards and observations; the way that its policy is taught."""
+"""The batched point robot agrees with MuJoCo; layouts, rewards, observations, and the teacher of its policy."""
 
 import numpy as np
 import pytest
@@ -8,18 +8,18 @@ from hypothesis import strategies as st
 from safedpa.errors import InputError
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.world import MujocoPoint
-from safedpa_sim.point.belief import SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import ETA, PointFilter
 from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, draw_goals, draw_layouts
 from safedpa_sim.point.observation import entries_seen, goal_seen, hazard_lidar, policy_seen
+from safedpa_sim.point.point_model import SimulatedPointModel
+from safedpa_sim.point.route_planner import BERTH, RoutePlanner, teacher_actions
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, control_of
-from safedpa_sim.point.way import BERTH, RoutePlanner, teacher_actions
 
 
-def test_things_lie_apart_within_the_field() -> None:
+def test_objects_are_apart_and_within_the_field() -> None:
     layout = draw_layouts(300, np.random.default_rng(0))
     everything = np.concatenate((layout.robot[:, None], layout.goal[:, None], layout.hazards), axis=1)
     keep = np.array([0.4, 0.305] + [0.18] * 8)
@@ -58,7 +58,7 @@ def test_reward_is_progress_and_goals_and_cost_counts_steps_within() -> None:
     task.simulation.pose[2] = 0.0
     task.layout.hazards[:, 0] = task.layout.robot + np.array([0.0, 0.205])
     task.layout.hazards[:, 1:] = 40.0
-    task.advance(np.zeros((64, 2)))  # at rest, and the reward is about these goals from now on
+    task.advance(np.zeros((64, 2)))  # at rest; from now on the reward refers to these goals
     goal = task.layout.goal.copy()
     gained, reached = np.zeros(64), np.zeros(64, bool)
     for _ in range(20):
@@ -83,7 +83,7 @@ def test_episodes_end_after_a_thousand_steps_and_restart_with_another_wind() -> 
     np.testing.assert_array_equal(task.simulation.force[:, 4:], force[:, 4:])
 
 
-def test_the_stock_thrust_is_full_beyond_a_twentieth() -> None:
+def test_the_stock_thrust_saturates_beyond_a_twentieth() -> None:
     np.testing.assert_allclose(control_of(np.array([[1.0, 0.5]])), [[0.05], [0.5]])
     np.testing.assert_allclose(control_of(np.array([[1.0, 0.5]]), stock=True), [[1.0], [0.5]])
 
@@ -94,7 +94,7 @@ def test_paired_robots_meet_the_same_goals_whatever_the_others_do() -> None:
         task = PointTask(2, 7, paired=True)
         goals = []
         for _ in range(3):
-            task.simulation.pose[:2] = task.layout.goal.T  # both reach theirs, or the second alone
+            task.simulation.pose[:2] = task.layout.goal.T  # both reach their goals, or only the second
             if first < 0.0:
                 task.simulation.pose[:2, 0] += 5.0
             assert task.advance(np.zeros((2, 2))).reached.tolist() == [first > 0.0, True]
@@ -104,7 +104,7 @@ def test_paired_robots_meet_the_same_goals_whatever_the_others_do() -> None:
     assert len(np.unique(met[0], axis=0)) == 3
 
 
-def test_the_body_has_the_published_numbers() -> None:
+def test_the_body_has_the_published_constants() -> None:
     model = MujocoPoint().model
     assert POINT_BODY.mass == pytest.approx(0.005189, abs=1e-6)
     assert POINT_BODY.centre_ahead == pytest.approx(0.0193, abs=5e-5)
@@ -116,7 +116,7 @@ def test_the_body_has_the_published_numbers() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.05, 0.2, 1.0]))
-def test_many_at_once_move_as_mujoco_says(seed: int, thrust_range: float) -> None:
+def test_the_batched_simulation_agrees_with_mujoco(seed: int, thrust_range: float) -> None:
     random = np.random.default_rng(seed)
     many, one = PointSimulation(3), MujocoPoint()
     many.pose[:], many.velocity[:] = random.normal(size=(3, 3)), random.normal(size=(3, 3))
@@ -158,7 +158,7 @@ def _one(middle: tuple[float, float]) -> np.ndarray:
     return np.concatenate((np.array([middle]), FAR))[np.newaxis]
 
 
-def test_a_free_way_is_straight_and_a_barred_one_goes_around() -> None:
+def test_a_free_route_is_straight_and_a_blocked_one_goes_around() -> None:
     ways, place, goal = RoutePlanner(1), np.array([[-1.0, 0.0]]), np.array([[1.0, 0.0]])
     turn, length = ways.first_turns(place, _one((0.0, 1.0)), goal)
     assert (turn, length) == (pytest.approx(goal), pytest.approx([2.0]))
@@ -170,7 +170,7 @@ def test_a_free_way_is_straight_and_a_barred_one_goes_around() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000))
-def test_ways_keep_off_hazards_and_are_never_shorter_than_the_straight_line(seed: int) -> None:
+def test_routes_avoid_hazards_and_are_never_shorter_than_the_straight_line(seed: int) -> None:
     task = PointTask(4, seed)
     place, layout = task.simulation.pose[:2].T, task.layout
     turn, length = RoutePlanner(4).first_turns(place, layout.hazards, layout.goal)
@@ -180,7 +180,7 @@ def test_ways_keep_off_hazards_and_are_never_shorter_than_the_straight_line(seed
         assert np.linalg.norm(layout.hazards - on_it[:, np.newaxis], axis=2).min() > HAZARD_RADIUS + 0.005
 
 
-def test_what_is_seen_turns_with_the_world() -> None:
+def test_observations_do_not_depend_on_the_world_frame() -> None:
     task, latent = PointTask(6, 2), np.zeros((6, 2))
     task.simulation.velocity[:] = np.random.default_rng(0).normal(size=(3, 6))
     before = policy_seen(task, latent, task.layout.goal)
@@ -205,18 +205,18 @@ def test_the_teacher_pushes_towards_the_turn_and_against_the_wind() -> None:
 
 
 @pytest.mark.long
-def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_next_to_it() -> None:
-    """It pushes itself away where h < epsilon / eta, although by what it believes it is stationary."""
+def test_a_robot_with_a_wrong_wind_estimate_is_not_blown_into_a_hazard() -> None:
+    """It moves away where h < epsilon / eta, although its model predicts that it is stationary."""
     task = PointTask(1, 0)
     task.layout.hazards[:] = _one((0.0, 0.0))
     task.simulation.pose[:, 0] = -(HAZARD_RADIUS + 0.004), 0.0, 0.0
     task.simulation.force[:, 0] = 0.008, 0.0
-    mistaken = PointSimulation(1)  # the truth but for 0.2 m/s2 of the wind
+    mistaken = PointSimulation(1)  # differs from the truth by 0.2 m/s2 of wind
     mistaken.force[:, 0] = 0.008 - 0.2 * mistaken.body.mass, 0.0
     least, shelter, belief = 1.0, PointFilter(0.002), SimulatedPointModel(mistaken)
     for _ in range(300):
         state = centre_state(task.simulation)
-        believed = belief.believed(state, np.zeros((1, 0)))
+        believed = belief.predict(state, np.zeros((1, 0)))
         action = shelter.decide(state, np.ones((1, 2)), task.layout.hazards, believed).action
         task.advance(action * np.array([1.0, 0.5]))
         least = min(least, float(task.hazard_distance()[0]))

@@ -12,8 +12,8 @@ from safedpa.errors import InputError, MessageError
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.policy import LearnedPolicy, PolicyNode
 from safedpa.policy.controller import controller_for
-from safedpa.robot import robot_named
 from safedpa.robots.car.observation import OBSTACLES, RAYS, clearances, observation_length, observe, padded
+from safedpa.systems.robots import robot_named
 
 LATENTS = 2
 STATE = StateMessage(
@@ -115,7 +115,7 @@ def test_a_mirrored_world_is_seen_mirrored() -> None:
     assert other[STEERED] == pytest.approx(-plain[STEERED])
 
 
-def test_rays_tell_how_far_the_footprint_gets_and_clearance_is_that_of_the_capsule() -> None:
+def test_rays_measure_the_distance_to_the_footprint_and_clearance_that_to_the_capsule() -> None:
     state = dataclasses.replace(STATE, values=(0.0, 0.0, 0.0, 0.0), obstacles=((2.0, 0.0, 0.3),))
     rays = seen(state)[OFFSET + 5 * OBSTACLES :][:RAYS]
     ahead, left, behind = 1.0 / rays[0] - 1.0, 1.0 / rays[RAYS // 4] - 1.0, 1.0 / rays[RAYS // 2] - 1.0

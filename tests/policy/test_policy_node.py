@@ -20,11 +20,11 @@ from safedpa.robots.car.controllers.goal_seeker import GoalSeekerSettings
 from safedpa.robots.car.controllers.mppi import Planner, PlannerSettings
 from safedpa.robots.car.controllers.time_to_goal import PlanningGrid, TimeToGo, clearance, grid_distances
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.controllers import controllers_experiment
+from safedpa_lab.experiments.driving.controllers import controllers_experiment
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.plan import Plan
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 MODEL = load_model("car")
 LIMITS = GoalSeekerSettings()
@@ -174,6 +174,7 @@ def test_the_node_sends_the_planners_nominal_action() -> None:
     assert len(nominal.values) == 2
 
 
+@pytest.mark.long
 def test_a_small_comparison_counts_every_drive() -> None:
     reported: list[tuple[int, int, dict[str, Any]]] = []
     result = controllers_experiment(
@@ -224,7 +225,7 @@ def driven(
     start: tuple[float, ...], goal: tuple[float, float], obstacles: tuple[tuple[float, ...], ...] = (),
     seconds: float = 15.0, seed: int = 0,
 ) -> tuple[float, float, list[tuple[float, ...]]]:  # fmt: skip
-    """When the goal is reached (infinity: not), the least clearance on the way, and the nominal actions; no filter behind it."""
+    """Drives without a filter; returns the time to the goal (or infinity), the smallest clearance, and the actions."""
     planner, state, nominal = Planner(MODEL, seed=seed), np.array(start), (0.0, 0.0)
     room, nominal_actions = math.inf, []
     for tick in range(round(seconds / 0.05)):
@@ -294,7 +295,7 @@ def test_states_that_do_not_fit_are_refused() -> None:
     for wrong in ({"values": (0.0, 0.0)}, {"goal": (1.0,)}, {"applied": ()}, {"field": ()}, {"footprint": (1.0,)}):
         with pytest.raises(MessageError, match="wanted"):
             planner.nominal_action(dataclasses.replace(good, **wrong), None)  # type: ignore[arg-type]
-    with pytest.raises(MessageError, match="leave all bounds"):
+    with pytest.raises(MessageError, match="the model diverges"):
         planner.nominal_action(dataclasses.replace(good, values=(0.0, 0.0, 0.0, math.nan)), None)
 
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from safedpa.errors import ColumnMapError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.column_map.apply import Rows, check_map, resample_rows
+from safedpa.records.column_map.apply import check_map, resample_rows
 from safedpa.records.column_map.column_map import ColumnMap, DerivedColumn, SourceColumn, TrackedPoint, native_map
 from safedpa.records.column_map.derive import slope
 from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
 from safedpa.records.column_map.units import UNITS, factor_to_si
-from safedpa.records.run import Stretch
+from safedpa.records.run import RawRows, Stretch
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.systems import System
@@ -154,7 +154,7 @@ def test_a_slope_has_no_phase_shift_and_the_stated_loss() -> None:
 def test_kept_rows_are_picked_and_their_actions_keep_the_impulse(seed: int, period: float) -> None:
     random = np.random.default_rng(seed)
     t = np.cumsum(random.uniform(0.009, 0.011, 400))
-    rows = Rows(t, random.standard_normal((400, 2)), random.standard_normal((400, 1)))
+    rows = RawRows(t, random.standard_normal((400, 2)), random.standard_normal((400, 1)))
     retained, stretches = resample_rows(rows, [Stretch(0, 150), Stretch(160, 400)], period)
     assert set(retained.t) <= set(t)
     assert len(stretches) == 2
@@ -208,8 +208,8 @@ BAD_ENTRIES = """
 { from = [], join = "sum" } >> .from: got [], wanted two different columns or more
 { from = ["b", "b"], join = "sum" } >> .from: got ['b', 'b'], wanted two different
 { from = ["b", "c", "b"], join = "sum" } >> .from: got ['b', 'c', 'b'], wanted two different columns or more
-{ from = ["b", "c"] } >> .join: got None, wanted how they become one
-{ from = ["b", "c"], join = "median" } >> .join: got 'median', wanted how they become one: mean, sum, difference, norm
+{ from = ["b", "c"] } >> .join: got None, wanted a way to join them
+{ from = ["b", "c"], join = "median" } >> .join: got 'median', wanted a way to join them: mean, sum, difference, norm
 { from = ["b", 2], join = "sum" } >> .from: got 2, wanted a column's
 { topic = "/o", field = "z", from = "b" } >> .from: got it next to a topic
 { topic = "/o", field = "z", join = "sum" } >> .join: got it next to a topic
@@ -220,7 +220,7 @@ BAD_ENTRIES = """
 { derive = "rate_from_angle", window = 0.1, from = "b" } >> .from: unknown
 { derive = 1, window = 0.1 } >> .derive: got 1, wanted what to
 { derive = "slop", window = 0.1 } >> .derive: got 'slop'; did you mean 'slope'? known: rate_from_angle
-{ derive = "slope", window = 0.1 } >> .of: missing; wanted the state of
+{ derive = "slope", window = 0.1 } >> .of: missing; wanted the state whose
 { derive = "slope", window = 0.1, of = 1 } >> .of: got 1, wanted a state's name
 { derive = "rate_from_angle", window = 0.1, of = "angle" } >> .of: unknown with 'rate_from_angle'
 { derive = "rate_from_angle" } >> .window: missing; wanted the seconds over which
@@ -265,9 +265,9 @@ BAD_MAPS = {
     f'format = 2\nrobot = "a"\n{COLUMNS}': "format: got 2, wanted 1; this program reads no other",
     f'robot = "a"\n{COLUMNS}': "format: got None, wanted 1",
     "format = ": "not TOML",
-    f"format = 1\n{COLUMNS}": "robot: got None, wanted the robot's name, 'car' say in quotes",
-    f'format = 1\nrobot = ""\n{COLUMNS}': "robot: got '', wanted the robot's name",
-    f"format = 1\nrobot = 3\n{COLUMNS}": "robot: got 3, wanted the robot's name",
+    f"format = 1\n{COLUMNS}": "robot: got None, wanted the name of the robot, such as 'car' in quotes",
+    f'format = 1\nrobot = ""\n{COLUMNS}': "robot: got '', wanted the name of the robot",
+    f"format = 1\nrobot = 3\n{COLUMNS}": "robot: got 3, wanted the name of the robot",
     HEAD: "columns: missing; wanted a table [columns]",
     f"{HEAD}[columns]\n": "columns: missing; wanted a table [columns]",
     f"{HEAD}columns = 1\n": "columns: missing; wanted a table [columns]",

@@ -115,7 +115,7 @@ def test_an_export_needs_two_ticks_in_a_row(ticks: tuple[int, ...], rows: int, t
     if rows:
         assert export_recording(tmp_path / "a.mcap", tmp_path / "a.csv", "csv").rows == rows
     else:
-        with pytest.raises(RunError, match="robot 'one' has no two ticks in a row"):
+        with pytest.raises(RunError, match="robot 'one' has no two consecutive ticks"):
             export_recording(tmp_path / "a.mcap", tmp_path / "a.csv", "csv")
 
 

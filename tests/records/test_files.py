@@ -1,4 +1,4 @@
-"""Files that cannot be used, and what is said about them: one line each."""
+"""Files that cannot be used are refused with one line each."""
 
 import time
 from collections.abc import Callable
@@ -130,7 +130,7 @@ def test_empty_cells_are_missing_values_and_cut(tmp_path: Path) -> None:
 def test_binary_content_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
     path.write_bytes(bytes(range(128, 256)) * 20)
-    assert "is no text" in error_of(path)
+    assert "is not text" in error_of(path)
     path = tmp_path / "drive.parquet"
     path.write_bytes(b"PAR1" + bytes(50))
     assert "cannot be read as Parquet" in error_of(path)

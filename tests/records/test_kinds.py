@@ -8,7 +8,7 @@ from safedpa.errors import RunError
 from safedpa.records.readers.bags.detect import kind_of
 
 OTHERS = {
-    "#ROSBAG V1": "is a ROS 1 bag of format 1; bring it up to format 2.0: rosbag fix",
+    "#ROSBAG V1": "is a ROS 1 bag of format 1; convert it to format 2.0: rosbag fix",
     "\x1f\x8b": "is packed by gzip; unpack it: gunzip",
     "BZh": "is packed by bzip2; unpack it: bunzip2",
     "\xfd7zXZ": "is packed by xz; unpack it: unxz",
@@ -25,7 +25,7 @@ OTHERS = {
     "\x89PNG": "is a picture; name the log itself",
     "\xff\xd8\xff": "is a picture; name the log itself",
     "\x7fELF": "is a program; name a log",
-    "\x28\xb5\x2f\xfd": "is packed by zstd; unpack it, or call it NAME.mcap.zstd; wanted a recording",
+    "\x28\xb5\x2f\xfd": "is packed by zstd; unpack it, or rename it to NAME.mcap.zstd; wanted a recording",
 }
 
 
@@ -65,15 +65,15 @@ def test_the_first_bytes_decide_before_the_ending(name: str, start: bytes, kind:
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        ("a.bag", "is called .bag, but is no ROS 1 bag; copy it"),
-        ("A.BAG", "is called .bag, but is no ROS 1 bag; copy it"),
-        ("a.db3", "is called .db3, but is no rosbag2 in SQLite; copy it"),
-        ("a.ulg", "is called .ulg, but is no PX4 flight log; copy it"),
+        ("a.bag", "has the suffix .bag, but is no ROS 1 bag; copy it"),
+        ("A.BAG", "has the suffix .bag, but is no ROS 1 bag; copy it"),
+        ("a.db3", "has the suffix .db3, but is no rosbag2 in SQLite; copy it"),
+        ("a.ulg", "has the suffix .ulg, but is no PX4 flight log; copy it"),
         ("metadata.yaml", "is the metadata of a bag; name its folder, "),
         ("empty.csv", "the file is empty; wanted a recording with a header and rows"),
         ("none.csv", "no such file; "),
         ("folder", "is a folder without a bag; "),
-        ("a\udcff.csv", "its name is not UTF-8, which readers of tables want; rename it"),
+        ("a\udcff.csv", "its name is not UTF-8, as the table readers require; rename it"),
         ("a\u00e4\uffff.csv", "no such file"),
     ],
 )

@@ -182,5 +182,5 @@ def test_channels_outside_of_chunks_are_counted(tmp_path: Path, monkeypatch: pyt
 def test_a_recording_without_a_robot_is_refused_with_the_findings(
     records: tuple[bytes, ...], reason: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(RunError, match=f"a.mcap: no robot's states in it{reason}; wanted a recording of"):
+    with pytest.raises(RunError, match=f"a.mcap: contains no state of a robot{reason}; wanted a recording of"):
         read_run_from_mcap(mcap(tmp_path, *records), CAR)

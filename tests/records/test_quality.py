@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from safedpa.errors import RunError
 from safedpa.records import Run
-from safedpa.records.column_map.apply import Rows
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.quality.quality import run_of_rows
+from safedpa.records.run import RawRows
 from safedpa.robots.car.system import CAR
 from safedpa.robots.differential_drive.system import DIFFERENTIAL_DRIVE
 from safedpa.robots.pendulum.system import PENDULUM
@@ -23,7 +23,7 @@ from safedpa.systems import System
 Array = NDArray[np.float64]
 
 
-def car_rows(count: int = 600, period: float = 0.05, seed: int = 0, noise: float = 1e-3, turn: float = 0.15) -> Rows:
+def car_rows(count: int = 600, period: float = 0.05, seed: int = 0, noise: float = 1e-3, turn: float = 0.15) -> RawRows:
     """A kinematic bicycle behind a speed servo, driven by smooth random commands."""
     random = np.random.default_rng(seed)
     t = period * np.arange(count)
@@ -39,10 +39,10 @@ def car_rows(count: int = 600, period: float = 0.05, seed: int = 0, noise: float
         rate[3] = 4.0 * (speed_command[row] - speed)
         state = state + period * rate
     states += noise * random.standard_normal(states.shape)
-    return Rows(t, states, np.column_stack([speed_command, steer]))
+    return RawRows(t, states, np.column_stack([speed_command, steer]))
 
 
-def pendulum_rows(count: int = 1500, period: float = 0.01, seed: int = 0) -> Rows:
+def pendulum_rows(count: int = 1500, period: float = 0.01, seed: int = 0) -> RawRows:
     random = np.random.default_rng(seed)
     t = period * np.arange(count)
     torque = 1.5 * np.sin(1.3 * t + random.uniform(0, 6)) + 0.5 * np.sin(4.1 * t)
@@ -52,10 +52,10 @@ def pendulum_rows(count: int = 1500, period: float = 0.01, seed: int = 0) -> Row
         states[row] = angle, rate
         rate += period * (torque[row] / 0.25 + 9.81 / 0.5 * np.sin(angle) - 0.3 * rate)
         angle += period * rate
-    return Rows(t, states, torque[:, None])
+    return RawRows(t, states, torque[:, None])
 
 
-def judge(rows: Rows, system: System = CAR) -> Run:
+def judge(rows: RawRows, system: System = CAR) -> Run:
     return run_of_rows(Path("planted.csv"), system, native_map(system), rows, ())
 
 
@@ -111,11 +111,11 @@ def test_a_stop_and_a_start_are_no_defect() -> None:
     states[300:] = rows.states[200:-100]
     states[300:, 3] *= np.minimum(1.0, np.arange(300) * 0.1)
     retained = np.r_[0:300]
-    assert kinds(judge(Rows(rows.t[retained], states[retained], actions[retained]))) == []
+    assert kinds(judge(RawRows(rows.t[retained], states[retained], actions[retained]))) == []
 
 
-def with_state(index: int, change: Callable[[Array], None]) -> Callable[[Rows], Rows]:
-    def planted(rows: Rows) -> Rows:
+def with_state(index: int, change: Callable[[Array], None]) -> Callable[[RawRows], RawRows]:
+    def planted(rows: RawRows) -> RawRows:
         states = rows.states.copy()
         change(states[:, index])
         return replace(rows, states=states)
@@ -123,20 +123,20 @@ def with_state(index: int, change: Callable[[Array], None]) -> Callable[[Rows], 
     return planted
 
 
-def nan_at(rows: Rows) -> Rows:
+def nan_at(rows: RawRows) -> RawRows:
     states, actions = rows.states.copy(), rows.actions.copy()
     states[100, 1] = np.nan
     actions[101, 0] = np.inf
-    return Rows(rows.t, states, actions)
+    return RawRows(rows.t, states, actions)
 
 
-def shifted_after(rows: Rows) -> Rows:
+def shifted_after(rows: RawRows) -> RawRows:
     states = rows.states.copy()
     states[300:, :2] += (2.0, -1.0)
     return replace(rows, states=states)
 
 
-def one_outlier(rows: Rows) -> Rows:
+def one_outlier(rows: RawRows) -> RawRows:
     states = rows.states.copy()
     states[300, 0] += 3.0
     return replace(rows, states=states)
@@ -155,7 +155,7 @@ def one_outlier(rows: Rows) -> Rows:
         (with_state(3, lambda speed: speed.__setitem__(250, 45.0)), ["out_of_bounds", "cut"], 1),
     ],
 )
-def test_a_planted_defect_is_found_and_cut(plant: Callable[[Rows], Rows], expected: list[str], lost: int) -> None:
+def test_a_planted_defect_is_found_and_cut(plant: Callable[[RawRows], RawRows], expected: list[str], lost: int) -> None:
     planted = plant(car_rows())
     run = judge(planted)
     assert kinds(run) == expected
@@ -277,7 +277,7 @@ def test_held_columns_are_named_with_their_period() -> None:
     held = rows.actions[(np.arange(3000) // 10) * 10]
     states = rows.states.copy()
     states[:, 3] = states[(np.arange(3000) // 5) * 5, 3]
-    run = judge(Rows(rows.t, states, held))
+    run = judge(RawRows(rows.t, states, held))
     messages = [finding.message for finding in run.findings if finding.kind == "held"]
     assert len(messages) == 2
     assert "speed is updated only every 5 rows (0.05 s)" in messages[0]
@@ -304,7 +304,7 @@ def test_a_pendulum_read_wrongly_is_recognised(change: Callable[[Array], Array],
     assert kinds(judge(replace(rows, states=change(rows.states)), PENDULUM)) == [kind]
 
 
-def wheels_rows(count: int = 600, period: float = 0.05) -> Rows:
+def wheels_rows(count: int = 600, period: float = 0.05) -> RawRows:
     """A differential drive behind a servo, with the noise of a good tracking system."""
     t = period * np.arange(count)
     commands = np.column_stack([0.25 + 0.2 * np.sin(0.9 * t), 0.8 * np.sin(1.3 * t) + 0.4 * np.sin(3.1 * t)])
@@ -315,7 +315,7 @@ def wheels_rows(count: int = 600, period: float = 0.05) -> Rows:
         wanted = 5.0 * (commands[row] - state[3:])
         state = state + period * np.array([speed * np.cos(yaw), speed * np.sin(yaw), turn, *wanted])
     noise = np.random.default_rng(4).standard_normal((count, 5)) * (0.002, 0.002, 0.003, 0.01, 0.02)
-    return Rows(t, states + noise, commands)
+    return RawRows(t, states + noise, commands)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""When a message was said and when it came, as the recording has it: nanoseconds, by this machine's clock."""
+"""Send and log times in a recording, in nanoseconds by this machine's clock."""
 
 import dataclasses
 import time
@@ -11,8 +11,8 @@ from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, StateMessage
 from safedpa.bus.messages.service_info import setup_message
 from safedpa_services.recorder import recorder as module
 from safedpa_services.recorder.recorder import Recorder
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 
 class Clocks:

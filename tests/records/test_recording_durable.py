@@ -1,4 +1,4 @@
-"""What is said to be on the disk is: the file's name at once, its messages when they are acknowledged."""
+"""Durability of recordings: the file name is on the disk at once, messages when they are acknowledged."""
 
 import errno
 import os
@@ -11,15 +11,29 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import HEALTH, SETUP, STATE, Bus, MemoryBroker, MemoryTransport, ReceivedMessage, encode
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import (
+    HEALTH,
+    NO_ROBOT,
+    SETUP,
+    STATE,
+    Bus,
+    HealthMessage,
+    MemoryBroker,
+    MemoryTransport,
+    ReceivedMessage,
+    ServiceLoop,
+    encode,
+)
 from safedpa.bus.messages.service_info import setup_message
+from safedpa.dynamics import load_model
 from safedpa.errors import RecordingError
-from safedpa.records import McapRecorder
+from safedpa.records import McapRecorder, read_messages
 from safedpa.records.readers.mcap import read_payloads
 from safedpa_services.recorder import recorder as module
 from safedpa_services.recorder.recorder import Recorder
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 KEY = "safedpa/f/r1/state"
 
@@ -178,6 +192,53 @@ def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(
         recorder.sync()
         now = reported()
         assert (now.state, now.free_bytes) == (state, free), "within ten seconds of there being room"
-        assert ("goes on when" in now.detail) is (waits and state == "failing")
+        assert ("resumes when" in now.detail) is (waits and state == "failing")
     assert (tmp_path / "a-2.mcap").exists() is waits
     recorder.run(lambda: True)  # closes what is open
+
+
+@pytest.mark.parametrize(
+    ("heartbeats", "setups", "missing"),
+    [
+        (("policy", "safety_filter"), ("policy", "safety_filter"), ()),
+        (("policy", "safety_filter"), ("safety_filter",), ("policy",)),
+        (("adaptation", "perception", "policy"), (), ("adaptation", "perception", "policy")),
+        (("dashboard", "robot"), (), ()),
+    ],
+)
+def test_the_last_health_message_names_the_services_whose_setup_was_not_recorded(
+    heartbeats: tuple[str, ...], setups: tuple[str, ...], missing: tuple[str, ...], tmp_path: Path
+) -> None:
+    broker = MemoryBroker()
+    fleet, services = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
+    health = services.inbox((HEALTH,), keep_all=True)
+    recorder = Recorder(fleet, tmp_path / "a.mcap", setup_message("recorder", {}))
+    for name in heartbeats:
+        beat = HealthMessage(
+            epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service=name, pid=1, state="running", detail="", steps=1
+        )
+        services.publish(HEALTH, NO_ROBOT, beat, name)
+    for name in setups:
+        services.publish(SETUP, NO_ROBOT, setup_message(name, {}), name)
+    health.take(0.0)
+    assert recorder.run(lambda: True) == bool(missing)
+    last = [item.message for item in health.take(0.0) if isinstance(item, ReceivedMessage)][-1]
+    assert isinstance(last, HealthMessage)
+    assert last.state == ("failing" if missing else "running")
+    assert ", ".join(missing) in last.detail
+    assert bool(last.detail) is bool(missing)
+
+
+def test_a_recorder_that_joins_after_a_service_records_its_setup_at_the_latest_when_the_service_ends(
+    tmp_path: Path,
+) -> None:
+    broker = MemoryBroker()
+    service, fleet = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
+    model = load_model("car")
+    loop = ServiceLoop(AdaptationNode(model), service, setup=setup_message("adaptation", {}))
+    loop.turn(0.0)
+    recorder = Recorder(fleet, tmp_path / "a.mcap", setup_message("recorder", {}))
+    loop.run(lambda: True)
+    assert recorder.run(lambda: True) == 0
+    recorded = [key.rsplit("/", 1)[1] for key, _, _ in read_messages(tmp_path / "a.mcap", topics=(SETUP,))]
+    assert "adaptation" in recorded

@@ -123,7 +123,7 @@ def test_a_topic_has_one_type_and_chunks_a_known_compression(tmp_path: Path) -> 
     assert read(bag(tmp_path, connection(0), connection(1, "/b", other), message(1)))[0][0] == "/b"
     with pytest.raises(RunError, match=r"topic '/a' has two types, std_msgs/msg/Float32 and std_msgs/msg/Int32"):
         read(bag(tmp_path, connection(0), connection(1, kind=other)))
-    with pytest.raises(RunError, match=r"chunks are packed by 'zip'; wanted bz2 or lz4"):
+    with pytest.raises(RunError, match=r"chunks are compressed by 'zip'; wanted bz2 or lz4"):
         read(bag(tmp_path, chunk(b"", "zip", packed=b"")))
 
 

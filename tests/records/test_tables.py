@@ -26,7 +26,7 @@ def written(folder: Path, text: str | bytes) -> Path:
     [
         ("\n\n", "the first line is empty; wanted a header line with the columns' names"),
         ("#\n#\n", "the first line is empty; wanted a header line"),
-        (b"t\0,x\n0,1\n", "the first line is no text; wanted a CSV file in UTF-8"),
+        (b"t\0,x\n0,1\n", "the first line is not text; wanted a CSV file in UTF-8"),
         ("t,x\n0,a\n1,2\n", "line 2, column 'x': got 'a', wanted a number; correct or remove"),
         ("t,x\n0,a\n1,2", "line 2, column 'x': got 'a', wanted a number"),
         ("t,x\n0,1\n1,a\n", "line 3, column 'x': got 'a', wanted a number"),
@@ -83,7 +83,7 @@ def test_a_readable_table_gives_its_numbers_and_findings(
 
 def test_rows_of_commas_below_a_header_of_semicolons_are_malformed(tmp_path: Path) -> None:
     """They have one cell where the header has two; they are no decimal commas."""
-    found = read_csv_table(written(tmp_path, "t;x\n1,2,3,4\n5,6,7,8\n9,9,9,9\n"), ("x",))
+    found = read_csv_table(written(tmp_path, "t;x\n1,2,3,4\n5,6,7,8\n9,9,9,9\n"), ("t", "x"))
     assert found.columns["x"].tolist() == []
     assert [(one.kind, one.count) for one in found.findings] == [(BAD_LINE, 3)]
 
@@ -127,7 +127,7 @@ def test_a_recording_is_a_file_with_bytes_and_each_column_once(tmp_path: Path) -
     path = Path("a.csv")
     require_columns(path, ("t",), ["t", "x", "x"])
     for wanted, problem in {
-        ("t", "x"): r"column 'x' is there 2 times; give each its own name",
+        ("t", "x"): r"column 'x' occurs 2 times; rename the others",
         ("t", "y"): r"column 'y' is missing; .*rename it in the file, or name a column map",
         ("y", "z", "t", "a"): r"column 'y' is missing \(and 2 more: z, a\); ",
     }.items():

@@ -8,13 +8,13 @@ import pytest
 from tests.records.test_quality import car_rows
 
 from safedpa.errors import RunError
-from safedpa.records.column_map.apply import Rows, joined_column, mapped_rows
+from safedpa.records.column_map.apply import joined_column, mapped_rows
 from safedpa.records.column_map.column_map import SourceColumn, TrackedPoint, native_map
 from safedpa.records.quality.findings import finding
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.quality.values import degrees_for_radians, other_units, out_of_bounds
 from safedpa.records.readers.table import Table
-from safedpa.records.run import Finding
+from safedpa.records.run import Finding, RawRows
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
 NONE = float("nan")
@@ -32,13 +32,13 @@ def test_a_value_is_out_of_bounds_beyond_a_millionth_of_the_bound(beyond: float,
     assert [(one.kind, one.count) for one in findings] == [("out_of_bounds", 1)] * found
 
 
-def milliseconds(speed: float, x: list[float] | None = None, period: float = 33.5, first: float = 0.0) -> Rows:
+def milliseconds(speed: float, x: list[float] | None = None, period: float = 33.5, first: float = 0.0) -> RawRows:
     """A car that drives straight on at 1 m/s and reports ``speed``; time in ms."""
     count = 60
     states = np.zeros((count, 4))
     states[:, 0] = 1e-3 * period * np.arange(count) if x is None else x
     states[:, 3] = speed
-    return Rows(first + period * np.arange(count), states, np.ones((count, 2)) * (1.0, 0.1))
+    return RawRows(first + period * np.arange(count), states, np.ones((count, 2)) * (1.0, 0.1))
 
 
 @pytest.mark.parametrize(("speed", "recognised"), [(1.0, True), (-1.0, True), (0.75, True), (0.5, False), (2.0, False)])
@@ -86,7 +86,7 @@ def test_a_command_is_percent_where_it_is_often_above_1_and_never_above_100(
 ) -> None:
     """Ten of a hundred rows have the seldom value."""
     values = np.where(np.arange(100) % 10 == 0, seldom, usual) * np.where(np.arange(100) % 2, 1.0, -1.0)
-    rows = Rows(0.05 * np.arange(100), np.zeros((100, 4)), np.column_stack([values, np.zeros(100)]))
+    rows = RawRows(0.05 * np.arange(100), np.zeros((100, 4)), np.column_stack([values, np.zeros(100)]))
     found = other_units(rows, CAR_THROTTLE, native_map(CAR_THROTTLE))[1]
     assert [one.message.startswith(f"{CAR_THROTTLE.action_names[0]} reaches") for one in found] == [True] * recognised
 

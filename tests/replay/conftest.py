@@ -39,8 +39,8 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import margin_text
 from safedpa.safety.settings import write_settings
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 PERIOD = 0.05
@@ -87,7 +87,7 @@ def offered(name: str, change: int) -> ModelMessage:
 
 @final
 class Fleet:
-    """One car, its three services, and a recorder of everything that is said."""
+    """One car, its three services, and a recorder of every message."""
 
     def __init__(
         self,

@@ -36,8 +36,8 @@ from pathlib import Path
 from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport
 from safedpa.bus.messages.service_info import setup_message
 from safedpa_services.recorder.recorder import Recorder
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 import dataclasses, resource, signal
 
 if {limit}:
@@ -92,6 +92,7 @@ def stopped_then_killed(process: subprocess.Popen[str]) -> None:
     process.send_signal(signal.SIGKILL)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", range(4))
 def test_a_kill_at_any_moment_loses_nothing_that_was_acknowledged(tmp_path: Path, case: int) -> None:
     path = tmp_path / "drive.mcap"

@@ -30,7 +30,8 @@ def latent(tick: int, value: float = 0.1) -> LatentMessage:
 
 def verdict(tick: int) -> VerdictMessage:
     return VerdictMessage(
-        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0), slack=0.0,
+        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0),
+        slack=0.0,
         active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0,
     )  # fmt: skip
 

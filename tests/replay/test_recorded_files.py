@@ -38,7 +38,7 @@ def test_every_message_has_a_schema_with_all_its_fields(name: str) -> None:
     assert list(schema["properties"]) == [item.name for item in dataclasses.fields(kind)]
     needed = {item.name for item in dataclasses.fields(kind) if item.default is dataclasses.MISSING}
     assert set(schema["required"]) == needed
-    assert schema["properties"]["robot_time"]["description"].startswith("s since")
+    assert schema["properties"]["robot_time"]["description"].startswith("Time since")
 
 
 def test_the_mcap_library_reads_it_and_the_schemas_explain_it(fleet_of: Any, tmp_path: Path) -> None:

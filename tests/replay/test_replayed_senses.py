@@ -1,4 +1,4 @@
-"""What perception made of the scans comes out again, by the orders that held then; what it had not heard is said."""
+"""Surroundings are reproduced from recorded scans and orders; missing scans are reported."""
 
 import dataclasses
 from pathlib import Path
@@ -77,6 +77,7 @@ def reported(tape: RobotTape) -> list[SurroundingsMessage]:
     return found  # type: ignore[return-value]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("events", [[], [(20, "stall", "perception", 3), (40, "kill", "perception", 12)]])
 def test_what_is_seen_comes_out_again(fleet: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
     tape, found = replayed(driven(fleet, 90, events), tmp_path / "seen.mcap")
@@ -129,7 +130,7 @@ def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_t
         for entry in tape.computed["perception"]
     ]
     forged = of_perception(replay(tape)).differing
-    assert {item.field for item in forged} >= {"points"}, "what is closed is told as discs"
+    assert {item.field for item in forged} >= {"points"}, "closed zones are published as discs"
 
 
 @pytest.mark.long
@@ -146,7 +147,7 @@ def test_a_scan_that_was_not_recorded_is_reported_and_is_no_difference_of_percep
     assert not part.differing
 
 
-def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None:
+def test_the_surroundings_of_older_programs_are_accepted(fleet: Any, tmp_path: Path) -> None:
     path = driven(fleet, 30).record(tmp_path / "older.mcap")
     tape = read_tape([path])
     tape.fields[SurroundingsMessage] = tape.fields[SurroundingsMessage] - {
@@ -166,7 +167,7 @@ def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any
     tape = read_tape([driven(fleet, 30).record(tmp_path / "seen.mcap")])
     assert complete_setups(tape) == []
     del tape.setups["perception"]
-    assert complete_setups(tape) == ["perception: no setup was recorded; what it made of the scans is believed"]
+    assert complete_setups(tape) == ["perception: no setup was recorded; its outputs are accepted as recorded"]
     assert "perception" not in [part.service for part in replay(tape).services]
 
 

@@ -149,7 +149,7 @@ def test_the_line_of_a_service_counts_every_topic() -> None:
     part = ServiceReplay("safety_filter", {"action": 7, "verdict": 5}, {"action": 6, "verdict": 4}, lost=3)
     lines = list(lines_of(tape_of(), Replay([part, ServiceReplay("policy")]), [], []))
     assert [line.split(maxsplit=1) for line in lines if line.startswith(("  safety", "  policy"))] == [
-        ["safety_filter", "action 6 of 7 identical, verdict 4 of 5 identical; 3 made up"],
+        ["safety_filter", "action 6 of 7 identical, verdict 4 of 5 identical; 3 recomputed"],
         ["policy", "nothing to compare"],
     ]
 

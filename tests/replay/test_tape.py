@@ -9,8 +9,8 @@ import pytest
 from safedpa.bus import STATE, StateMessage, encode, key_of
 from safedpa.records import McapRecorder
 from safedpa.replay.tape import RobotTape, read_tape
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 PAYLOAD = encode(CarRobot(Scene.random(1, "none")).state_message())
 WHOLE = {item.name for item in fields(StateMessage)}

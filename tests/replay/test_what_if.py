@@ -19,7 +19,7 @@ from safedpa.safety.defaults import margin_for
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.recorded_drive import drive_again
 from safedpa_sim.robots.__main__ import robot_parser
-from safedpa_sim.robots.stand_ins import robot_of
+from safedpa_sim.robots.robot_factory import make_robot
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -97,7 +97,7 @@ def recorded(path: Path, *phrase: str, zones: str = "") -> RobotTape:
         made = {"perception": (PerceptionNode(parse_perception(zones)), setup), **made}
     with McapRecorder(path) as recorder:
         for tick, _ in enumerate(
-            drive(robot_of(options), [node for node, _ in made.values()], 60, hear=hears(recorder))
+            drive(make_robot(options), [node for node, _ in made.values()], 60, hear=hears(recorder))
         ):
             assert tick < 60
     tape = read_tape([path])
@@ -119,6 +119,7 @@ polygon = [[-9.0, -9.0], [9.0, -9.0], [9.0, 0.5], [-9.0, 0.5]]
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("phrase", "zones"),
     [
@@ -142,7 +143,7 @@ def test_a_drive_is_repeated_with_all_options_of_the_robot(tmp_path: Path, phras
 def test_options_of_the_robot_are_taken_from_the_recording_and_those_of_its_process_are_not(box: RobotTape) -> None:
     phrase = ["--world=mass=2", "--name=other", "--fleet=other"]
     tape = replace(box, setups={**box.setups, "robot": [(0, setup_message("robot", options_with(*phrase)))]})
-    with pytest.raises(InputError, match="--world: got mass=2, for a robot of one's own"):
+    with pytest.raises(InputError, match="--world: got mass=2 for a car, which has its own options"):
         drive_again(tape, WhatIfChange())
     tape.setups["robot"] = [(0, setup_message("robot", options_with(*phrase[1:])))]
     assert "other" not in drive_again(tape, WhatIfChange())["robot"]

@@ -1,4 +1,4 @@
-"""The simulated pendulum, alone and behind the real nodes, of which one dies amid a swing."""
+"""The simulated pendulum, alone and with the real nodes, one of which fails during a swing."""
 
 import dataclasses
 import math
@@ -28,7 +28,7 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import settings_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots import PendulumRobot, PendulumWorld, task_named, wind_towards
-from safedpa_sim.robots.account import account_of
+from safedpa_sim.robots.run_summary import summarise_run
 
 MODEL = load_model("pendulum")
 
@@ -63,13 +63,13 @@ def test_it_moves_as_the_published_equations_say(
     assert world.rate == pytest.approx(state[1], abs=1e-2)
 
 
-def test_wind_blows_to_where_it_is_said_to_and_without_friction_and_air_energy_is_kept() -> None:
+def test_wind_blows_in_the_given_direction_and_energy_is_conserved_without_friction_and_air() -> None:
     assert wind_towards(4.0, 90.0) == pytest.approx((0.0, 4.0), abs=1e-12)
     assert wind_towards(4.0, 180.0) == pytest.approx((-4.0, 0.0), abs=1e-12)
     world = PendulumWorld(0.0, wind_towards(4.0, 180.0))
     world.advance(0.0, 0.1)
     assert world.angle < 0.0
-    from safedpa_sim.robots.pendulum_world import PendulumParameters
+    from safedpa_sim.robots.pendulum.world import PendulumParameters
 
     world = PendulumWorld(0.5, parameters=PendulumParameters(friction=0.0, drag=0.0))
     before = 9.81 * 0.5 * math.cos(0.5)
@@ -145,7 +145,7 @@ def test_a_reached_goal_begins_a_new_swing_with_a_gap_in_the_ticks() -> None:
     assert robot.collisions == []
 
 
-def test_the_last_gate_refuses_and_says_why() -> None:
+def test_the_action_guard_refuses_with_a_reason() -> None:
     robot = PendulumRobot(task_named("balance"))
     assert robot.receive(reported(robot, 10.1)) == "out of range"
     assert robot.receive(reported(robot, math.nan)) == "not finite"
@@ -154,12 +154,12 @@ def test_the_last_gate_refuses_and_says_why() -> None:
     assert robot.receive(reported(robot, 1.0)) == "repeated"
 
 
-def test_the_account_tells_task_wind_and_violations() -> None:
+def test_the_run_summary_has_task_wind_and_violations() -> None:
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 90.0), seed=5)
     for _ in range(60):
         robot.receive(reported(robot, 10.0))
         robot.advance()
-    account = account_of(robot, [0.001], 0, "time is over")
+    account = summarise_run(robot, [0.001], 0, "time is over")
     assert account["task"] == "balance"
     assert account["wind"] == pytest.approx([0.0, 4.0], abs=1e-12)
     assert account["seed"] == 5
@@ -167,7 +167,7 @@ def test_the_account_tells_task_wind_and_violations() -> None:
     assert robot.at_rest
 
 
-def test_seeds_draw_starts_and_what_is_no_pendulum_is_refused() -> None:
+def test_seeds_draw_starts_and_invalid_pendulums_are_refused() -> None:
     one, two = (PendulumRobot(task_named("balance"), seed=seed) for seed in (1, 2))
     assert one.values != two.values
     assert one.values == PendulumRobot(task_named("balance"), seed=1).values
@@ -189,7 +189,7 @@ def swung(
 
 
 def push(wind: tuple[float, ...], angle: float) -> float:
-    """Force of the air [N] along the arc on the mass at rest."""
+    """Returns the air force [N] along the arc on the mass at rest."""
     return 0.5 * math.hypot(*wind) * (wind[0] * math.cos(angle) - wind[1] * math.sin(angle))
 
 
@@ -250,11 +250,11 @@ def test_a_lockstep_swing_repeats_bit_for_bit() -> None:
 
 
 DEAD = range(100, 180)
-"""Ticks; 0.8 s, in which the supervisor has started it again."""
+"""Ticks; 0.8 s, in which the supervisor restarts it."""
 
 
 def least_room(dead: str, direction: float, end: int = 240) -> tuple[float, PendulumRobot, list[VerdictMessage]]:
-    """Random torques at 4 m/s; the service ``dead`` says nothing in ``DEAD``, and its successor knows nothing."""
+    """Random torques at 4 m/s; the service ``dead`` is silent in ``DEAD``, and its successor starts without state."""
     model = load_model("pendulum")
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, direction), seed=1)
     adaptation, keeper = AdaptationNode(model), SafetyFilterNode(model, settings_named("pendulum"))
@@ -294,7 +294,7 @@ def test_the_corridor_is_kept(dead: str, direction: float) -> None:
     assert "fallback" not in {verdict.status for verdict in verdicts}
 
 
-def test_a_missing_nominal_action_is_said() -> None:
+def test_a_missing_nominal_action_is_reported() -> None:
     verdict = least_room("policy", 0.0, DEAD.start + 1)[2][-1]
     assert verdict.nominal == ()
     assert verdict.status == "corrected"

@@ -1,4 +1,4 @@
-"""The robot without a bus: determinism, watchdog, goals, collisions, late commands, the last gate."""
+"""The simulated car without a bus: determinism, watchdog, goals, collisions, command delays, action guard."""
 
 from dataclasses import replace
 from math import hypot, inf, nan, pi, sin
@@ -11,7 +11,7 @@ from safedpa.bus.messages.codec import decode, encode
 from safedpa.bus.messages.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots import BRAKE, LOADS, ActionGuard, CarRobot, Scene, footprint
-from safedpa_sim.robots.core import DelayedCommands
+from safedpa_sim.robots.car.robot import DelayedCommands
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -42,7 +42,7 @@ def test_the_same_seed_and_actions_give_bit_equal_states(load):
     assert first == second
 
 
-def test_other_periods_tell_the_same_physics_and_another_action_gives_another_hash():
+def test_other_periods_give_the_same_physics_and_another_action_gives_another_hash():
     assert (
         drive(CarRobot(scene()), (1.0, 0.0), 5).trajectory_hash
         != drive(CarRobot(scene()), (1.0, 0.1), 5).trajectory_hash
@@ -86,7 +86,7 @@ def test_obstacles_that_are_hit_are_named_and_counted_also_by_the_load_but_not_t
     drive(robot, (-0.5, 0.0), 60)
     drive(robot, (1.0, 0.0), 80)
     assert [collision.what for collision in robot.collisions] == ["obstacle 1", "obstacle 1"], "a second contact counts"
-    # The car passes, the load that cuts the corner behind it is wider.
+    # The car passes, but the load cuts the corner and is wider.
     robot = CarRobot(scene("large_chair", obstacles=((1.0, 0.40, 0.22),)))
     drive(robot, (1.0, 0.0), 100)
     assert [(collision.part, collision.what) for collision in robot.collisions] == [("load", "obstacle 0")]

@@ -26,9 +26,9 @@ from safedpa.bus.messages.codec import decode
 from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import BusError
 from safedpa_sim.robots import CarRobot, Scene
-from safedpa_sim.robots.account import account_of, percentile
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
+from safedpa_sim.robots.run_summary import percentile, summarise_run
 
 Answer = Callable[[StateMessage], ActionMessage | bytes | None]
 
@@ -39,7 +39,7 @@ def action(state: StateMessage, values: tuple[float, ...] = (1.0, 0.1), **other:
 
 
 class Fleet:
-    """A robot, and a filter that answers each state at once with whatever ``answer`` says."""
+    """A robot, and a filter that answers each state at once with the result of ``answer``."""
 
     def __init__(
         self, answer: Answer, *, lockstep: bool = True, period: float = 0.05, patience: float = 60.0,
@@ -61,11 +61,11 @@ class Fleet:
 
     @classmethod
     def by_its_own_clock(cls, answer: Answer, period: float) -> Fleet:
-        """In real time by a clock that is stationary but while the loop waits: no other process holds this one up."""
+        """Runs in real time by a clock that advances only while the loop waits, independent of the machine's load."""
         now = [0.0]
 
         class Waiting(Bus):
-            """Its clock goes on by as long as its inboxes wait, and they do not wait."""
+            """Its clock advances by the time that its inboxes would wait; they return at once."""
 
             def inbox(self, *given: Any, **named: Any) -> Any:
                 inbox = super().inbox(*given, **named)
@@ -153,10 +153,10 @@ def test_what_the_robot_refuses_is_counted_and_braked_for(answer, reason):
     assert fleet.robot.watchdog_ticks == 6
     assert set(fleet.robot.guard.refusals) == {reason}
     assert fleet.robot.guard.refusals[reason] >= 5
-    assert account_of(fleet.robot, [], 0, "test")["refusals"] == dict(fleet.robot.guard.refusals)
+    assert summarise_run(fleet.robot, [], 0, "test")["refusals"] == dict(fleet.robot.guard.refusals)
 
 
-def test_it_brakes_to_a_standstill_before_it_ends_whatever_the_filter_says():
+def test_it_brakes_to_rest_before_it_ends_whatever_the_filter_sends():
     fleet = Fleet(lambda state: action(state, (1.5, 0.0)))
     fleet.loop.run(never, 12)
     assert fleet.robot.values[3] > 1.0
@@ -166,13 +166,13 @@ def test_it_brakes_to_a_standstill_before_it_ends_whatever_the_filter_says():
     assert fleet.health[-1].state == "braked"
 
 
-def test_heartbeats_come_from_the_turning_loop_and_one_that_was_held_up_counts_it_without_hurry():
+def test_heartbeats_come_from_the_loop_and_a_suspended_loop_counts_an_overrun_and_skips_periods():
     fleet = Fleet.by_its_own_clock(action, period=0.02)
     fleet.loop.run(never, 30)
     assert len(fleet.health) == 3, "at 0, 0.25 and 0.5 s of 0.6"
     assert fleet.health[-1].service == "robot"
     assert fleet.health[-1].steps > fleet.health[0].steps
-    now = itertools.count(0.0, 0.02)  # every look at the clock takes two periods
+    now = itertools.count(0.0, 0.02)  # every reading of the clock advances it by two periods
     fleet = Fleet(action, lockstep=False, period=0.01, clock=lambda: next(now))
     fleet.loop.run(never, 5)
     assert fleet.loop.overruns == 5
@@ -187,16 +187,16 @@ def test_percentiles_are_entries_in_microseconds():
     assert percentile([], 0.5) is None
 
 
-def test_a_name_under_which_a_robot_speaks_or_lives_is_refused():
+def test_a_name_that_another_robot_uses_is_refused():
     broker = MemoryBroker()
     living, newcomer = Bus(MemoryTransport(broker), "test"), Bus(MemoryTransport(broker), "test")
     claim_name(living, "r1")
-    with pytest.raises(BusError, match="lives already"):
+    with pytest.raises(BusError, match="is already running"):
         claim_name(newcomer, "r1")
     claim_name(newcomer, "r2")
 
 
-def test_the_first_of_two_that_start_at_once_stays_however_slowly_the_other_one_leaves(monkeypatch):
+def test_the_first_of_two_robots_that_start_at_once_keeps_the_name(monkeypatch):
     broker, now = MemoryBroker(), [0.0]
     second = Bus(MemoryTransport(broker), "test")
 
@@ -216,7 +216,7 @@ def test_the_first_of_two_that_start_at_once_stays_however_slowly_the_other_one_
     assert first.instances("r1", "robot") == ["a"]
 
 
-def test_a_robot_that_speaks_without_being_announced_is_heard():
+def test_an_unannounced_robot_is_detected_by_its_states():
     broker = MemoryBroker()
     speaker, newcomer = Bus(MemoryTransport(broker), "test"), Bus(MemoryTransport(broker), "test")
     times = itertools.count(0.0, 0.1)
@@ -225,5 +225,5 @@ def test_a_robot_that_speaks_without_being_announced_is_heard():
         speaker.publish(STATE, "r1", CarRobot(Scene.random(0)).state_message())
         return next(times)
 
-    with pytest.raises(BusError, match="lives already"):
+    with pytest.raises(BusError, match="is already running"):
         claim_name(newcomer, "r1", clock)

@@ -1,4 +1,4 @@
-"""The pymunk car obeys mechanics: friction limit, momentum, rest, mirror symmetry, drag of loads, stopping."""
+"""The simulated car obeys mechanics: friction limit, momentum, rest, mirror symmetry, drag of loads, stopping."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from safedpa_sim.ground_forces import GRAVITY, GroundForces
 from safedpa_sim.robots import LOADS, CarWorld
-from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
+from safedpa_sim.robots.car.actuators import SpeedServo, SteeringActuator
+from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
 LOAD_NAMES = ("none", *LOADS)
 BRAKING = (2.8, 3.2)
-"""m/s2 and 1/s: what docs/robot.md promises of the watchdog with every load."""
+"""m/s2 and 1/s: the braking that docs/robot.md guarantees for the watchdog with every load."""
 
 actions = st.lists(st.tuples(st.floats(-0.6, 2.0), st.floats(-0.34, 0.34)), min_size=1, max_size=60)
 
@@ -24,7 +24,7 @@ actions = st.lists(st.tuples(st.floats(-0.6, 2.0), st.floats(-0.34, 0.34)), min_
 def axle_force(
     rolling: float, sideways: float, drive: float, limit: float, slip_scale: float, slip_speed: float
 ) -> tuple[float, float]:
-    """Longitudinal and lateral force [N] on an axle, in the frame of its wheels.
+    """Returns longitudinal and lateral force [N] on an axle, in the frame of its wheels.
 
     F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2),
     s = sideways / (slip_scale (|rolling| + slip_speed)):
@@ -72,7 +72,7 @@ def test_a_tyre_has_its_cornering_stiffness_at_small_slip():
 def test_the_car_never_accelerates_beyond_tyre_friction(sequence):
     world = open_world()
     car = CAR_PARAMETERS
-    # Air and rolling resistance act next to the tyres.
+    # Air and rolling resistance add to the tyre forces.
     largest = car.friction * GRAVITY + car.rolling + car.drag * 2.1**2
     for target_speed, steer in sequence:
         vx, vy = world.body.velocity
@@ -94,11 +94,11 @@ def test_too_fast_a_turn_slides_at_the_friction_limit():
 
 
 @pytest.mark.parametrize("load", LOAD_NAMES)
-def test_standing_still_stays_put_and_the_watchdog_stops_within_the_promised_distance(load):
+def test_a_stationary_car_stays_and_the_watchdog_stops_within_the_guaranteed_distance(load):
     world = driven(open_world(load), 0.0, 0.2, 10.0)
     x, y, yaw, speed = world.state
     assert max(abs(x), abs(y), abs(yaw), abs(speed)) < 1e-9
-    # From every speed and steer, steady or still accelerating, with the steer going to straight.
+    # From every speed and steer, steady or accelerating, while the wheels straighten.
     for steer in (0.0, -0.34):
         for seconds in (0.05, 0.2, 0.4, 3.0):
             for target_speed in (0.3, 0.8, 1.4, 2.0, -0.6):
@@ -303,7 +303,7 @@ def test_a_period_is_its_substeps_by_servo_steering_tyres_and_runners(load, sequ
 
 
 def substep(world: CarWorld, target_speed: float, steer: float, seconds: float) -> None:
-    """One substep as the parts define it."""
+    """Computes one substep from its parts."""
     yaw, (vx, vy) = world.body.angle, world.body.velocity
     forward, sideways = vx * cos(yaw) + vy * sin(yaw), vy * cos(yaw) - vx * sin(yaw)
     drive = world.drive.advance(target_speed, forward, seconds)

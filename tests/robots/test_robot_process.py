@@ -1,4 +1,4 @@
-"""The robot as a person starts it: a real process on a real bus."""
+"""The robot as a process on a real bus."""
 
 import json
 import signal
@@ -41,7 +41,7 @@ def free_endpoint():
 
 @pytest.fixture
 def start(free_endpoint):
-    """Starts a robot with some options; whatever still runs after the test is killed."""
+    """Starts a robot with some options; processes that still run after the test are killed."""
     started: list[subprocess.Popen[str]] = []
 
     def starter(*options: str) -> subprocess.Popen[str]:
@@ -57,7 +57,7 @@ def start(free_endpoint):
 
 
 def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int, speed: float = -inf) -> list[StateMessage]:
-    """Drives the robot for some ticks, and on until it is so fast; returns the states heard."""
+    """Drives the robot for some ticks and until it reaches a speed; returns the received states."""
     inbox, states = bus.inbox((STATE,), "r1"), []
     for _ in range(600):
         for item in inbox.take(0.1):
@@ -76,7 +76,7 @@ def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int, speed: float = -i
 
 
 def slower_than(speed: float, inbox: Inbox) -> bool:
-    """Whether such a state is heard; the last one of a process may come after its end."""
+    """Returns whether such a state is received; the last one of a process may arrive after its end."""
     patience = time.monotonic() + 60.0
     while time.monotonic() < patience:
         for item in inbox.take(0.1):
@@ -88,11 +88,11 @@ def slower_than(speed: float, inbox: Inbox) -> bool:
 
 
 def reported(errors: str) -> list[str]:
-    """The kinds of the events on standard error; nothing else may stand there."""
+    """Returns the kinds of the events on standard error, which may contain nothing else."""
     return [json.loads(line)["kind"] for line in errors.splitlines()]
 
 
-def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
+def test_a_lockstep_run_ends_with_a_summary_and_repeats(bus, start, tmp_path):
     hashes = set()
     for run in range(2):
         path = tmp_path / f"{run}.json"
@@ -111,7 +111,7 @@ def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
 
 def test_sigterm_brakes_first(bus, start):
     robot = start("--rate", "50")
-    answer(bus, robot, 30, 0.5)  # periods whose action comes late, on a busy machine, are braked in
+    answer(bus, robot, 30, 0.5)  # on a busy machine actions may be late, and the watchdog brakes
     inbox = bus.inbox((STATE,), "r1")
     robot.send_signal(signal.SIGTERM)
     output, errors = robot.communicate(timeout=60)
@@ -120,7 +120,7 @@ def test_sigterm_brakes_first(bus, start):
         "process.started",
         "message.refused",
         "process.ended",
-    }  # a late action on a busy machine
+    }  # late actions on a busy machine
     account = json.loads(output)
     assert account["end"] == "SIGTERM"
     assert account["watchdog_ticks"] > 3
@@ -134,7 +134,7 @@ def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
     output, errors = second.communicate(timeout=60)
     assert (second.returncode, output) == (2, "")
     assert errors.count("\n") == 1
-    assert "'r1' of fleet 'test' lives already" in errors
+    assert "'r1' of fleet 'test' is already running" in errors
     assert first.poll() is None
 
 
@@ -151,6 +151,7 @@ def test_of_two_robots_that_start_at_once_one_stays(bus, start):
     assert sorted(robot.returncode for robot in pair) == [0, 2], outcomes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options", [("--rate", "0"), ("--seconds", "-1"), ("--seconds", "nan"), ("--seed", "-3"), ("--name", "a/b")]
 )

@@ -1,4 +1,4 @@
-"""Scenes, the footprint, changes while a car drives, and where a load is that was pushed."""
+"""Scenes, footprints, changes during a drive, and the position of a pushed load."""
 
 from dataclasses import replace
 from itertools import islice
@@ -27,13 +27,13 @@ from safedpa_sim.robots import (
     footprint,
     load_named,
 )
-from safedpa_sim.robots.footprint import towed_reach
+from safedpa_sim.robots.car.footprint import towed_reach
 
 LOAD_NAMES = ("none", *LOADS)
 
 
 def distance_to_segment(x: float, y: float, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """From one point to each of many segments (segments, 2)."""
+    """Returns the distances from a point to segments (segments, 2)."""
     along = end - start
     share = ((x - start[:, 0]) * along[:, 0] + (y - start[:, 1]) * along[:, 1]) / (along**2).sum(1)
     nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
@@ -124,7 +124,7 @@ def test_the_capsule_of_the_body_contains_the_body_and_touches_its_corners():
 
 
 class Corridor:
-    """The region that the capsule's line has passed, and how far the load reaches from it."""
+    """The region swept by the capsule's axis, and how far the load extends from it."""
 
     def __init__(self, load: str) -> None:
         self.rear, self.front, self.radius = footprint(LOADS[load])
@@ -132,7 +132,7 @@ class Corridor:
         self.poses = [(-back, 0.0, 0.0) for back in np.arange(1.5, 0.0, -0.02)]
 
     def drive(self, target_speed: float, steer: float) -> float:
-        """One period; returns the largest distance of a corner of the load from the corridor [m]."""
+        """Simulates a period; returns the largest distance of a corner of the load from the corridor [m]."""
         for _ in range(2):
             self.world.advance(target_speed, steer, 0.025)
             self.poses.append(self.world.state[:3])
@@ -195,7 +195,7 @@ def driven(change: str, seconds: float, action: tuple[float, float], scene: Scen
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_it_comes_when_it_is_due_and_once(change: str) -> None:
+def test_a_planned_change_is_applied_once_when_it_is_due(change: str) -> None:
     before = driven(change, 1.0, (1.5, 0.0))
     after = driven(change, 1.05, (1.5, 0.0))
     assert before.changed_at is None
@@ -227,7 +227,7 @@ PERIOD = 0.05
 
 
 def programme(kind: str, seed: int, ticks: int) -> list[tuple[float, float]]:
-    """Random stretches of forwards and backwards that turn the load about, after a second straight ahead."""
+    """Random forward and backward motion that turns the load, after a second straight ahead."""
     draw, actions = np.random.default_rng([seed, len(kind)]), [(1.0, 0.0)] * 20
     speeds = {"rocking": (-0.6, 0.8), "mixed": (-0.6, -0.6, 0.6, 1.8), "backwards": (-0.6, -0.6, -0.6, 1.2)}[kind]
     longest = {"rocking": 24, "mixed": 50, "backwards": 120}[kind]
@@ -238,7 +238,7 @@ def programme(kind: str, seed: int, ticks: int) -> list[tuple[float, float]]:
 
 
 class Claimed:
-    """The regions that the line and the disc around the hitch have claimed so far, and how far the load leaves them."""
+    """The regions covered so far by the capsule and the disc around the hitch, and how far the load leaves them."""
 
     def __init__(self, load: str) -> None:
         self.load, self.world = LOADS[load], CarWorld((0.0, 0.0, 0.0), (-200.0, 200.0, -200.0, 200.0), (), LOADS[load])
@@ -257,7 +257,7 @@ class Claimed:
         self.lines.append((x - self.rear * c, y - self.rear * s, x + self.front * c, y + self.front * s))
 
     def drive(self, action: tuple[float, float]) -> float:
-        """One period; by how much the load's farthest point lies outside of everything claimed [m]."""
+        """Simulates a period; returns how far the load extends beyond the covered regions [m]."""
         x, y, yaw, _ = self.world.state
         self.world.advance(*action, PERIOD)
         now_x, now_y, _, _ = self.world.state
@@ -280,7 +280,7 @@ class Claimed:
 @pytest.mark.long
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("kind", ["rocking", "mixed", "backwards"])
-def test_a_load_that_is_pushed_about_stays_within_what_is_claimed_for_it(load: str, kind: str) -> None:
+def test_a_pushed_load_stays_within_its_envelope(load: str, kind: str) -> None:
     worst = -1.0
     for seed in range(4):
         claimed = Claimed(load)
@@ -288,7 +288,7 @@ def test_a_load_that_is_pushed_about_stays_within_what_is_claimed_for_it(load: s
     assert worst <= 0.005, "m; beyond it the clearance of 5 cm begins"
 
 
-def test_without_the_growth_a_pushed_load_leaves_what_is_claimed() -> None:
+def test_without_the_growth_a_pushed_load_leaves_its_envelope() -> None:
     worst = -1.0
     for seed in range(4):
         claimed = Claimed("box")
@@ -297,7 +297,7 @@ def test_without_the_growth_a_pushed_load_leaves_what_is_claimed() -> None:
     assert worst > 0.05
 
 
-def test_the_reach_is_that_of_the_farthest_corner_and_is_told_while_something_is_towed() -> None:
+def test_the_reach_is_that_of_the_farthest_corner_and_is_reported_with_a_load() -> None:
     for load in LOADS.values():
         begin, end, reach = towed_reach(load)
         assert 0.0 <= reach - hypot(load.drawbar + load.side, load.side / 2) < 0.01
@@ -321,7 +321,7 @@ def drive(robot: CarRobot, ticks: int, speed: float, steer: float) -> None:
         robot.advance()
 
 
-def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
+def test_the_robot_reports_the_distance_that_a_filter_without_gaps_counts() -> None:
     robot, way = CarRobot(Scene.random(3, "box")), ReverseOdometer()
     reported = []
     for number, speed in enumerate([0.0, *[1.0] * 20, *[-0.5] * 15, *[0.6] * 5]):
@@ -348,7 +348,7 @@ def test_another_load_hangs_at_an_unknown_angle_and_none_is_not_counted() -> Non
     assert robot.state_message().distance_reversed == -1.0
 
 
-def test_a_filter_that_is_started_again_sees_the_room_that_the_old_one_saw() -> None:
+def test_a_restarted_filter_has_the_same_h_as_the_old_one() -> None:
     robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
     old = CarScene(settings)
     for _ in range(25):
@@ -358,15 +358,15 @@ def test_a_filter_that_is_started_again_sees_the_room_that_the_old_one_saw() -> 
     before, after = old.of(state), CarScene(settings).of(state)
     assert not isinstance(before, str)
     assert not isinstance(after, str)
-    assert after.heights(state.values) == before.heights(state.values)
+    assert after.h_floats(state.values) == before.h_floats(state.values)
 
 
-def test_the_barriers_follow_the_load_as_if_they_were_built_again() -> None:
+def test_updated_barriers_equal_newly_built_ones() -> None:
     robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
     scene = CarScene(settings)
     for number, speed in enumerate([0.0, *[1.0] * 6, *[-0.5] * 8]):
         state = robot.state_message()
-        if number == 9:  # what is seen changes, too
+        if number == 9:  # the scene changes too
             state = replace(state, obstacles=state.obstacles[1:])
         found, restarted = scene.of(state), CarScene(settings)
         restarted.remember(scene)
@@ -376,15 +376,15 @@ def test_the_barriers_follow_the_load_as_if_they_were_built_again() -> None:
         assert found.names == wanted.names
         assert found.rows == wanted.rows
         at = np.array(state.values)
-        assert found.heights(state.values) == wanted.heights(state.values)
-        np.testing.assert_array_equal(found.gradient(at), wanted.gradient(at))
+        assert found.h_floats(state.values) == wanted.h_floats(state.values)
+        np.testing.assert_array_equal(found.grad_h(at), wanted.grad_h(at))
         for part, other in zip(found, wanted, strict=True):
-            np.testing.assert_array_equal(part.evaluate(at)[1], other.evaluate(at)[1])
+            np.testing.assert_array_equal(part.h_and_grad(at)[1], other.h_and_grad(at)[1])
         drive(robot, 1, speed, 0.1)
 
 
-def test_a_car_that_tows_has_its_obstacles_read_once() -> None:
-    """Each tick moves the load; obstacles, field and what their rows are called stay."""
+def test_obstacles_of_a_car_with_a_load_are_parsed_once() -> None:
+    """Each tick moves the load; obstacles, field and the names of their rows stay."""
     robot = CarRobot(Scene.random(3, "box"))
     scene = CarScene(settings_named("car"))
     before = scene.of(robot.state_message())
@@ -401,8 +401,8 @@ def test_a_car_that_tows_has_its_obstacles_read_once() -> None:
         assert other.each is part.each
 
 
-def test_a_load_that_is_hitched_is_no_error_of_the_model() -> None:
-    """Told between two ticks, it takes h down by its reach; the model foresaw the motion, and not the load."""
+def test_hitching_a_load_is_not_counted_as_a_model_error() -> None:
+    """A load reported between two ticks lowers h by its reach, which the model did not predict."""
     model = load_model("car")
     node = SafetyFilterNode(model, settings_named("car"), margin_for(model))
     state = replace(CarRobot(Scene.random(3, "none")).state_message(), applied_by="filter", values=(0.0, 0.0, 0.0, 0.0))

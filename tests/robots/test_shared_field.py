@@ -1,4 +1,4 @@
-"""Several cars on one field, and how fast a car drove into what it touched."""
+"""Several cars on one field, and the approach speed of collisions."""
 
 from collections.abc import Sequence
 from math import cos, hypot, pi, sin
@@ -9,11 +9,11 @@ import pytest
 
 from safedpa.bus.messages.messages import ActionMessage
 from safedpa.errors import InputError
-from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.loads import LOADS, load_named
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.shared_field import SharedField
+from safedpa_sim.robots.car.contacts import Collision
+from safedpa_sim.robots.car.loads import LOADS, load_named
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person, Walks
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point, box, cast
@@ -38,7 +38,7 @@ def live(field: SharedField, ticks: int, actions: Sequence[tuple[float, float]])
 
 
 def outline_of(robot: CarRobot) -> tuple[tuple[float, float], ...]:
-    """By the car's own numbers, not by the physics' shapes."""
+    """Computed from the car's dimensions, not from the shapes of the physics engine."""
     x, y, yaw, _ = robot.values
     own = robot.world.parameters
     middle = (own.front - own.rear) / 2
@@ -71,7 +71,7 @@ def test_a_contact_does_not_depend_on_the_order_of_the_cars(first: int) -> None:
     assert touch.speeds == pytest.approx((1.46, 1.46), abs=0.02)
 
 
-def test_a_stationary_car_is_not_shoved_and_counts_as_stationary() -> None:
+def test_a_stationary_car_is_not_pushed_and_counts_as_stationary() -> None:
     field = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))])
     live(field, 80, [(2.0, 0.0), (0.0, 0.0)])
     (touch,) = field.touches
@@ -85,7 +85,7 @@ def test_a_stationary_car_is_not_shoved_and_counts_as_stationary() -> None:
 
 
 @pytest.mark.parametrize("load", list(LOADS))
-def test_a_load_is_driven_into_where_it_hangs(load: str) -> None:
+def test_a_load_can_be_hit_at_its_position(load: str) -> None:
     towing = car((0.0, 0.0, pi / 2), load)
     own = LOADS[load]
     y = -0.08 - own.length
@@ -97,7 +97,7 @@ def test_a_load_is_driven_into_where_it_hangs(load: str) -> None:
     assert field.robots[1].values[0] + 0.4 == pytest.approx(-own.side / 2, abs=0.01)
 
 
-def test_a_load_that_is_hitched_on_the_way_is_there_for_the_others_from_the_next_period_on() -> None:
+def test_a_newly_hitched_load_exists_for_the_others_from_the_next_period_on() -> None:
     towing, other = car((0.0, 0.0, pi / 2)), car((-2.0, -0.3, 0.0))
     field = SharedField([towing, other])
     live(field, 2, [(0.0, 0.0), (0.0, 0.0)])
@@ -133,7 +133,7 @@ def test_a_laser_sees_the_other_where_it_is_while_both_move() -> None:
         on_the_other = true < without - 0.1
         assert on_the_other.sum() > 3
         seen = np.array(scan.ranges)
-        # a ray that just misses a corner may just hit it a few micrometres on
+        # a ray that just misses a corner may hit it after a few micrometres of motion
         assert (np.abs(seen - true)[on_the_other] < 1e-3).mean() > 0.9
         assert (np.abs(seen - true) < 1e-3).mean() > 0.98
 
@@ -178,10 +178,10 @@ def test_what_cannot_share_a_field_is_refused() -> None:
         SharedField([car((0.0, 0.0, 0.0)), slower])
     among = SimulatedSensors((Laser(EXACT),), (Walks((0.0, 2.0), 1.0, 1),))
     alone = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), sensor_inputs=among)
-    with pytest.raises(InputError, match="people: got 1 around one car, wanted none"):
+    with pytest.raises(InputError, match=r"people: got 1 in one car's world, wanted none"):
         SharedField([car((0.0, 0.0, 0.0)), alone])
     field = SharedField([car((0.0, 0.0, 0.0)), car((2.0, 0.0, 0.0))])
-    with pytest.raises(InputError, match="shares a field already"):
+    with pytest.raises(InputError, match="already drove or shares a field"):
         SharedField([*field.robots, car((-2.0, 0.0, 0.0))])
 
 
@@ -199,7 +199,7 @@ class Runs(Person):
         return self._speed, 0.0
 
 
-def test_only_who_drives_into_something_was_driven_towards_it_with_its_speed() -> None:
+def test_only_the_car_that_hits_something_has_an_approach_speed() -> None:
     scene = Scene(0, load_named("none"), WIDE, ((2.0, 0.0, 0.3),), (0.0, 0.0, 0.0))
     hit = first_contact(CarRobot(scene), 1.0)
     assert (hit.part, hit.what) == ("car", "obstacle 0")

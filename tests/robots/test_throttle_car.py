@@ -1,4 +1,4 @@
-"""The car with a throttle and the differential drive: what their worlds do, and how they stop."""
+"""The car with a throttle and the differential drive: their simulated worlds, and how they stop."""
 
 import json
 from math import copysign, cos, sin
@@ -11,16 +11,16 @@ from safedpa.bus import ActionMessage
 from safedpa.check_robot import check_robot
 from safedpa.dynamics.model_file import parse_model
 from safedpa.errors import InputError
-from safedpa.robot import robot_named
 from safedpa.robots.differential_drive.barriers import Shape, wheeled_barriers
 from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.wheels import WheelsDrive, run_drive
+from safedpa.systems.robots import robot_named
+from safedpa_lab.experiments.driving.differential_drive import WheelsDrive, run_drive
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.differential_drive.stand_in import WORLDS, WheeledStandIn
 from safedpa_sim.robots import CarRobot, Scene
-from safedpa_sim.robots.car_parameters import THROTTLE_CAR
-from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.robots.car.parameters import THROTTLE_CAR
+from safedpa_sim.robots.car.world import CarWorld
 
 OPEN = (-500.0, 500.0, -500.0, 500.0)
 SCENE = Scene(0, None, OPEN, (), (0.0, 0.0, 0.3), ((50.0, 0.0),))
@@ -77,7 +77,7 @@ def test_its_watchdog_brakes_it_to_rest_and_not_backwards() -> None:
     assert 0.05 * stopped < 1.5
 
 
-def test_its_gate_takes_a_throttle_and_refuses_more_and_it_tows_nothing() -> None:
+def test_its_guard_accepts_a_throttle_within_limits_and_it_tows_nothing() -> None:
     robot = CarRobot(SCENE, parameters=THROTTLE_CAR)
     assert robot.guard.low == (-1.0, -0.34)
     state = robot.state_message()
@@ -107,13 +107,13 @@ name = "{name}"
 
 
 @pytest.mark.long
-def test_nothing_is_wrong_with_it() -> None:
+def test_the_differential_drive_passes_the_robot_check() -> None:
     found = check_robot(robot_named("differential_drive"))
     assert [str(one) for one in found if not one.ends_well] == []
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_a_policy_that_looks_at_nothing_touches_nothing_behind_the_filter_alone(world: str) -> None:
+def test_a_policy_that_ignores_obstacles_touches_nothing_with_the_filter_alone(world: str) -> None:
     with_filter = [run_drive(WheelsDrive(world, seed, "straight", True, 8.0)) for seed in (21, 22)]
     without = [run_drive(WheelsDrive(world, seed, "straight", False, 8.0)) for seed in (21, 22, 23)]
     assert [one["collisions"] for one in with_filter] == [0, 0]
@@ -122,7 +122,7 @@ def test_a_policy_that_looks_at_nothing_touches_nothing_behind_the_filter_alone(
 
 
 @pytest.mark.parametrize("shape", [Shape(0.0, 0.0, 0.17, 0.233), Shape(0.3, 0.1, 0.2, 0.5)])
-def test_no_height_falls_while_each_wheel_brakes_as_it_is_guaranteed_to(shape: Shape) -> None:
+def test_no_h_decreases_while_each_wheel_brakes_as_guaranteed(shape: Shape) -> None:
     draw = np.random.default_rng(8)
     low, gain, step = SETTINGS.barrier("braking_deceleration"), SETTINGS.barrier("braking_gain"), 5e-4
     for _ in range(60):
@@ -134,15 +134,15 @@ def test_no_height_falls_while_each_wheel_brakes_as_it_is_guaranteed_to(shape: S
         for index in range(2500):
             speed, turn = 0.5 * (left + right), (right - left) / shape.track
             if index % 50 == 0:
-                rooms, walls = (part.values(np.array([x, y, yaw, speed, turn])) for part in parts)
-                now = np.concatenate([rooms, np.minimum(walls[:4], walls[4:])])  # the nearer end of each wall
+                rooms, walls = (part.h(np.array([x, y, yaw, speed, turn])) for part in parts)
+                now = np.concatenate([rooms, np.minimum(walls[:4], walls[4:])])  # the end closer to each wall
                 assert before is None or (now - before).min() > -2e-4
                 before = now
             x, y, yaw = x + step * speed * cos(yaw), y + step * speed * sin(yaw), yaw + step * turn
             left, right = (w - copysign(step * min(gain * abs(w), low), w) for w in (left, right))
 
 
-def test_what_is_no_scene_of_it_is_refused() -> None:
+def test_invalid_scenes_are_refused() -> None:
     for shape, obstacles, field in (
         (Shape(0.0, 0.0, -0.1, 0.2), (), ()),
         (Shape(0.0, -1.0, 0.1, 0.2), (), ()),
@@ -185,7 +185,7 @@ def test_an_effect_moves_the_model_towards_the_wheels_that_have_it(
     assert missed(MODEL.format(name=name, numbers=numbers)) < 0.75 * missed(plain)
 
 
-def test_a_differential_drive_is_driven_by_twist_and_in_no_world_of_others() -> None:
+def test_a_differential_drive_is_commanded_by_twist_and_refuses_worlds_of_other_robots() -> None:
     face = DifferentialDriveFace()
     assert face.state(1.0, 2.0, 0.5, 0.3, -0.2) == (1.0, 2.0, 0.5, 0.3, -0.2)
     assert face.message("geometry_msgs/msg/Twist", (0.3, 1.1), ()) == {"linear": {"x": 0.3}, "angular": {"z": 1.1}}
@@ -198,7 +198,9 @@ def test_a_differential_drive_is_driven_by_twist_and_in_no_world_of_others() -> 
 
 
 @pytest.mark.processes
-def test_up_drives_it_and_another_one_s_model_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_up_drives_the_differential_drive_and_refuses_another_robot_s_model(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     phrase = ["up", "--robot", "differential_drive", "--lockstep", "--headless", "--seconds", "6", "--json"]
     assert safedpa.run([*phrase, "--world", "grip=0.3", "--seed", "2", "--out", str(tmp_path)]) == 0
     summary = json.loads(capfd.readouterr().out)

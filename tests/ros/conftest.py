@@ -1,4 +1,4 @@
-"""A robot's side: its router and its processes, by another implementation of the wire."""
+"""The robot's side: its router and its processes, by another implementation of ROS 2 over Zenoh."""
 
 from collections.abc import Iterator
 from pathlib import Path

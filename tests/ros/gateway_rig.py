@@ -1,4 +1,4 @@
-"""A gateway without a network: the test sets its clock, its senses and the answers of the filter."""
+"""A gateway without a network: the test sets its clock, its inputs and the filter's actions."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -49,7 +49,7 @@ POSE = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class Link:
-    """A link over which other publishers may be known."""
+    """A link with given other publishers."""
 
     def __init__(self, form: str = "bridge", *others: Any) -> None:
         self.form, self.others = form, list(others)
@@ -59,7 +59,7 @@ class Link:
 
 
 class Publisher:
-    """Keeps the commands that are sent to the robot: speed and steering angle."""
+    """Stores the commands to the robot: speed and steering angle."""
 
     type = DRIVE
 
@@ -71,7 +71,7 @@ class Publisher:
 
 
 class Sense:
-    """Numbers of an age [s]."""
+    """Numbers with an age [s]."""
 
     refused, why = 0, ""
 
@@ -84,7 +84,7 @@ class Sense:
 
 @dataclass
 class Rig:
-    """What a gateway is made of, and what became of it."""
+    """A gateway with its parts and its outputs."""
 
     now: list[float]
     drive: Publisher
@@ -97,7 +97,7 @@ class Rig:
     answers_after: float = 0.0
 
     def act(self, *values: float, seconds: float = 0.01, held_up: float = 0.0, **changes: Any) -> None:
-        """The filter answers each state after ``seconds``; the process is held up for ``held_up`` after that."""
+        """The filter answers each state after ``seconds``; the process is then suspended for ``held_up``."""
 
         def answer() -> list[ReceivedMessage]:
             self.now[0] += seconds + held_up
@@ -108,7 +108,7 @@ class Rig:
         self.answer, self.answers_after = answer, seconds
 
     def turns(self, count: int = 1, before: Callable[[int], None] = lambda _: None) -> list[tuple[float, float]]:
-        """The commands of so many periods, without the brakes at the end; ``before`` is called before each."""
+        """Returns the commands of a number of periods, without the final braking; ``before`` is called before each."""
         done, first, marks = -1, len(self.drive.sent), [0]
 
         def stopped() -> bool:
@@ -124,12 +124,12 @@ class Rig:
         return self.drive.sent[first : marks[0]]
 
     def messages(self) -> list[Any]:
-        """What the bus heard since."""
+        """Returns the messages on the bus since the last call."""
         return [item.message for item in self.heard.take(0.0) if isinstance(item, ReceivedMessage)]
 
 
 class Waiting:
-    """An inbox in which nothing comes; waiting advances the clock."""
+    """An empty inbox; waiting advances the clock."""
 
     dropped = 0
 
@@ -144,7 +144,7 @@ class Waiting:
 
 
 class SteppedBus(Bus):
-    """A bus whose inboxes wait by the clock of the test."""
+    """A bus whose inboxes use the test's clock."""
 
     rig: Rig
 
@@ -163,7 +163,7 @@ def rig_of(
     driver: Any = None,
     **sensor_inputs: Any,
 ) -> Iterator[Rig]:
-    """A gateway at 20 Hz from 100 s on; ``sensor_inputs`` as ``SensorInputs`` names them."""
+    """Yields a gateway at 20 Hz from 100 s on; ``sensor_inputs`` are the fields of ``SensorInputs``."""
     clock, broker = now or [100.0], MemoryBroker()
     rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or CommandEchoMonitor("/drive", lambda: clock[0]))
     with SteppedBus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as ear:

@@ -1,4 +1,4 @@
-"""Which driver the gateway writes to: what is refused before the first command."""
+"""Which drivers the gateway refuses before its first command."""
 
 import time
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ OTHER = "geometry_msgs/msg/Twist"
 
 
 class Link:
-    """A link to a robot on which the test says who writes the driver's topic, and who hears it from ``since`` on."""
+    """A link with given publishers of the driver's topic, and subscribers from ``since`` on."""
 
     def __init__(self, writers: Sequence[Any] = (), drivers: Sequence[Any] = (), since: float = 0.0) -> None:
         self.writers, self.drivers, self.since = writers, drivers, since
@@ -34,7 +34,7 @@ class Link:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is open."""
+        """Does nothing."""
 
     def others_on(self, topic: str, kind: str) -> list[Any]:
         assert topic == "/drive"
@@ -51,7 +51,7 @@ class Link:
         return []
 
     def hear(self, *_: Any) -> None:
-        """Nothing comes."""
+        """Receives nothing."""
 
     overhear = hear
 
@@ -89,7 +89,7 @@ def test_commands_carry_the_hash_of_the_driver_or_over_a_bridge_our_own(hash_use
 
 
 def test_a_gateway_does_not_start_while_another_publisher_drives(hash_used: Any) -> None:
-    with pytest.raises(InputError, match=r"/drive: /joystick publishes there already; have it publish /drive_in"):
+    with pytest.raises(InputError, match=r"/drive: /joystick publishes there; let it publish to /drive_in"):
         hash_used(Link(writers=[driver("/joystick")], drivers=[driver()]))
 
 
@@ -101,13 +101,13 @@ def test_a_gateway_waits_ten_seconds_for_the_driver(
     if found:
         assert hash_used(link) == "RIHS01_of_the_driver"
     else:
-        with pytest.raises(InputError, match="no one listens there after 10 s"):
+        with pytest.raises(InputError, match="no subscriber after 10 s"):
             hash_used(link)
     assert now[0] < 11.0
 
 
 def test_a_driver_of_another_type_is_named_whatever_else_hears_the_topic(hash_used: Any) -> None:
-    """It cannot read the commands, the brake included."""
+    """It could not read the commands, including the braking command."""
     for heard in ([driver("/base", OTHER)], [driver(), driver("/base", OTHER)]):
-        with pytest.raises(InputError, match=f"got '{DRIVE}', /base on /drive wants '{OTHER}'"):
+        with pytest.raises(InputError, match=f"got '{DRIVE}', wanted '{OTHER}', the type of /base"):
             hash_used(Link(drivers=heard))

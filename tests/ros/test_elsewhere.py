@@ -1,4 +1,4 @@
-"""A model as a file of other simulators: MuJoCo moves as the model does, and what it cannot express is reported."""
+"""A model exported to other simulators: MuJoCo moves like the model, and missing effects are reported."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.dynamics.model_file import parse_model
-from safedpa.robots.pendulum.elsewhere import elsewhere
+from safedpa.robots.pendulum.simulator_export import simulator_export
 from safedpa_services.command_line.group import safedpa
 
 MODEL = """
@@ -38,8 +38,8 @@ TORQUE = 0.4
 
 
 def moved(model: PhysicsModel, seconds: float) -> float:
-    """The angle [rad] after so long under a constant torque, from 0.3 rad, at rest."""
-    text = elsewhere(model).documents["pendulum.mjcf.xml"]
+    """Returns the angle [rad] after a time under a constant torque, from 0.3 rad at rest."""
+    text = simulator_export(model).documents["pendulum.mjcf.xml"]
     world = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(world)
     data.qpos[0], data.ctrl[0] = 0.3, TORQUE
@@ -67,7 +67,7 @@ def test_everything_is_written_and_effects_that_cannot_be_expressed_are_reported
     out = tmp_path / "out"
     assert safedpa.run(["export", str(path), "--format", "simulators", "--out", str(out)]) == 0
     notice = capsys.readouterr()
-    assert "pendulum.urdf: wind is not in it: URDF has no wind" in notice.err
+    assert "pendulum.urdf: cannot express wind: URDF has no wind" in notice.err
     table = json.loads((out / "parameters.json").read_text())
     assert table["effects"][0]["parameters"]["drag"] == {"value": 0.1, "unit": "N s2/m2"}
     assert table["unexpressed"]["pendulum.urdf"] == {"wind": "URDF has no wind"}
@@ -78,4 +78,4 @@ def test_everything_is_written_and_effects_that_cannot_be_expressed_are_reported
     plugin = ElementTree.parse(tmp_path / "car" / "car.gazebo.sdf").getroot()
     assert plugin.findtext("wheel_base") == "0.32"
     assert load_model("car").system.name == "car"
-    assert "towed_load is not in it: hang a model on a hitch joint" in capsys.readouterr().err
+    assert "cannot express towed_load: hang a model on a hitch joint" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A recorded drive as a rosbag2: read by others, and by us again, to the last digit."""
+"""A recorded drive as a rosbag2: read by other libraries and by this one, without loss of precision."""
 
 import subprocess
 import sys
@@ -69,7 +69,7 @@ def test_another_library_reads_the_recorded_drive_from_the_bag(drive: Path, tmp_
     np.testing.assert_allclose(np.diff(stamps), 0.05, atol=1e-6, err_msg="in lockstep messages are sent much faster")
 
 
-def test_the_bag_comes_in_again_as_a_run(drive: Path, tmp_path: Path) -> None:
+def test_the_bag_can_be_loaded_as_a_run(drive: Path, tmp_path: Path) -> None:
     export_bag(drive, tmp_path / "bag")
     ticks = read_recording(drive)
     columns = parse_column_map(MAP)
@@ -97,7 +97,7 @@ def test_the_command_reports_the_bag_and_replaces_nothing(
     assert safedpa.run(arguments) == 0
     assert "ros2 bag play" in capsys.readouterr().out
     assert safedpa.run(arguments) == 2
-    assert "is there already; name a new folder" in capsys.readouterr().err
+    assert "exists already; name a new folder" in capsys.readouterr().err
 
 
 def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
@@ -105,14 +105,14 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     log.write_text("t,x\n0,0\n")
     with pytest.raises(RunError):
         export_bag(log, tmp_path / "bag")
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="exists already"):
         export_bag(log, tmp_path)
     with pytest.raises(RunError):
         load_run(log, CAR, parse_column_map(MAP))
 
 
 def state_of(values: int, applied: int, tick: int = 0, **changes: Any) -> StateMessage:
-    """A state of a robot with so many numbers, on a field."""
+    """Returns a state with a number of values, and a field."""
     what: dict[str, Any] = {"field": (-1.0, 1.0, -1.0, 1.0), "publish_time": 1.0, **changes}
     return StateMessage(
         epoch=1, tick=tick, robot_time=0.05 * tick, values=(0.0,) * values, applied=(0.0,) * applied,
@@ -121,7 +121,7 @@ def state_of(values: int, applied: int, tick: int = 0, **changes: Any) -> StateM
 
 
 def states_in_the_bag(folder: Path, *states: StateMessage) -> list[Any]:
-    """What the bag of a recording of these states has under the topic of states."""
+    """Returns the exported messages of a recording with these states."""
     from rosbags.highlevel import AnyReader
 
     with McapRecorder(folder / "a.mcap") as recorder:
@@ -140,7 +140,7 @@ def test_a_state_that_is_repeated_in_lockstep_is_exported_once(tmp_path: Path) -
 
 
 def test_a_robot_without_a_setup_is_known_by_its_numbers_and_by_whether_it_drives_in_a_field(tmp_path: Path) -> None:
-    """A robot that speaks ROS drives in a plane; a pendulum has no field."""
+    """A ROS robot drives in a plane; a pendulum has no field."""
     (car,) = states_in_the_bag(tmp_path, state_of(4, 2))
     assert car.name == list(CAR.state_names)
     for field in ((), (-1.0, 1.0, -1.0, 1.0)):

@@ -25,7 +25,7 @@ def file_of(side: Side, seed: int = 0, **tables: dict[str, str]) -> Path:
 
 
 def until(true: Callable[[], bool]) -> bool:
-    """Whether it comes true within a minute and a half."""
+    """Returns whether a condition becomes true within 90 s."""
     end = time.monotonic() + 90.0
     while not true():
         if time.monotonic() > end:
@@ -35,7 +35,7 @@ def until(true: Callable[[], bool]) -> bool:
 
 
 def is_on_the_bus(runs: Path, name: str) -> bool:
-    """Whether a process of the run in a folder of runs has said so; its log is there long before."""
+    """Returns whether a process of the run has reported that it is on the bus; its log exists long before."""
     return any("is on the bus" in log.read_text("utf-8") for log in runs.glob(f"*/{name}.log"))
 
 
@@ -44,9 +44,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [11])
-def test_a_policy_that_looks_at_nothing_drives_through_the_filter_without_a_collision(
-    side: Side, tmp_path: Path, seed: int
-) -> None:
+def test_a_blind_policy_drives_through_the_filter_without_a_collision(side: Side, tmp_path: Path, seed: int) -> None:
     blind = side.car(8.0, seed, "--straight")
     blind.send("go")
     without = blind.reported()
@@ -72,11 +70,11 @@ def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[s
     assert topics["/drive"]["hash"] == HASHES["ackermann_msgs/msg/AckermannDriveStamped"]
     assert topics["/drive_in"]["publishers"] == ["/policy"]
     assert safedpa.run(["ros", "discover", side.endpoint]) == 0
-    assert "/odom   nav_msgs/msg/Odometry\n    from /base; to no one" in capsys.readouterr().out
+    assert "/odom   nav_msgs/msg/Odometry\n    from /base; to none" in capsys.readouterr().out
 
 
 @pytest.mark.long
-def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anything_moves(
+def test_a_missing_driver_or_one_of_another_type_is_named_before_anything_moves(
     side: Side, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refused(path: Path) -> str:
@@ -85,9 +83,11 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
 
     car = side.car(_LONG)
     car.send("go")
-    assert "wants 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
-    assert "/nowhere: no one listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
-    assert "nominal.topic: got the command's own, '/drive'" in refused(file_of(side, nominal={"topic": "/drive"}))
+    assert "wanted 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
+    assert "/nowhere: no subscriber after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
+    assert "nominal.topic: got '/drive', the topic of the command" in refused(
+        file_of(side, nominal={"topic": "/drive"})
+    )
     assert "wanted one of ackermann_msgs/msg/AckermannDriveStamped" in refused(
         file_of(side, command={"type": "std_msgs/msg/String"})
     )
@@ -100,7 +100,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
 
 
 @pytest.mark.long
-def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_path: Path) -> None:
+def test_the_car_brakes_and_reports_why_if_any_process_ends(side: Side, tmp_path: Path) -> None:
     car = side.car(_LONG, 11)
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -108,7 +108,7 @@ def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_pa
         car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
         loop.children["safety_filter"].send_signal(signal.SIGSTOP)
-        loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter came in time")
+        loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter arrived in time")
         loop.children["safety_filter"].send_signal(signal.SIGCONT)
         before = loop.log("ros_gateway").count("the filter drives")
         assert until(lambda: loop.log("ros_gateway").count("the filter drives") > before)  # as the filter does
@@ -139,7 +139,7 @@ def test_without_odometry_or_a_nominal_action_the_robot_stops(side: Side, tmp_pa
 
 
 @pytest.mark.long
-def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hurts_nothing(
+def test_the_driver_brakes_after_the_gateway_was_killed_and_a_jumping_clock_has_no_effect(
     side: Side, tmp_path: Path
 ) -> None:
     car = side.car(_LONG, 11, "--rewind-after", "1.0")
@@ -232,7 +232,7 @@ def test_serve_without_ros_waits_for_a_robot_of_the_bus(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> None:
+def test_the_gateway_reconnects_to_the_robots_router(side: Side, tmp_path: Path) -> None:
     car = side.car(_LONG, 11)
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -273,7 +273,7 @@ def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publis
         time.sleep(3.0)
         car.send("mark")
         stranger.send("go")
-        loop.wait_for("ros_gateway", "someone who shows no token")
+        loop.wait_for("ros_gateway", "an unannounced publisher")
         time.sleep(1.5)
         car.send("end")
         found = car.reported()
@@ -283,4 +283,4 @@ def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publis
     assert found["moved"] > 0.3
     assert found["collisions"] == 0
     assert abs(found["speed"]) < 0.2
-    assert any("who shows no token" in notice for notice in found["mark"]["notice"])
+    assert any("an unannounced publisher" in notice for notice in found["mark"]["notice"])

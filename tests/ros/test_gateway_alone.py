@@ -1,4 +1,4 @@
-"""The gateway without a network: which actions it sends on, and when it brakes by itself."""
+"""The gateway without a network: which actions it forwards, and when it brakes."""
 
 import json
 import math
@@ -19,7 +19,7 @@ from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
 from safedpa_services.ros_gateway.sensor_inputs import LatestMessage
 
 BRAKE = (0.0, 0.0)
-LATE = "no action of the filter came in time"
+LATE = "no action of the filter arrived in time"
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def kinds(messages: Sequence[Any]) -> set[str]:
         ((0.7, -0.2), True),
         ((2.0, 0.34), True),
         ((-0.6, -0.34), True),
-        ((2.0 + 1e-10, -0.34 - 1e-10), True),  # rounded on its way
+        ((2.0 + 1e-10, -0.34 - 1e-10), True),  # rounded during transport
         ((2.001, 0.0), False),
         ((-0.601, 0.0), False),
         ((0.0, 0.341), False),
@@ -64,7 +64,7 @@ def test_an_action_is_sent_unless_it_is_beyond_a_limit(rig: Rig, values: tuple[f
         ({"held_up": 1.0}, False),
         ({"tick": 99}, False),
         ({"tick": 1}, False),
-        ({"epoch": 1}, False),  # of a gateway before this one
+        ({"epoch": 1}, False),  # of an earlier gateway
     ],
 )
 def test_an_action_is_sent_in_time_and_for_its_own_tick(rig: Rig, timing: dict[str, Any], sent: bool) -> None:
@@ -75,7 +75,7 @@ def test_an_action_is_sent_in_time_and_for_its_own_tick(rig: Rig, timing: dict[s
 
 
 def test_a_state_reports_its_age_until_its_action_acts(rig: Rig) -> None:
-    """The age of the odometry, and a tenth more of the usual time to an action with each action."""
+    """The age of the odometry, plus the average time to an action, which is updated by a tenth per action."""
     rig.odometry.age = 0.03
     rig.act(0.5, 0.1, seconds=0.02)
     rig.turns(3)
@@ -85,7 +85,7 @@ def test_a_state_reports_its_age_until_its_action_acts(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("age", "why"), [(0.1, LATE), (0.11, "the odometry is 0.11 s old"), (math.inf, "the odometry is never there")]
+    ("age", "why"), [(0.1, LATE), (0.11, "the odometry is 0.11 s old"), (math.inf, "the odometry is missing")]
 )
 def test_an_odometry_older_than_a_tenth_of_a_second_brakes(rig: Rig, age: float, why: str) -> None:
     rig.odometry.age = age
@@ -97,9 +97,7 @@ def test_an_odometry_older_than_a_tenth_of_a_second_brakes(rig: Rig, age: float,
     assert rig.gateway.why.endswith("; two publishers") is (why != LATE)
 
 
-@pytest.mark.parametrize(
-    ("age", "why"), [(1.0, ""), (1.01, "1.01 s old"), (9.0, "9.00 s old"), (math.inf, "never there")]
-)
+@pytest.mark.parametrize(("age", "why"), [(1.0, ""), (1.01, "1.01 s old"), (9.0, "9.00 s old"), (math.inf, "missing")])
 def test_a_localisation_older_than_a_second_brakes(age: float, why: str) -> None:
     asked = replace(ASKED, localisation=LocalisationTopic("/tf"))
     with rig_of(asked=asked, localised=Sense((0.0, 0.0, 0.0), age)) as rig:
@@ -112,11 +110,11 @@ def test_a_localisation_older_than_a_second_brakes(age: float, why: str) -> None
 def test_an_odometry_without_a_rotation_brakes(rig: Rig, numbers: tuple[float, ...]) -> None:
     rig.odometry.numbers = (1.0, 2.0, 0.5, 0.0, *numbers)
     assert rig.turns() == [BRAKE]
-    assert "no rotation" in rig.gateway.why
+    assert "not a rotation" in rig.gateway.why
 
 
-def test_a_gateway_does_not_report_driving_before_it_heard_anything(rig: Rig) -> None:
-    assert "not heard its odometry" in rig.gateway.why
+def test_a_gateway_does_not_report_driving_before_it_received_a_message(rig: Rig) -> None:
+    assert "no odometry has arrived" in rig.gateway.why
 
 
 @pytest.mark.parametrize(("age", "counts"), [(0.0, True), (0.5, True), (0.51, False), (math.inf, False)])
@@ -132,7 +130,7 @@ def test_without_a_policy_of_the_robot_no_nominal_action_is_sent(rig: Rig) -> No
     assert kinds(rig.messages()) == {"StateMessage"}
 
 
-def test_missed_periods_are_not_made_up(rig: Rig) -> None:
+def test_missed_periods_are_skipped(rig: Rig) -> None:
     """The process sleeps for 10 s after its first period."""
     times: list[float] = []
 
@@ -145,7 +143,7 @@ def test_missed_periods_are_not_made_up(rig: Rig) -> None:
     assert times[5] - times[1] > 10.05, "otherwise the four periods after it would take no time"
 
 
-def test_a_gateway_gives_a_sign_of_life_four_times_a_second(rig: Rig) -> None:
+def test_a_gateway_sends_a_heartbeat_four_times_a_second(rig: Rig) -> None:
     rig.turns(60)
     beats = [message.robot_time for message in rig.messages() if isinstance(message, HealthMessage)][:-1]
     assert 10 <= len(beats) <= 13
@@ -176,7 +174,7 @@ def test_each_reason_to_brake_is_logged_once_and_driving_again_too(
     [((), None, ()), ((3.0, 1.0), None, (3.0, 1.0)), ((3.0, 1.0), (), (3.0, 1.0)), ((3.0, 1.0), (0.0, 2.0), (0.0, 2.0)),
      ((), (0.0, 2.0), (0.0, 2.0))],
 )  # fmt: skip
-def test_a_goal_that_is_heard_replaces_the_one_of_the_file(
+def test_a_received_goal_replaces_the_one_of_the_file(
     of_file: tuple[float, ...], heard: tuple[float, ...] | None, goal: tuple[float, ...]
 ) -> None:
     asked = replace(ASKED, surroundings=replace(ASKED.surroundings, goal=of_file))
@@ -199,11 +197,11 @@ def test_a_goal_that_is_heard_replaces_the_one_of_the_file(
 def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(
     arrived: float, delay: float, tick: int | None, measured: float | None
 ) -> None:
-    """Seen at 1 s by the robot's clock, 20 ticks of 0.05 s."""
+    """Measured at 1 s of robot time, after 20 ticks of 0.05 s."""
     turn = SimpleNamespace(
         arrived=100.0 + arrived, first_angle=0.0, angle_step=0.1, ranges=(1.0, 2.0), nearest=0.1, farthest=9.0
     )
-    scanner = SimpleNamespace(taken=lambda: [turn], refused=0, why="")
+    scanner = SimpleNamespace(take_all=lambda: [turn], refused=0, why="")
     asked = replace(ASKED, scans=(ScanTopic("/scan", delay=delay),))
     with rig_of(asked=asked, scanners=(scanner,)) as rig:
         rig.gateway.tick = 20
@@ -218,7 +216,7 @@ def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(
 @pytest.mark.parametrize("announced", [True, False])
 @pytest.mark.parametrize("echo_monitor", [True, False])
 def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced: bool, echo_monitor: bool) -> None:
-    """A bridge does not report publishers; one that is announced is named, one that is only heard is not."""
+    """Announced publishers are named. A bridge does not announce publishers; they are detected by their messages."""
     link = Link(form, *[SimpleNamespace(node="/joystick")] * announced)
     named = announced and form == "rmw_zenoh"
     with rig_of(link=link) as rig:
@@ -227,8 +225,8 @@ def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced:
             rig.driver.take(b"")
             assert rig.drive.sent == [BRAKE], "it is answered at once"
         assert rig.turns() == [BRAKE if named or echo_monitor else (0.5, 0.1)]
-        assert rig.gateway.why.startswith("/joystick publishes on /drive too") is named
-        assert rig.gateway.why.startswith("someone who shows no token") is (echo_monitor and not named)
+        assert rig.gateway.why.startswith("/joystick publishes on /drive, too") is named
+        assert rig.gateway.why.startswith("an unannounced publisher") is (echo_monitor and not named)
         rig.now[0] += 2.0
         assert rig.turns() == [BRAKE if named else (0.5, 0.1)], "one that fell silent is gone"
 
@@ -252,7 +250,7 @@ def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(
     assert sum(slept) == pytest.approx(1.0)
 
 
-def test_of_two_publishers_of_one_topic_neither_is_believed() -> None:
+def test_messages_of_two_publishers_of_one_topic_are_refused() -> None:
     now, newest = [10.0], LatestMessage("geometry_msgs/msg/Twist", ("linear.x", "angular.z"), clock=lambda: now[0])
     type_name = "geometry_msgs/msg/Twist"
 

@@ -1,4 +1,4 @@
-"""Inputs of the gateway besides odometry and nominal action: scans, goals, a localisation, and other publishers."""
+"""Further inputs of the gateway: scans, goals, localisation, and other publishers."""
 
 import math
 from dataclasses import replace
@@ -46,12 +46,12 @@ def scan_of(ranges: list[float], **changes: Any) -> bytes:
 def test_rays_of_a_scan_are_taken_as_measured_and_missing_ones_stay_missing() -> None:
     scanner = Scanner("laser", clock=lambda: 7.0)
     scanner.take(scan_of([2.0, INFINITE, -INFINITE, NONE, 0.0, 0.05, 13.0]))
-    (turn,) = scanner.taken()
+    (turn,) = scanner.take_all()
     assert turn.ranges == (2.0, 12.0, pytest.approx(0.1), -1.0, -1.0, -1.0, 12.0)
     assert (turn.arrived, turn.first_angle, turn.angle_step, turn.farthest) == (7.0, -1.5, 0.5, 12.0)
-    assert scanner.taken() == []
+    assert scanner.take_all() == []
     scanner.take(scan_of([2.0] * 7))
-    assert scanner.taken() == [], "the same stamp again is no news"
+    assert scanner.take_all() == [], "the same stamp again is no news"
 
 
 @pytest.mark.parametrize(
@@ -61,17 +61,17 @@ def test_rays_of_a_scan_are_taken_as_measured_and_missing_ones_stay_missing() ->
         {"range_min": -1.0}, {"ranges": []}, {"angle_increment": 3.0}, {"frame": "camera"},
     ],
 )  # fmt: skip
-def test_a_scan_that_is_none_is_refused_and_counted(changes: dict[str, Any]) -> None:
+def test_an_invalid_scan_is_refused_and_counted(changes: dict[str, Any]) -> None:
     scanner = Scanner("laser")
     scanner.take(scan_of([1.0] * 7, **changes) if "ranges" not in changes else scan_of(**changes))
-    assert scanner.taken() == []
+    assert scanner.take_all() == []
     assert scanner.refused == 1
     assert scanner.why
 
 
 @settings(max_examples=200, deadline=None)
 @given(some.data())
-def test_mutated_messages_end_no_sense(data: some.DataObject) -> None:
+def test_mutated_messages_raise_nothing(data: some.DataObject) -> None:
     head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
     whole = {
         SCAN_TYPE: scan_of([1.0] * 7),
@@ -85,7 +85,7 @@ def test_mutated_messages_end_no_sense(data: some.DataObject) -> None:
     scanner, localised = Scanner(), TransformListener("map", "odom")
     for sense in (scanner, localised):
         sense.take(bytes(message[:cut]) if data.draw(some.booleans()) else bytes(message))
-    for turn in scanner.taken():
+    for turn in scanner.take_all():
         assert all(-1.0 <= one <= turn.farthest for one in turn.ranges)
     assert all(map(math.isfinite, localised.read()[0]))
 
@@ -122,11 +122,11 @@ def test_a_publisher_without_a_token_on_the_driver_s_topic_is_reported_and_answe
     heard.answer = answer
     assert heard.why == ""
     heard.take(b"", Attachment(1, 2, b"\xab" * 16))
-    assert heard.why == "someone who shows no token (sender abababab) publishes on /drive too; find and end it"
+    assert heard.why == "an unannounced publisher (sender abababab) sends on /drive, too; find and end it"
     for _ in range(1000):
         heard.take(b"")
     assert answers == [1], "a flood is answered once in a millisecond"
-    assert "a sender without a name" in heard.why
+    assert "unknown sender" in heard.why
     now[0] += 0.0005
     heard.take(b"")
     assert answers == [1]
@@ -153,7 +153,7 @@ def transform_at(x: float, nanoseconds: int) -> bytes:
     return encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", x, 0.0, 0.0)]})
 
 
-def test_of_two_that_speak_neither_is_believed_though_one_signs_nothing() -> None:
+def test_messages_of_two_publishers_are_refused_even_if_one_has_no_attachment() -> None:
     now = [5.0]
     clock = lambda: now[0]  # noqa: E731
     odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
@@ -169,7 +169,7 @@ def test_of_two_that_speak_neither_is_believed_though_one_signs_nothing() -> Non
     assert localised.read()[1] == INFINITE
     assert "two publishers" in localised.why
     assert "two publishers" in scanner.why
-    assert [turn.ranges[0] for turn in scanner.taken()] == [1.0]
+    assert [turn.ranges[0] for turn in scanner.take_all()] == [1.0]
     now[0] += 1.01
     odometry.take(odometry_at(7.0, 9), signed(b"a"))
     localised.take(transform_at(7.0, 9), signed(b"a"))
@@ -180,7 +180,7 @@ def _head(nanoseconds: int) -> dict[str, Any]:
     return {"stamp": {"sec": 1, "nanosec": nanoseconds}, "frame_id": "laser"}
 
 
-def test_transforms_of_other_frames_are_no_second_publisher_and_repeated_ones_age() -> None:
+def test_transforms_of_other_frames_are_ignored_and_repeated_ones_age() -> None:
     now = [5.0]
     localised = TransformListener("map", "odom", lambda: now[0])
     head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "odom"}
@@ -192,7 +192,7 @@ def test_transforms_of_other_frames_are_no_second_publisher_and_repeated_ones_ag
     assert localised.read() == ((1.0, 0.0, 0.0), 1.5)
 
 
-def test_a_number_that_the_bus_would_refuse_is_refused_where_it_is_heard() -> None:
+def test_a_number_that_the_bus_would_refuse_is_refused_on_arrival() -> None:
     odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom")
     odometry.take(odometry_at(1e13, 1))
     goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "")
@@ -202,7 +202,7 @@ def test_a_number_that_the_bus_would_refuse_is_refused_where_it_is_heard() -> No
     scanner.take(scan_of([1.0] * 7, angle_min=1e30))
     assert [one.refused for one in (odometry, goal, localised, scanner)] == [1, 1, 1, 1]
     sensor_inputs = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, (scanner,))
-    assert sorted(sensor_inputs.not_believed(["laser"])) == ["goal_refused", "laser_refused"]
+    assert sorted(sensor_inputs.refusals(["laser"])) == ["goal_refused", "laser_refused"]
 
 
 class Markers:
@@ -231,7 +231,7 @@ def test_a_path_of_another_model_is_ignored() -> None:
     assert markers.notice[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
 
 
-def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_nothing() -> None:
+def test_a_path_is_published_at_most_ten_times_a_second_and_not_without_a_prediction() -> None:
     markers: Any = Markers()
     now = [7.0]
     health_publisher = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
@@ -280,7 +280,7 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
             rig.turns()
 
         turn(1)
-        assert diagnostics.notice[-1]["message"] == "the gateway brakes: the transform from map to odom is never there"
+        assert diagnostics.notice[-1]["message"] == "the gateway brakes: the transform from map to odom is missing"
         head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
         localised.take(encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", 0.0, 2.0, 0.0)]}))
         pose = {"position": {"x": 3.0, "y": -1.0}}
@@ -293,7 +293,7 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
     assert (state.values, state.goal, state.sources) == ((1.0, 2.0, 0.0, 0.5), (3.0, -1.0), ("laser",))
     assert (scan.source, scan.mount, scan.number) == ("laser", (0.2, 0.0, 0.0), 1)
     assert scan.robot_time == pytest.approx(0.05 - 0.02)
-    assert diagnostics.notice[-1]["message"] == "the gateway brakes: no action of the filter came in time"
+    assert diagnostics.notice[-1]["message"] == "the gateway brakes: no action of the filter arrived in time"
     facts = {pair["key"]: pair["value"] for pair in diagnostics.notice[-1]["values"]}
     assert facts["odometry_stamp"] == str(5 * 10**9 + 2)
 
@@ -304,14 +304,14 @@ def test_of_the_scans_between_two_periods_the_newest_eight_are_kept(sent: int, r
     for number in range(sent):
         scanner.take(scan_of([1.0 + number / 100.0] * 7, header=_head(number + 1)))
     newest = [1.0 + number / 100.0 for number in range(sent)][-retained:]
-    assert [turn.ranges[0] for turn in scanner.taken()] == pytest.approx(newest)
+    assert [turn.ranges[0] for turn in scanner.take_all()] == pytest.approx(newest)
 
 
 def test_scans_without_a_stamp_are_all_new() -> None:
     scanner = Scanner("laser")
     for _ in range(3):
         scanner.take(scan_of([1.0] * 7, header={"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "laser"}))
-    assert len(scanner.taken()) == 3
+    assert len(scanner.take_all()) == 3
 
 
 @pytest.mark.parametrize(
@@ -337,12 +337,12 @@ def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most
 ) -> None:
     scanner = Scanner("laser")
     scanner.take(scan_of([1.0] * rays, **changes))
-    assert (len(scanner.taken()), scanner.refused) == (believed, not believed)
+    assert (len(scanner.take_all()), scanner.refused) == (believed, not believed)
 
 
 WHOLE = (
-    'format = 2\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[nominal]\ntopic = "/drive_in"\n[command]\ntopic = "/drive"\n'
-    "[surroundings]\nfield = [-4, 4, -4, 4]\nfootprint = [0.08, 0.4, 0.12]\n"
+    'format = 2\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[nominal]\ntopic = "/drive_in"\n[command]\n'
+    'topic = "/drive"\n[surroundings]\nfield = [-4, 4, -4, 4]\nfootprint = [0.08, 0.4, 0.12]\n'
 )
 
 
@@ -350,21 +350,25 @@ WHOLE = (
     ("before", "after", "notice"),
     [
         ('"car"', '"carr"', "robot 'carr': did you mean 'car'"),
-        ('robot = "car"\n', 'robot = "car"\nname = "a/b"\n', "name: 'a/b': got nothing, or one of / * $"),
+        ('robot = "car"\n', 'robot = "car"\nname = "a/b"\n', "name: 'a/b': it is empty or contains one of / * $"),
         (
             "[-4, 4, -4, 4]",
             "[4, -4, -4, 4]",
             "surroundings.field: got [4.0, -4.0, -4.0, 4.0], wanted lowest x",
         ),
-        ("[-4, 4, -4, 4]", "[0, 0.2, -4, 4]", "room for a robot that is 0.24 m wide"),
+        ("[-4, 4, -4, 4]", "[0, 0.2, -4, 4]", "room for a robot of 0.24 m width"),
         ("[-4, 4, -4, 4]", "[-1e9, 4, -4, 4]", "surroundings.field: got [-1000000000.0"),
-        ("0.12]", "0.0]", "surroundings.footprint: got [0.08, 0.4, 0.0], wanted how far it reaches"),
+        ("0.12]", "0.0]", "surroundings.footprint: got [0.08, 0.4, 0.0], wanted the extents behind"),
         ("[0.08, 0.4", "[-0.5, 0.4", "surroundings.footprint: got [-0.5, 0.4, 0.12]"),
         ('"/odom"', '"/od om"', "odometry.topic: got '/od om', wanted a topic such as /odom"),
         ('"/drive_in"', '"/drive/*"', "nominal.topic: got '/drive/*'"),
         ('"/odom"', '"/odom"\ntype = "nav_msgs/msg/Path"', "odometry.type: got 'nav_msgs/msg/Path', wanted nav_msgs"),
         ('"/drive"', '"/drive"\nhash = "x"', "command.hash: got 'x', wanted RIHS01_ and 64 hex digits"),
-        ("[surr", '[wire]\nendpoint = "robot"\n[surr', "wire.endpoint: got 'robot', wanted one such as tcp/robot:7447"),
+        (
+            "[surr",
+            '[wire]\nendpoint = "robot"\n[surr',
+            "wire.endpoint: got 'robot', wanted an endpoint such as tcp/robot:7447",
+        ),
         ("[surr", '[[scans]]\ntopic = "/scan"\nmount = [1, 2]\n[surr', "scans.mount: got [1.0, 2.0], wanted x ahead"),
         ("[surr", '[scans]\ntopic = "/scan"\n[surr', "scans: got {'topic': '/scan'}, wanted tables [[scans]]"),
         ("0.12]", "0.12]\ngoal = [9, 9]", "surroundings.goal: got [9.0, 9.0], wanted x and y within the field"),
@@ -373,14 +377,14 @@ WHOLE = (
             '0.12]\nobstacles = [[0, 0, 1]]\n[[scans]]\ntopic = "/scan"',
             "surroundings.obstacles: got some",
         ),
-        ("[surr", '[wire]\ndiagnostics = "drive"\n[surr', "wire.diagnostics: got the command's own topic, 'drive'"),
+        ("[surr", '[wire]\ndiagnostics = "drive"\n[surr', "wire.diagnostics: got 'drive', the topic of the command"),
         (
             "[surr",
             '[wire]\nform = "bridge"\nmarkers = "drive"\n[surr',
-            "wire.markers: got the command's own topic, 'drive'",
+            "wire.markers: got 'drive', the topic of the command",
         ),
-        ('"/drive_in"', '"/drive"', "nominal.topic: got the command's own, '/drive'"),
-        ('"/drive_in"', '"drive"', "nominal.topic: got the command's own, '/drive'"),
+        ('"/drive_in"', '"/drive"', "nominal.topic: got '/drive', the topic of the command"),
+        ('"/drive_in"', '"drive"', "nominal.topic: got '/drive', the topic of the command"),
         ("[surr", '[wire]\nmarkers = "/a/**"\n[surr', "wire.markers: got '/a/**', wanted a topic such as /odom"),
         (
             "[surr",

@@ -1,4 +1,4 @@
-"""What the gateway publishes for people: which verdicts come with a path, how often, and when nothing does."""
+"""Diagnostics and markers of the gateway: which verdicts have a path, and how often."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -22,7 +22,7 @@ class Heard:
 
 
 class Reported:
-    """A voice at a time that the test sets, and what it said."""
+    """A publisher with a clock that the test sets, and its messages."""
 
     def __init__(self, diagnostics: bool = True, markers: bool = True) -> None:
         self.now, self.diagnostics, self.markers = 100.0, Heard(), Heard()
@@ -40,8 +40,8 @@ class Reported:
         self.health_publisher.verdict(
             VerdictMessage(
                 epoch=1, tick=3, robot_time=0.1, publish_time=0.1, status="corrected", action=(0.5, 0.1),
-                nominal=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05, active=("box",),
-                solver="piqp", microseconds=90.0, predicted=predicted,
+                nominal=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05,
+                active=("box",), solver="piqp", microseconds=90.0, predicted=predicted,
             )
         )  # fmt: skip
 
@@ -51,7 +51,7 @@ class Reported:
         return [[(point["x"], point["y"]) for point in marker["points"]] for marker in markers]
 
 
-def test_the_path_that_a_verdict_foresees_is_drawn_in_the_frame_of_the_surroundings() -> None:
+def test_the_predicted_path_of_a_verdict_is_published_in_the_frame_of_the_surroundings() -> None:
     reported = Reported()
     reported.hears(STATES)
     assert reported.paths == [[(1.0, 2.0), (1.5, 2.5)]]
@@ -68,7 +68,7 @@ def test_without_a_path_of_its_own_model_only_the_verdict_is_published(
     assert [message["status"][0]["message"] for message in reported.diagnostics.messages] == ["corrected"]
 
 
-def test_a_verdict_without_a_path_takes_no_turn_from_the_next_one() -> None:
+def test_a_verdict_without_a_path_does_not_delay_the_next_marker() -> None:
     reported = Reported()
     reported.hears((), 100.0)
     reported.hears(STATES, 100.01)
@@ -76,7 +76,7 @@ def test_a_verdict_without_a_path_takes_no_turn_from_the_next_one() -> None:
 
 
 def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_published() -> None:
-    """At fifty verdicts a second, of two seconds; the clock is read as the verdicts come, not as they were due."""
+    """Two seconds with fifty verdicts per second, with times of actual arrival."""
     reported = Reported()
     drawn = []
     for tick in range(100):

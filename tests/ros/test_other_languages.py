@@ -1,4 +1,4 @@
-"""JavaScript reads what is encoded here, and drives a robot of its own over the bus."""
+"""JavaScript decodes our messages, and drives a robot of its own over the bus."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def within(wanted: Any, found: Any, path: str = "") -> list[str]:
-    """What of the one is not in the other."""
+    """Returns the parts of one value that are not in the other."""
     if isinstance(wanted, dict):
         return [line for key, value in wanted.items() for line in within(value, found[key], f"{path}.{key}")]
     if isinstance(wanted, list):

@@ -8,8 +8,8 @@ from subprocess import run
 
 import pytest
 
-from safedpa_lab.experiments.ros_faults import FAULTS
-from safedpa_lab.experiments.ros_report import page_of
+from safedpa_lab.experiments.ros.experiment import page_of
+from safedpa_lab.experiments.ros.faults import FAULTS
 from safedpa_lab.ros import car
 from safedpa_services.command_line.group import safedpa
 
@@ -34,21 +34,23 @@ def test_impossible_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
         assert notice in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("module", ["car", "speaker", "router", "foreign"])
 def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str) -> None:
     def loaded(names: str) -> set[str]:
         code = f"import sys, {names}; print(*[name for name in sys.modules if name.startswith('safedpa')])"
         return set(run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
-    alongside = loaded(f"safedpa_lab.ros.{module}") - loaded("safedpa_sim.robots.scene, safedpa_sim.robots.world")
+    simulator = loaded("safedpa_sim.robots.car.scene, safedpa_sim.robots.car.world")
+    alongside = loaded(f"safedpa_lab.ros.{module}") - simulator
     assert {name for name in alongside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}
 
 
 @pytest.mark.parametrize("stall", [0.04, 0.3])
-def test_a_car_whose_process_was_held_up_does_not_drive_on_blindly(
+def test_a_car_whose_process_was_suspended_does_not_drive_on_blindly(
     monkeypatch: pytest.MonkeyPatch, stall: float
 ) -> None:
-    """What it makes up for in a burst is driven by one command, of which no gateway knows where it leads."""
+    """It would make up for missed periods in a burst under one command, without control by the gateway."""
     now, turns = [50.0], list[float]()
     monkeypatch.setattr(car.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(car.time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))

@@ -1,4 +1,4 @@
-"""``safedpa serve`` over mutual TLS: with certificates of its own, or with a person's, and strangers stay outside."""
+"""``safedpa serve`` over mutual TLS: with temporary certificates or the user's; others are refused."""
 
 import json
 import signal
@@ -38,8 +38,10 @@ def await_that(true: Callable[[], object]) -> None:
 
 @contextmanager
 def served(folder: Path, file: Path, *options: str, wanted: Sequence[str]) -> Iterator[Callable[[str], str]]:
-    """The command while it runs, once ``wanted`` are on the bus; called with a name it returns that process's log.
-    Ends in order."""
+    """Runs the command; yields once ``wanted`` are on the bus, and ends it in order.
+
+    The yielded function returns the log of a process by its name.
+    """
     phrase = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
     notice = folder / "serve.log"
     with notice.open("wb") as log, subprocess.Popen([*phrase, *options], stdout=log, stderr=log) as process:
@@ -68,7 +70,7 @@ def endpoint_in(log: str) -> str:
 @pytest.mark.slow
 @pytest.mark.processes
 @pytest.mark.parametrize("own", [False, True])
-def test_a_robot_of_ros_drives_and_a_foreign_certificate_stays_outside(side: Side, tmp_path: Path, own: bool) -> None:
+def test_a_ros_robot_drives_and_a_foreign_certificate_is_refused(side: Side, tmp_path: Path, own: bool) -> None:
     shown = ("--certificates", certificates(tmp_path / "own", "r1")) if own else ("--secure",)
     car = side.car(8.0, 11)
     file = robot_file(tmp_path / "r.toml", side.endpoint, 11)
@@ -76,7 +78,7 @@ def test_a_robot_of_ros_drives_and_a_foreign_certificate_stays_outside(side: Sid
         endpoint = endpoint_in(reports("router"))
         foreign = Certificates(Path(certificates(tmp_path / "foreign", "r1")), "safety_filter")
         with pytest.raises(BusError, match="could not open"):
-            ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, patience=3.0))
+            ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, connect_timeout=3.0))
         car.send("go")
         if own:  # as a container's health check asks, again and again; a busy machine answers late
             assert any(healthy(endpoint, shown[1]) for _ in range(3)), reports("robot")
@@ -103,7 +105,7 @@ def robot(endpoint: str, folder: str, name: str, seconds: str) -> subprocess.Com
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
-def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing(tmp_path: Path) -> None:
+def test_a_robot_joins_the_bus_with_its_own_key_and_another_key_moves_nothing(tmp_path: Path) -> None:
     folder, file = certificates(tmp_path / "own", "r1", "r2"), tmp_path / "robot.toml"
     (tmp_path / "own" / "robot.r1.key.pem").rename(tmp_path / "r1.key")  # it lies on the robot
     file.write_text(BY_ITSELF, encoding="utf-8")
@@ -130,17 +132,18 @@ def refused(capsys: pytest.CaptureFixture[str], *phrase: str) -> str:
     return capsys.readouterr().err
 
 
-def test_what_does_not_go_together_is_refused_before_anything_starts(
+def test_conflicting_options_are_refused_before_anything_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, folder = tmp_path / "robot.toml", certificates(tmp_path / "own", "r1")
     file.write_text(BY_ITSELF, encoding="utf-8")
     phrase = (str(file), "--out", str(tmp_path / "runs"))
-    assert "--secure: its certificates go with this start" in refused(capsys, *phrase, "--secure")
-    assert "--secure: got it with --certificates" in refused(capsys, *phrase, "--secure", "--certificates", folder)
+    assert "--secure: got it for a robot that joins the bus itself" in refused(capsys, *phrase, "--secure")
+    both = refused(capsys, *phrase, "--secure", "--certificates", folder)
+    assert "--secure: got it together with --certificates" in both
     plain = refused(capsys, *phrase, "--certificates", folder, "--listen", "tcp/0.0.0.0:7447")
     assert "--listen: got 'tcp/0.0.0.0:7447' with certificates, wanted tls/HOST:PORT" in plain
     (tmp_path / "own" / "safety_filter.key.pem").unlink()
     missing = refused(capsys, *phrase, "--certificates", folder)
-    assert "safety_filter.key.pem: is not there; make it with 'safedpa certificates" in missing
-    assert "authority.pem: is not there" in refused(capsys, *phrase, "--certificates", str(tmp_path / "nowhere"))
+    assert "safety_filter.key.pem: does not exist; create it with 'safedpa certificates" in missing
+    assert "authority.pem: does not exist" in refused(capsys, *phrase, "--certificates", str(tmp_path / "nowhere"))

@@ -1,4 +1,4 @@
-"""What goes over the wire, byte for byte: published hashes, attachments, tokens, messages that others read."""
+"""Encoding, byte for byte: published hashes, attachments, tokens, messages that other libraries read."""
 
 import shutil
 import struct
@@ -18,7 +18,7 @@ from safedpa.ros.definitions import Definitions
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import NO_HASH, Attachment, Endpoint, data_key, node_token
 from safedpa.ros.outgoing import odometry_of, transform_of
-from safedpa_services.ros_gateway.__main__ import checked_face
+from safedpa_services.ros_gateway.__main__ import load_ros_interface
 from safedpa_services.ros_gateway.robot_file import load_robot_file
 from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, PoseAndTwist, pose_paths
 
@@ -84,7 +84,7 @@ def test_another_library_reads_what_is_encoded() -> None:
 
 @pytest.mark.parametrize(("seconds", "nanoseconds"), [(0, 0), (0, 7), (5, 6), (1_764_108_000, 999_999_999)])
 def test_a_stamp_is_decoded_to_whole_nanoseconds(seconds: int, nanoseconds: int) -> None:
-    """A float would lose digits. Of the second of one transform there is no stamp."""
+    """A float would lose digits. The second of one transform has no stamp."""
     head = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "map"}
     data = encode("tf2_msgs/msg/TFMessage", {"transforms": [transform_of(head, "odom", 1.0, 2.0, 0.0)]})
     paths = ("transforms[0].header.stamp", "transforms[1].header.stamp")
@@ -134,7 +134,7 @@ def test_a_car_is_driven_by_twist_as_by_ackermann() -> None:
     assert face.action("geometry_msgs/msg/Twist", (0.1, 9.0), (0.0,) * 4) == (0.1, 0.6)
 
 
-def test_a_robot_file_says_what_is_wrong_with_it(tmp_path: Path) -> None:
+def test_an_error_in_a_robot_file_is_named(tmp_path: Path) -> None:
     def refused(text: str) -> str:
         path = tmp_path / "robot.toml"
         path.write_text(text)
@@ -168,24 +168,24 @@ def test_a_throttle_is_sent_as_a_speed_and_brakes_with_speed_zero() -> None:
     assert CarFace().brake(stamped, (0.0, 0.0), state) == ((0.0, 0.0), {"drive": {"speed": 0.0, "steering_angle": 0.0}})
 
 
-def test_the_gateway_of_a_throttle_car_speaks_its_face_and_a_turtlebot_s_by_twist(tmp_path: Path) -> None:
+def test_the_gateway_of_a_throttle_car_uses_its_interface_and_that_of_a_turtlebot_a_twist(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(WHOLE, "utf-8")
     asked = load_robot_file(path)
-    assert isinstance(checked_face(asked)[0], CarFace)
-    assert not isinstance(checked_face(asked)[0], ThrottleCarFace)
-    face, limits, _ = checked_face(replace(asked, model="dart_car"))
+    assert isinstance(load_ros_interface(asked)[0], CarFace)
+    assert not isinstance(load_ros_interface(asked)[0], ThrottleCarFace)
+    face, limits, _ = load_ros_interface(replace(asked, model="dart_car"))
     assert isinstance(face, ThrottleCarFace)
     assert limits[1][0] == 1.0
     with pytest.raises(InputError, match="model 'pendulum'"):
-        checked_face(replace(asked, model="pendulum"))
+        load_ros_interface(replace(asked, model="pendulum"))
     turtlebot = load_robot_file(Path(__file__).parents[2] / "docs" / "examples" / "turtlebot.toml")
-    face, limits, period = checked_face(turtlebot)
+    face, limits, period = load_ros_interface(turtlebot)
     assert (limits[1], period) == ((0.5, 1.9), 0.05)
     assert turtlebot.command.type in face.commands
 
 
-def test_the_try_against_ros_itself_is_sound_as_far_as_it_can_be_without_ros(tmp_path: Path) -> None:
+def test_the_script_for_a_test_with_ros_itself_is_valid_as_far_as_can_be_checked_without_ros(tmp_path: Path) -> None:
     folder = Path(__file__).parents[2] / "deploy" / "ros"
     assert load_robot_file(folder / "robot.toml").command.topic == "/drive"
     compile((folder / "robot.py").read_text("utf-8"), "robot.py", "exec")

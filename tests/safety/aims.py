@@ -31,9 +31,9 @@ class Case:
     """h(a) (rows,) of actions within -1 and 1, at a state whose h are ``now``; the state is a itself."""
 
     def __init__(
-        self, h: Callable[[Values], Sequence[float]], now: Sequence[float], nominal: Sequence[float], *, eta: float = 1.0,
-        epsilon: float = 0.0, limit: float = 1.0, affine: bool = True, backup: Sequence[float] | None = None,
-        program: Any = None, highest: Any = None,
+        self, h: Callable[[Values], Sequence[float]], now: Sequence[float], nominal: Sequence[float], *,
+        eta: float = 1.0, epsilon: float = 0.0, limit: float = 1.0, affine: bool = True,
+        backup: Sequence[float] | None = None, program: Any = None, highest: Any = None,
     ) -> None:  # fmt: skip
         self.h, self.nominal, actions = h, tuple(nominal), len(nominal)
         self.affine, self.resting, self.stuck = affine, backup, ("not run",)
@@ -67,11 +67,11 @@ class Case:
 
     @property
     def backup(self) -> ActionCandidate:
-        return self.conditions.outcome(tuple(self.nominal if self.resting is None else self.resting))
+        return self.conditions.evaluate(tuple(self.nominal if self.resting is None else self.resting))
 
     def run(self, *known: Sequence[float]) -> ActionCandidate:
-        begun = [self.conditions.outcome(tuple(action)) for action in known or [self.nominal]]
-        spread = [self.conditions.outcome(action) for action in action_grid(self.sides, affine=self.affine)]
+        begun = [self.conditions.evaluate(tuple(action)) for action in known or [self.nominal]]
+        spread = [self.conditions.evaluate(action) for action in action_grid(self.sides, affine=self.affine)]
         known = [*begun, *spread]
         found, self.stuck = least_violation(
             self.conditions, self.program, self.highest, self.nominal, self.backup, known

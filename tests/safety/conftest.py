@@ -47,7 +47,7 @@ def safe_state() -> Callable[..., NDArray[np.float64]]:
         while True:
             x, y, yaw, speed = random.uniform((-3.5, -3.5, -np.pi, -0.6), (3.5, 3.5, np.pi, 2.0))
             state = np.array([x, y, yaw, speed])
-            if min(part.values(state).min() for part in barriers) >= least:
+            if min(part.h(state).min() for part in barriers) >= least:
                 return state
 
     return draw

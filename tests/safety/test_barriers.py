@@ -49,17 +49,18 @@ def swept_segment(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return state[:2] + ends[0] * heading, state[:2] + ends[1] * heading
 
 
+@pytest.mark.long
 @exact
 @given(states)
 @pytest.mark.parametrize("barrier", ALL, ids=lambda barrier: type(barrier).__name__)
 def test_gradient_is_the_derivative(barrier: AbstractBarrier, state: np.ndarray) -> None:
-    h, gradient = barrier.evaluate(state)
-    np.testing.assert_array_equal(h, barrier.values(state))
+    h, gradient = barrier.h_and_grad(state)
+    np.testing.assert_array_equal(h, barrier.h(state))
     assert gradient.shape == (len(barrier.names), 4)
     for index in range(4):
         step = np.zeros(4)
         step[index] = 1e-6
-        up, down = barrier.values(state + step), barrier.values(state - step)
+        up, down = barrier.h(state + step), barrier.h(state - step)
         both = np.stack([(up - h) / 1e-6, (h - down) / 1e-6])
         low, high = both.min(axis=0), both.max(axis=0)  # differ only at a kink: nearest point leaves an end
         assert (gradient[:, index] >= low - 2e-4).all()
@@ -73,7 +74,7 @@ def test_obstacle_height_is_the_distance_to_the_swept_segment(state: np.ndarray)
     points = rear + np.linspace(0.0, 1.0, 1001)[:, None] * (front - rear)
     nearest = np.linalg.norm(points[None] - OBSTACLES[:, None, :2], axis=2).min(axis=1)
     expected = nearest - OBSTACLES[:, 2] - 0.12 - 0.05
-    np.testing.assert_allclose(ALL[0].values(state), expected, atol=3e-4)
+    np.testing.assert_allclose(ALL[0].h(state), expected, atol=3e-4)
 
 
 @exact
@@ -83,7 +84,7 @@ def test_field_height_is_the_room_of_the_nearer_end(state: np.ndarray) -> None:
     expected = []
     for end in (front, rear):
         expected += [end[0] + 4.0, 4.0 - end[0], end[1] + 3.0, 5.0 - end[1]]
-    np.testing.assert_allclose(ALL[1].values(state), np.array(expected) - 0.17, atol=1e-12)
+    np.testing.assert_allclose(ALL[1].h(state), np.array(expected) - 0.17, atol=1e-12)
 
 
 def test_field_names_say_wall_and_end() -> None:
@@ -91,6 +92,7 @@ def test_field_names_say_wall_and_end() -> None:
     assert FieldBarrier.names[7] == "upper wall, rear end"
 
 
+@pytest.mark.long
 @exact
 @given(states, st.floats(1.0, 3.0), st.floats(1.0, 3.0))
 def test_braking_straight_never_lowers_h(state: np.ndarray, harder: float, quicker: float) -> None:
@@ -99,40 +101,40 @@ def test_braking_straight_never_lowers_h(state: np.ndarray, harder: float, quick
     For a wall that is the nearer end's business: the other end may come closer, up to where the nearer one was.
     """
     for barrier, ends in ((ALL[0], 1), (ALL[1], 2)):
-        before, current = barrier.values(state).reshape(ends, -1).min(axis=0), state.copy()
+        before, current = barrier.h(state).reshape(ends, -1).min(axis=0), state.copy()
         for _ in range(60):
             size = min(BRAKING.gain * quicker * abs(current[3]), BRAKING.deceleration * harder)
             speed = math.copysign(max(0.0, abs(current[3]) - 0.01 * size), current[3])
             current[:2] += 0.01 * speed * np.array([math.cos(current[2]), math.sin(current[2])])
             current[3] = speed
-            now = barrier.values(current).reshape(ends, -1).min(axis=0)
+            now = barrier.h(current).reshape(ends, -1).min(axis=0)
             assert (now >= before - 1e-9).all()
             before = now
 
 
 def test_standing_still_looks_both_ways_and_in_motion_only_the_end_ahead_is_stretched() -> None:
     """At speed 0 both ends count as stretched: driving off towards an obstacle is no surprise either way."""
-    ahead = ObstacleBarrier([(1.0, 0.0, 0.2), (-1.0, 0.0, 0.2)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    ahead = ObstacleBarrier([(1.0, 0.0, 0.2), (-1.0, 0.0, 0.2)], FOOTPRINT, BRAKING).h_and_grad(np.zeros(4))[1]
     np.testing.assert_allclose(ahead[:, 3], [-0.4, 0.4])
-    walls = FieldBarrier(FIELD, FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    walls = FieldBarrier(FIELD, FOOTPRINT, BRAKING).h_and_grad(np.zeros(4))[1]
     np.testing.assert_allclose(walls[:, 3], [0.4, -0.4, 0, 0, 0.4, -0.4, 0, 0])
     for speed, expected in ((1.0, [-0.5, 0.0]), (-1.0, [0.0, 0.5])):
         barrier = ObstacleBarrier([(3.0, 0.0, 0.2), (-3.0, 0.0, 0.2)], FOOTPRINT, BRAKING)
-        np.testing.assert_allclose(barrier.evaluate(np.array([0, 0, 0, speed]))[1][:, 3], expected)
+        np.testing.assert_allclose(barrier.h_and_grad(np.array([0, 0, 0, speed]))[1][:, 3], expected)
 
 
 def test_a_centre_on_the_segment_has_a_finite_gradient_and_one_almost_on_it_a_unit_gradient() -> None:
     barrier = ObstacleBarrier([(0.2, 0.0, 0.3)], FOOTPRINT, BRAKING)
-    h, gradient = barrier.evaluate(np.zeros(4))
+    h, gradient = barrier.h_and_grad(np.zeros(4))
     assert h[0] == pytest.approx(-0.42)
     np.testing.assert_allclose(gradient[0], [0.0, -1.0, -0.2, 0.0])
-    gradient = ObstacleBarrier([(0.2, 1e-9, 0.3)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    gradient = ObstacleBarrier([(0.2, 1e-9, 0.3)], FOOTPRINT, BRAKING).h_and_grad(np.zeros(4))[1]
     assert np.linalg.norm(gradient[0, :2]) == pytest.approx(1.0)
 
 
 def test_no_obstacle_is_no_condition() -> None:
     barrier = ObstacleBarrier([], FOOTPRINT, BRAKING)
-    h, gradient = barrier.evaluate(np.zeros(4))
+    h, gradient = barrier.h_and_grad(np.zeros(4))
     assert h.shape == (0,)
     assert gradient.shape == (0, 4)
     assert barrier.names == ()
@@ -140,7 +142,7 @@ def test_no_obstacle_is_no_condition() -> None:
 
 def test_states_may_have_more_entries_than_the_four() -> None:
     for barrier in ALL[:3]:
-        assert barrier.evaluate(np.array([0.1, 0.2, 0.3, 0.4, 9.0]))[1][:, 4].tolist() == [0.0] * len(barrier.names)
+        assert barrier.h_and_grad(np.array([0.1, 0.2, 0.3, 0.4, 9.0]))[1][:, 4].tolist() == [0.0] * len(barrier.names)
 
 
 def test_stack_keeps_order_names_and_margins() -> None:
@@ -150,14 +152,14 @@ def test_stack_keeps_order_names_and_margins() -> None:
     assert (stack[1], stack[:1]) == (parts[1], (parts[0],))
     assert stack.kinds == ("obstacle", "obstacle", "speed", "speed")
     assert stack.names == ("obstacle 0", "obstacle 1", "highest speed", "lowest speed")
-    h, gradient = stack.values(state), stack.gradient(state)
+    h, gradient = stack.h(state), stack.grad_h(state)
     np.testing.assert_array_equal(h[2:], [1.5, 1.5])
     np.testing.assert_array_equal(gradient[2:, 3], [-1.0, 1.0])
-    np.testing.assert_array_equal(stack.of_each({"speed": 0.3}, 0.1), [0.1, 0.1, 0.3, 0.3])
+    np.testing.assert_array_equal(stack.per_row({"speed": 0.3}, 0.1), [0.1, 0.1, 0.3, 0.3])
 
 
 def test_speed_barrier_of_another_entry() -> None:
-    h, gradient = SpeedBarrier(-2.0, 5.0, index=1).evaluate(np.array([7.0, 1.0]))
+    h, gradient = SpeedBarrier(-2.0, 5.0, index=1).h_and_grad(np.array([7.0, 1.0]))
     np.testing.assert_array_equal(h, [4.0, 3.0])
     np.testing.assert_array_equal(gradient, [[0.0, -1.0], [0.0, 1.0]])
 
@@ -165,17 +167,17 @@ def test_speed_barrier_of_another_entry() -> None:
 def test_function_barrier_takes_scalars_arrays_and_gradients() -> None:
     state = np.array([3.0, -2.0])
     scalar = FunctionBarrier(lambda x: x[0] * x[1])
-    np.testing.assert_allclose(scalar.evaluate(state)[1], [[-2.0, 3.0]], atol=1e-8)
-    np.testing.assert_array_equal(scalar.values(state), [-6.0])
+    np.testing.assert_allclose(scalar.h_and_grad(state)[1], [[-2.0, 3.0]], atol=1e-8)
+    np.testing.assert_array_equal(scalar.h(state), [-6.0])
     given_gradient = FunctionBarrier(lambda x: x[0], lambda x: (1.0, 0.5), names=("mine",), kind="own")
-    np.testing.assert_array_equal(given_gradient.evaluate(state)[1], [[1.0, 0.5]])
+    np.testing.assert_array_equal(given_gradient.h_and_grad(state)[1], [[1.0, 0.5]])
     assert (given_gradient.kind, given_gradient.names) == ("own", ("mine",))
     assert (scalar.kind, scalar.names) == ("function", ("h",))
 
 
 def test_finite_differences_follow_the_size_of_the_state() -> None:
     state = np.array([1e6, 1e-3])
-    gradient = FunctionBarrier(lambda x: 1e-6 * x[0] ** 2 + 1e3 * x[1] ** 2).evaluate(state)[1]
+    gradient = FunctionBarrier(lambda x: 1e-6 * x[0] ** 2 + 1e3 * x[1] ** 2).h_and_grad(state)[1]
     np.testing.assert_allclose(gradient[0], [2.0, 2.0], rtol=1e-3)
 
 
@@ -186,16 +188,16 @@ def test_finite_differences_step_by_a_share_of_the_state() -> None:
         seen.append(float(x[0]))
         return float(x[0])
 
-    FunctionBarrier(h).evaluate(np.array([0.5]))
+    FunctionBarrier(h).h_and_grad(np.array([0.5]))
     assert seen == [0.5, 0.5 + 6e-6, 0.5 - 6e-6]
     seen.clear()
-    FunctionBarrier(h).evaluate(np.array([-4.0]))
+    FunctionBarrier(h).h_and_grad(np.array([-4.0]))
     assert seen == [-4.0, -4.0 + 2.4e-5, -4.0 - 2.4e-5]
 
 
 def test_finite_differences_leave_the_state_alone() -> None:
     state = np.array([1.0, 2.0])
-    FunctionBarrier(lambda x: x[0]).evaluate(state)
+    FunctionBarrier(lambda x: x[0]).h_and_grad(state)
     np.testing.assert_array_equal(state, [1.0, 2.0])
 
 
@@ -232,10 +234,10 @@ def test_finite_differences_leave_the_state_alone() -> None:
         (lambda: SpeedBarrier(0.0, math.nan), "speed limits: got"),
         (lambda: FunctionBarrier(lambda x: 1.0, names="h"), "names: got 'h'"),
         (lambda: FunctionBarrier(lambda x: 1.0, names=()), r"names: got \(\)"),
-        (lambda: FunctionBarrier(lambda x: [1.0, 2.0]).values(np.zeros(2)), r"h of barrier h: got shape \(2,\)"),
-        (lambda: FunctionBarrier(lambda x: 1.0, names=("a", "b")).values(np.zeros(2)), r"wanted \(2,\)"),
+        (lambda: FunctionBarrier(lambda x: [1.0, 2.0]).h(np.zeros(2)), r"h of barrier h: got shape \(2,\)"),
+        (lambda: FunctionBarrier(lambda x: 1.0, names=("a", "b")).h(np.zeros(2)), r"wanted \(2,\)"),
         (
-            lambda: FunctionBarrier(lambda x: 1.0, lambda x: [1.0]).evaluate(np.zeros(2)),
+            lambda: FunctionBarrier(lambda x: 1.0, lambda x: [1.0]).h_and_grad(np.zeros(2)),
             r"gradient of h of barrier h: got shape \(1,\), wanted \(1, 2\)",
         ),
     ],
@@ -247,12 +249,12 @@ def test_refusals_say_what_was_wanted(make: object, phrase: str) -> None:
 
 def test_limits_of_what_is_accepted() -> None:
     point = ObstacleBarrier([(1.0, 0.0, 0.0)], (0.0, 0.0, 0.0), BRAKING, 0.0, names=["post"])
-    assert point.values(np.zeros(4)).tolist() == [1.0]
+    assert point.h(np.zeros(4)).tolist() == [1.0]
     assert point.names == ("post",)
-    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING, 0.0).values(np.zeros(4))[0] == 0.0
-    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING).values(np.zeros(4))[0] == 0.0
+    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING, 0.0).h(np.zeros(4))[0] == 0.0
+    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING).h(np.zeros(4))[0] == 0.0
     long_nose = ObstacleBarrier([(1.0, 0.0, 0.1)], (-0.2, 0.4, 0.1), BRAKING)
-    assert long_nose.values(np.zeros(4))[0] == pytest.approx(0.4)
+    assert long_nose.h(np.zeros(4))[0] == pytest.approx(0.4)
 
 
 finite = st.floats(-20.0, 20.0)
@@ -262,9 +264,9 @@ finite = st.floats(-20.0, 20.0)
 def test_gradient_is_exact(angle: float, rate: float, low: float, width: float, time: float) -> None:
     barrier = CorridorBarrier(low, low + width, time)
     state, move = np.array([angle, rate]), np.array([0.3, -0.7])
-    h, gradient = barrier.evaluate(state)
-    np.testing.assert_allclose(barrier.values(state + move), h + gradient @ move, atol=1e-9)
-    np.testing.assert_allclose(h, barrier.values(state))
+    h, gradient = barrier.h_and_grad(state)
+    np.testing.assert_allclose(barrier.h(state + move), h + gradient @ move, atol=1e-9)
+    np.testing.assert_allclose(h, barrier.h(state))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60), st.floats(0.0, 1.0), st.floats(0.05, 1.0))
@@ -273,7 +275,7 @@ def test_the_angle_stays_where_the_barrier_is_kept(ahead: list[float], start: fl
     barrier, angle, period = CorridorBarrier(0.0, 1.0, time), start, 0.01
     for s in ahead:
         rate = (s - angle) / time
-        assert barrier.values(np.array([angle, rate])).min() >= -1e-12
+        assert barrier.h(np.array([angle, rate])).min() >= -1e-12
         angle += period * rate
         assert -1e-12 <= angle <= 1.0 + 1e-12
 
@@ -281,8 +283,8 @@ def test_the_angle_stays_where_the_barrier_is_kept(ahead: list[float], start: fl
 def test_other_entries_of_the_state_and_names() -> None:
     barrier = CorridorBarrier(-1.0, 2.0, 0.5, angle=2, rate=0, name="elbow")
     assert barrier.names == ("elbow lower edge", "elbow upper edge")
-    np.testing.assert_allclose(barrier.values(np.array([1.0, 9.0, 0.5])), [2.0, 1.0])
-    np.testing.assert_allclose(barrier.evaluate(np.zeros(3))[1], [[0.5, 0.0, 1.0], [-0.5, 0.0, -1.0]])
+    np.testing.assert_allclose(barrier.h(np.array([1.0, 9.0, 0.5])), [2.0, 1.0])
+    np.testing.assert_allclose(barrier.h_and_grad(np.zeros(3))[1], [[0.5, 0.0, 1.0], [-0.5, 0.0, -1.0]])
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (nan, 1.0), (0.0, nan), (-inf, 1.0), (0.0, inf)])
@@ -296,8 +298,8 @@ def test_empty_and_endless_limits_are_refused(low: float, high: float) -> None:
 @given(st.floats(-1e9, 1e9))
 def test_the_narrowest_limits_are_taken(low: float) -> None:
     high = nextafter(low, inf)
-    assert CorridorBarrier(low, high, 1e-300).values(np.array([low, 0.0])).min() == 0.0
-    assert SpeedBarrier(low, high, 0).values(np.array([high])).tolist() == [0.0, high - low]
+    assert CorridorBarrier(low, high, 1e-300).h(np.array([low, 0.0])).min() == 0.0
+    assert SpeedBarrier(low, high, 0).h(np.array([high])).tolist() == [0.0, high - low]
 
 
 @pytest.mark.parametrize("time", [0.0, -1.0, nan, inf])
@@ -407,9 +409,9 @@ def test_it_is_the_recursion_of_its_source() -> None:
     barrier = HigherOrderBarrier(derivatives, [first, second])
     t = 1.3
     psi_1, psi_1_rate = 3 * t**2 + first * t**3, 6 * t + first * 3 * t**2
-    assert barrier.values(np.array([t]))[0] == pytest.approx(psi_1_rate + second * psi_1, rel=1e-14)
+    assert barrier.h(np.array([t]))[0] == pytest.approx(psi_1_rate + second * psi_1, rel=1e-14)
     squared = HigherOrderBarrier(derivatives, [first, np.square])
-    assert squared.values(np.array([t]))[0] == pytest.approx(psi_1_rate + psi_1**2, rel=1e-14)
+    assert squared.h(np.array([t]))[0] == pytest.approx(psi_1_rate + psi_1**2, rel=1e-14)
 
 
 def test_several_values_and_a_gradient_of_their_own() -> None:
@@ -420,10 +422,12 @@ def test_several_values_and_a_gradient_of_their_own() -> None:
         names=("one", "two"),
         kind="wall",
     )
-    h, gradient = barrier.evaluate(np.array([0.5, -0.2]))
+    h, gradient = barrier.h_and_grad(np.array([0.5, -0.2]))
     np.testing.assert_allclose(h, [1.3, 2.6])
     np.testing.assert_array_equal(gradient, [[3.0, 1.0], [6.0, 2.0]])
-    np.testing.assert_array_equal(barrier.along(np.array([0.5, -0.2]), np.array([[1.0], [2.0]])), [[5.0], [10.0]])
+    np.testing.assert_array_equal(
+        barrier.lie_derivative(np.array([0.5, -0.2]), np.array([[1.0], [2.0]])), [[5.0], [10.0]]
+    )
     assert (barrier.names, barrier.kind) == (("one", "two"), "wall")
 
 

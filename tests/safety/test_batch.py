@@ -80,7 +80,8 @@ def test_everybody_gets_what_the_filter_of_one_robot_gives(seed: int, name: str,
 
 
 def test_where_an_actuator_saturates_the_nearest_action_is_looked_for_as_well() -> None:
-    """There the slope is a chord's, and the action that it leads to may lie further from the nominal action than need be."""
+    """There the slope is a chord's, and the action that it leads to may lie further from the nominal action than need
+    be."""
     random = np.random.default_rng(8)
     given_ = drawn(8, 300, 6, FILTERS["car"].model.latent)
     given_["state"][:, 3], given_["nominal"] = random.uniform(0.5, 2.0, 300), np.tile([2.0, 0.0], (300, 1))
@@ -101,7 +102,7 @@ def test_most_are_answered_together_and_every_kind_of_verdict_occurs() -> None:
     found = decided(many, **drawn(0, 400, 6, many.model.latent), footprint=FOOTPRINT, field=FIELD)
     for status in (Status.passed, Status.corrected, Status.violated):
         assert found.count(status) > 10
-    together = ~found.alone
+    together = ~found.single
     assert together.mean() > 0.6
     assert set(found.status[together].tolist()) == {STATUSES.index(Status.passed), STATUSES.index(Status.corrected)}
 
@@ -263,4 +264,4 @@ def test_a_robot_of_one_action_and_barriers_that_are_functions() -> None:
         assert STATUSES[found.status[robot]] is verdict.status
         np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
     assert found.count(Status.corrected) > 5
-    assert (~found.alone).mean() > 0.5
+    assert (~found.single).mean() > 0.5

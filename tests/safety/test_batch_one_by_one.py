@@ -19,7 +19,7 @@ from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.limits import SpeedBarrier
 from safedpa.safety.batch import filter as batch
 from safedpa.safety.batch.barriers import CompiledBatchBarriers, SequentialBarriers
-from safedpa.safety.batch.constraints import search_batch
+from safedpa.safety.batch.constraints import solve_sqp_batch
 from safedpa.safety.batch.filter import STATUSES, BatchFilter, BatchVerdicts
 from safedpa.safety.batch.predictor import AffineBatchPredictor, BatchPredictor
 from safedpa.safety.validation import Plausible
@@ -91,6 +91,7 @@ class Drawn:
         return one.decide(self.state[robot], self.nominal[robot], epsilon=margins)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rows", "bend"), [(1, 0.0), (4, 0.0), (1, 0.3), (3, 0.1), (1, 2.0), (2, 1.0)])
 def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_left_to_it(
     rows: int, bend: float
@@ -106,9 +107,9 @@ def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_le
         reported = found.slack[robot], found.h_now[robot], found.h_next[robot]
         np.testing.assert_allclose(reported, (verdict.slack, verdict.h_now, verdict.h_next), rtol=1e-9, atol=1e-6)
     ordinary = np.isin(found.status, [STATUSES.index(Status.passed), STATUSES.index(Status.corrected)])
-    assert (~found.alone <= ordinary).all()
+    assert (~found.single <= ordinary).all()
     if bend == 0.0:  # the program says all, and has a closed form
-        assert found.alone.tolist() == (~ordinary).tolist()
+        assert found.single.tolist() == (~ordinary).tolist()
     assert found.count(Status.fallback) >= 7
     assert min(found.count(Status.passed), found.count(Status.corrected), found.count(Status.violated)) > 5
 
@@ -128,7 +129,7 @@ def test_what_lies_on_a_limit_is_answered_with_the_others() -> None:
         )  # fmt: skip
         assert found.count(Status.passed) == 1
         assert found.count(Status.corrected) == 1
-        assert not found.alone.any()
+        assert not found.single.any()
 
 
 def test_conditions_are_posed_with_the_scales_that_those_of_one_have(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,10 +137,10 @@ def test_conditions_are_posed_with_the_scales_that_those_of_one_have(monkeypatch
     drawn, posed = Drawn(5, 3, 0.0), list[tuple[Values, Values]]()
 
     def searched(conditions: Any, nominal: Values, start: Any) -> Any:
-        posed.append((conditions.scale.copy(), conditions.barriers.values(conditions.predictions.state)))
-        return search_batch(conditions, nominal, start)
+        posed.append((conditions.scale.copy(), conditions.barriers.h(conditions.predictions.state)))
+        return solve_sqp_batch(conditions, nominal, start)
 
-    monkeypatch.setattr(batch, "search_batch", searched)
+    monkeypatch.setattr(batch, "solve_sqp_batch", searched)
     drawn.epsilon["function"] = np.full(ROBOTS, 0.2)
     drawn.together()
     ((scale, h),) = posed
@@ -155,7 +156,7 @@ def test_latents_say_nothing_where_there_is_no_model() -> None:
     with_latent = many.decide(drawn.state, drawn.nominal, drawn.latent, **known)
     without = many.decide(drawn.state, drawn.nominal, **known)
     np.testing.assert_array_equal(with_latent.action, without.action)
-    np.testing.assert_array_equal(with_latent.alone, without.alone)
+    np.testing.assert_array_equal(with_latent.single, without.single)
 
 
 def test_more_than_two_actions_are_refused() -> None:
@@ -178,7 +179,7 @@ def test_a_model_of_one_latent_or_none(free: tuple[str, ...]) -> None:
     around = SequentialBarriers([[CorridorBarrier(-3.0, 3.0, 0.25)]] * 3)
     many = BatchFilter(model, settings)
     found = many.decide(state, nominal, barriers=around)
-    assert found.alone.tolist() == ([True] * 3 if free else [False, True, False])
+    assert found.single.tolist() == ([True] * 3 if free else [False, True, False])
     assert found.count(Status.fallback) == (3 if free else 1)
     reported = many.decide(state, nominal, np.array([[1e6]] * 3)[:, : len(free)], barriers=around)
     assert reported.count(Status.fallback) == (3 if free else 1)
@@ -211,8 +212,8 @@ def test_predictions_and_slopes_are_those_of_one(name: str) -> None:
         np.testing.assert_allclose(
             many.next_state(action)[robot], one.next_state(state[robot], action[robot], own, None), atol=1e-6
         )
-        slopes = one.slopes(state[robot], action[robot], own, None)
-        np.testing.assert_allclose(many.slopes(action)[robot], slopes, atol=1e-6)
+        slopes = one.control_matrix(state[robot], action[robot], own, None)
+        np.testing.assert_allclose(many.control_matrix(action)[robot], slopes, atol=1e-6)
     np.testing.assert_allclose(some.next_state(action[[3, 11]]), many.next_state(action)[[3, 11]], atol=1e-6)
     assert some.affine is many.affine
 
@@ -232,7 +233,7 @@ def test_networks_are_asked_once_for_all_actions(monkeypatch: pytest.MonkeyPatch
     many = BatchPredictor(model, state, np.tile(model.latent, (5, 1)))
     for action in (np.zeros((5, 2)), np.full((5, 2), 0.1)):
         many.next_state(action)
-        many.slopes(action)
+        many.control_matrix(action)
         many.only(np.array([1])).next_state(action[:1])
     assert len(asked) == 1
 
@@ -241,7 +242,7 @@ def test_what_is_given_as_f_and_g_is_affine() -> None:
     f, g = np.ones((2, 3)), np.zeros((2, 3, 2))
     known = AffineBatchPredictor(f, f, g)
     assert known.affine
-    known.slopes(np.zeros((2, 2)))[:] = 1.0
+    known.control_matrix(np.zeros((2, 2)))[:] = 1.0
     assert not known.g.any()
 
 
@@ -278,17 +279,17 @@ def test_many_cars_have_the_barriers_of_each(walls: bool) -> None:
     state = random.uniform((-1.0, -1.0, -3.0, -0.5), (1.0, 1.0, 3.0, 1.5), (cars, 4))
     g = random.normal(size=(cars, 4, 2))
     many = barriers_of_cars(settings, table, body, field)
-    h, slopes = many.values(state), many.along(state, g, np.ones(2))
+    h, slopes = many.h(state), many.lie_derivative(state, g, np.ones(2))
     for car in range(cars):
         own: list[AbstractBarrier] = car_barriers(
             settings, body[car], table[car], None if field is None else field[car]
         )
-        wanted = [part.evaluate(state[car]) for part in own]
+        wanted = [part.h_and_grad(state[car]) for part in own]
         assert many.kinds == tuple(part.kind for part in own for _ in part.names)
         np.testing.assert_allclose(h[car], np.concatenate([values for values, _ in wanted]), atol=1e-12)
         along = np.concatenate([gradient for _, gradient in wanted]) @ g[car]
         np.testing.assert_allclose(slopes[car], along, atol=1e-11)
-        again = np.concatenate([part.values(state[car]) for part in many.one(car)])
+        again = np.concatenate([part.h(state[car]) for part in many.one(car)])
         np.testing.assert_allclose(again, h[car], atol=1e-12)
 
 

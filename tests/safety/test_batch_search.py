@@ -43,7 +43,7 @@ class Moving:
     def next_state(self, action: Values) -> Values:
         return moved(self.state, action)
 
-    def slopes(self, action: Values) -> Values:
+    def control_matrix(self, action: Values) -> Values:
         g = np.tile(np.eye(2), (len(action), 1, 1))
         g[action[:, 0] > MOST, 0, 0] = 0.0
         return g
@@ -55,10 +55,10 @@ class Rows:
     def only(self, which: Any) -> Rows:
         return self
 
-    def values(self, states: Values) -> Values:
+    def h(self, states: Values) -> Values:
         return np.asarray(states @ SLOPES.T + 5.0)
 
-    def along(self, states: Values, g: Values, width: Values) -> Values:
+    def lie_derivative(self, states: Values, g: Values, width: Values) -> Values:
         return np.asarray(SLOPES @ g)
 
 
@@ -81,7 +81,7 @@ def many(states: Values, ones: list[Constraints]) -> BatchConstraints:
         SETTINGS,
         Rows(),  # type: ignore[arg-type]
         Moving(states),  # type: ignore[arg-type]
-        np.array([one.required for one in ones]),
+        np.array([one.rhs for one in ones]),
         np.array([one.scales for one in ones]),
         np.zeros(len(ones), dtype=bool),
     )
@@ -97,13 +97,13 @@ def drawn() -> tuple[Values, Values, list[Constraints]]:
 def test_what_is_kept_and_how_nearly_is_what_the_conditions_of_one_say(drawn: Any) -> None:
     states, actions, ones = drawn
     conditions = many(states, ones)
-    found = conditions.outcome(actions)
-    alone = [one.outcome(action.tolist()) for one, action in zip(ones, actions, strict=True)]
+    found = conditions.evaluate(actions)
+    alone = [one.evaluate(action.tolist()) for one, action in zip(ones, actions, strict=True)]
     np.testing.assert_allclose(found.h_next, [one.h_next for one in alone], atol=1e-12)
-    assert conditions.kept(found).tolist() == [one.kept for one in alone]
-    assert 20 < sum(one.kept for one in alone) < 180
-    tightest = [one.tightest(outcome) for one, outcome in zip(ones, alone, strict=True)]
-    np.testing.assert_allclose(conditions.tightest(found), tightest, rtol=1e-9)
+    assert conditions.is_feasible(found).tolist() == [one.is_feasible for one in alone]
+    assert 20 < sum(one.is_feasible for one in alone) < 180
+    tightest = [one.min_scaled_residual(outcome) for one, outcome in zip(ones, alone, strict=True)]
+    np.testing.assert_allclose(conditions.min_scaled_residual(found), tightest, rtol=1e-9)
 
 
 def test_what_is_missed_by_rounding_is_kept_and_what_is_no_number_is_not(drawn: Any) -> None:
@@ -114,12 +114,12 @@ def test_what_is_missed_by_rounding_is_kept_and_what_is_no_number_is_not(drawn: 
     h, following = np.array([[5.0, 0.0, 5.0]]), states[:1]
     for share, kept in ((0.0, True), (-0.5e-10, True), (-2e-10, False)):
         residual = share * conditions.scale
-        assert conditions.kept(BatchCandidates(states[:1], following, h, residual)).tolist() == [kept]
+        assert conditions.is_feasible(BatchCandidates(states[:1], following, h, residual)).tolist() == [kept]
     good = np.zeros((1, 3))
-    assert not conditions.kept(BatchCandidates(states[:1], following, np.array([[5.0, -1e-3, 5.0]]), good)).any()
+    assert not conditions.is_feasible(BatchCandidates(states[:1], following, np.array([[5.0, -1e-3, 5.0]]), good)).any()
     for broken in (np.nan, np.inf):
         spoiled = BatchCandidates(states[:1], np.array([[0.0, broken]]), h, good)
-        assert not conditions.kept(spoiled).any()
+        assert not conditions.is_feasible(spoiled).any()
 
 
 def test_distances_are_those_of_the_program(drawn: Any) -> None:
@@ -134,8 +134,8 @@ def test_slopes_are_those_of_one_where_an_actuator_saturates_too(drawn: Any) -> 
     """There the chord leads to the bound that is further away, or the slope before it is taken again."""
     states, actions, ones = drawn
     conditions, last = many(states, ones), np.full((200, 2, 2), np.nan)
-    about = conditions.outcome(actions)
-    slopes = conditions.slopes(about, last)
+    about = conditions.evaluate(actions)
+    slopes = conditions.linearize(about, last)
     beyond = actions[:, 0] > MOST
     assert 40 < beyond.sum() < 160
     assert conditions.saturated.tolist() == beyond.tolist()
@@ -145,7 +145,7 @@ def test_slopes_are_those_of_one_where_an_actuator_saturates_too(drawn: Any) -> 
     np.testing.assert_allclose(slopes, SLOPES @ g, rtol=1e-9)
     reach = np.abs(slopes) @ (np.array(HIGH) - np.array(LOW))
     np.testing.assert_allclose(conditions.scale, np.maximum([one.scales for one in ones], reach), rtol=1e-12)
-    again = conditions.slopes(conditions.outcome(np.tile([2.9, 1.0], (200, 1))), last)
+    again = conditions.linearize(conditions.evaluate(np.tile([2.9, 1.0], (200, 1))), last)
     np.testing.assert_allclose(again, slopes, rtol=1e-9)
 
 
@@ -163,7 +163,7 @@ class Given:
     def next_state(self, action: Values) -> Values:
         return np.asarray(self.state + self.far + action**3)
 
-    def slopes(self, action: Values) -> Values:
+    def control_matrix(self, action: Values) -> Values:
         return self.g.copy()
 
 
@@ -194,10 +194,10 @@ def test_a_slope_is_taken_for_rounding_where_that_of_one_robot_is() -> None:
     actions[0], g[0] = (1.0, 1.5), 0.0  # in the middle, as far from either bound
     given = Given(state, g, far)
     ones = [of_given(given, robot) for robot in range(count)]
-    wanted = [one.linearised(one.outcome(own.tolist())).all(3) for one, own in zip(ones, actions, strict=True)]
+    wanted = [one.linearize(one.evaluate(own.tolist())).all(3) for one, own in zip(ones, actions, strict=True)]
     silent = [one.saturated for one in ones]
     conditions = replace(many(state, ones), predictions=given)
-    found = conditions.slopes(conditions.outcome(actions), np.full((count, 2, 2), np.nan))
+    found = conditions.linearize(conditions.evaluate(actions), np.full((count, 2, 2), np.nan))
     assert conditions.saturated.tolist() == silent
     assert 40 < sum(silent) < 360
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-300)

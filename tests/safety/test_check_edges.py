@@ -1,4 +1,4 @@
-"""Edges of a filter's check: several actions, several barriers, and which of several cases is told."""
+"""Edges of a filter's check: several actions, several barriers, and which of several cases is reported."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +12,7 @@ from safedpa.errors import InputError
 from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter, check_filter
 from safedpa.safety.checks.backup import backup_issues, horizon_issues
 from safedpa.safety.checks.barriers import condition_issues, gradient_issues, margin_issues, scale_issues, tick_issues
-from safedpa.safety.checks.probes import FilterUnderTest, probed
+from safedpa.safety.checks.probes import FilterUnderTest, collect_probes
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.validation import Plausible
 from safedpa.safety.verdict import Status, resting_verdict
@@ -30,7 +30,7 @@ def wide(x: Values) -> tuple[Values, Values]:
 )
 def test_one_entry_of_a_backup_is_enough(action: list[float], reported: bool) -> None:
     checked = made(first, model=wide, actions=2, backup=lambda x: action if x[0] == 1.0 else [0.0, 0.0])
-    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)) is reported
+    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], can_stop=False)) is reported
 
 
 @pytest.mark.parametrize(("beyond", "reported"), [(3e-6, False), (5e-6, True)])
@@ -38,16 +38,16 @@ def test_rounding_is_a_share_of_the_range(beyond: float, reported: bool) -> None
     """4000 from end to end: a billionth of that is 4e-6."""
     limits = (-1000.0, 3000.0)
     checked = made(first, limits=limits, backup=lambda x: [3000.0 + beyond * (x[0] == 1.0)])
-    assert bool(backup_issues(checked, [probe(1.0)], stationary_for=False)) is reported
+    assert bool(backup_issues(checked, [probe(1.0)], can_stop=False)) is reported
     part = RolloutBarrier(lambda x: (x, 0.1 * np.eye(1)), [0.0], first, 5, ["r"])
     other = made(part, limits=limits, backup=lambda x: [beyond])
-    assert bool(backup_issues(other, [probe(1.0)], stationary_for=False)) is reported
+    assert bool(backup_issues(other, [probe(1.0)], can_stop=False)) is reported
 
 
 def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_another_backup_is_enough() -> None:
     part = RolloutBarrier(wide, [0.0, 0.5], first, 5, ["r"])
     checked = made(part, model=wide, actions=2, backup=lambda x: [0.0, 0.4])
-    assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stationary_for=False)) == 1
+    assert len(backup_issues(checked, [probe(1.0), probe(2.0)], can_stop=False)) == 1
     checked, asked = recorded(made(first))
     condition_issues(checked, [probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False)])
     assert sorted({round(action, 9) for action in asked}) == [-1.0, -0.7, 0.5, 0.8, 1.7, 2.0]
@@ -55,7 +55,7 @@ def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_anot
 
 def test_of_conditions_that_break_or_are_missed_the_worst_is_named_first() -> None:
     checked = made(first, lambda x: 3.0 * x[0], backup=lambda x: [-1.0])
-    (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], stationary_for=True)
+    (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], can_stop=True)
     assert found.names == ("h1", "h0")
     one = probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.3], [-0.9, -0.3]], kept=False)
     (found,) = condition_issues(made(first, first), [one])
@@ -144,36 +144,36 @@ def refused(checked: FilterUnderTest, *, passes: bool = False) -> tuple[FilterUn
     return FilterUnderTest(safe, checked.barriers, checked.margins, None), safe
 
 
-@pytest.mark.parametrize(("missed", "retained"), [(-0.001, True), (0.0005, True), (0.0015, False)])
+@pytest.mark.parametrize(("missed", "kept"), [(-0.001, True), (0.0005, True), (0.0015, False)])
 def test_where_the_filter_finds_nothing_the_actions_tried_say_whether_it_was_slight(missed: float, kept: bool) -> None:
     """From x the best of them leads to x + 0.2, which is asked to be 0.9 x + 0.02: it misses 0.001 at -1.81."""
     checked, _ = refused(made(first, lambda x: 50.0 + x[0], epsilon=0.02))
-    given, driven, *_ = probed(checked, [np.array([-1.8 - 10.0 * missed])], 8, 0)
-    assert given.kept, "not asked there"
-    assert driven.kept is kept
+    given, driven, *_ = collect_probes(checked, [np.array([-1.8 - 10.0 * missed])], 8, 0)
+    assert given.is_feasible, "not asked there"
+    assert driven.is_feasible is kept
 
 
 def test_inside_is_where_every_h_is_at_its_threshold() -> None:
     checked, _ = refused(made(first, lambda x: x[0] - 4.0, epsilon=0.5, eta=0.5))
     for at, inside in ((5.0, True), (4.999, False), (1.0, False), (0.5, False)):
-        (one, *_) = probed(checked, [np.array([at])], 1, 0)
+        (one, *_) = collect_probes(checked, [np.array([at])], 1, 0)
         assert one.inside is inside
 
 
 def test_every_extreme_action_is_held_to_the_end_in_six_drives() -> None:
     checked, safe = refused(made(first, model=lambda x: (x, np.full((1, 4), 0.1)), actions=4), passes=True)
-    probed(checked, [np.array([9.0])], 60, 0)
+    collect_probes(checked, [np.array([9.0])], 60, 0)
     drives = [set(safe.nominal_actions[60 * drive : 60 * drive + 60]) for drive in range(12)]
     assert [len(drive) == 1 for drive in drives] == [True] * 6 + [False] * 6
     assert len(set().union(*drives[:6])) == 6
     two, both = refused(made(first), passes=True)
-    probed(two, [np.array([9.0])], 60, 0)
+    collect_probes(two, [np.array([9.0])], 60, 0)
     held = [set(both.nominal_actions[60 * drive : 60 * drive + 60]) for drive in range(12)]
     assert held[:2] == [{(-1.0,)}, {(2.0,)}]
     assert sum(len(drive) == 2 for drive in held[2:]) >= 8, "some are held for all of it by chance"
 
 
-def test_of_a_kind_with_some_margin_nothing_is_said_and_a_unit_is_off_by_its_ratio() -> None:
+def test_a_kind_with_some_margin_is_no_issue_and_a_wrong_unit_is_reported_with_its_ratio() -> None:
     assert margin_issues(made(first, epsilon={"function": 0.1}), []) == []
     parts = [FunctionBarrier(first, names=(name,), kind=name) for name in ("a", "b")]
     checked = made(*parts, epsilon={"a": 1e-3, "b": 1e3})
@@ -255,7 +255,7 @@ def test_states_that_are_none_are_refused(states: Any) -> None:
 def test_a_backup_is_meant_to_satisfy_every_condition_by_default() -> None:
     checked = made(first, backup=lambda x: [-1.0])
     assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
-    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stationary_for=False).subjects
+    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, can_stop=False).subjects
 
 
 @pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])
@@ -276,7 +276,9 @@ def test_what_the_filter_itself_refuses_is_reported() -> None:
 
     far = of(state_range=Plausible(np.array(-0.1), np.array(0.1), ("x",)))
     assert "out of its plausible range" in str(check_filter(far, [[0.5]]))
-    assert "which no barrier is: did you mean 'function'" in str(check_filter(of(), [[0.5]], epsilon={"functio": 0.1}))
+    assert "a kind without barriers: did you mean 'function'" in str(
+        check_filter(of(), [[0.5]], epsilon={"functio": 0.1})
+    )
     assert not len(check_filter(of(), [[0.5]]))
 
 

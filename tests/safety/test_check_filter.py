@@ -15,7 +15,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers.obstacles import car_barriers
-from safedpa.robots.point.point_scene import PointScene
+from safedpa.robots.point.scene import PointScene
 from safedpa.safety import (
     AbstractBarrier,
     CorridorBarrier,
@@ -30,7 +30,7 @@ from safedpa.safety import (
 )
 from safedpa.safety.checks.backup import backup_issues
 from safedpa.safety.checks.compatibility import check_backup
-from safedpa.safety.checks.report import FilterIssue, gathered, shown
+from safedpa.safety.checks.report import FilterIssue, collect, format_vector
 from safedpa.safety.defaults import settings_named
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -67,7 +67,7 @@ def test_the_first_example_of_the_page_is_fine() -> None:
     for states in (STATES, [0.0, 0.0], random.uniform((-2.0, -1.0), (0.9, 1.2), (20, 2))):
         found = check_filter(names["safe"], states)
         assert not found
-        assert str(found) == f"Nothing amiss at {found.states} states."
+        assert str(found) == f"No issue at {found.states} states."
         assert found.states > len(np.atleast_2d(states))
 
 
@@ -86,11 +86,12 @@ def test_the_pendulum_is_fine_but_has_no_stand() -> None:
     model, settings = load_model("pendulum"), settings_named("pendulum")
     safe = SafetyFilter.for_model(model, settings, [CorridorBarrier(-1.0, 1.0, settings.barrier("corridor_seconds"))])
     states = np.random.default_rng(0).uniform((-1.0, -2.0), (1.0, 2.0), (40, 2))
-    found = check_filter(safe, states, latent=model.latent, stationary_for=False)
+    found = check_filter(safe, states, latent=model.latent, can_stop=False)
     assert not found, str(found)
     assert check_filter(safe, states, latent=model.latent).subjects == {"backup"}
 
 
+@pytest.mark.long
 def test_the_point_robot_is_fine() -> None:
     model, settings, latent = load_model("point_wind"), settings_named("point"), np.array([0.5, -0.3])
     scene, random = PointScene(model, settings), np.random.default_rng(0)
@@ -108,6 +109,7 @@ def test_the_point_robot_is_fine() -> None:
     assert not found, str(found)
 
 
+@pytest.mark.long
 def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
     wall = RolloutBarrier(affine, brake, lambda x: 1.0 - x[0], 40)
     assert not report(wall, backup=wall.backup)
@@ -121,11 +123,11 @@ def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
 @pytest.mark.long
 def test_the_example_among_discs_runs_and_hits_nothing() -> None:
     notice = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
-    assert notice.startswith("Nothing amiss")
+    assert notice.startswith("No issue")
     assert float(re.findall(r"least room (\S+) cm", notice)[0]) >= 0.0
 
 
-def test_a_wrong_unit_and_actions_that_reach_less_than_the_margin_are_told() -> None:
+def test_a_wrong_unit_and_actions_that_change_h_by_less_than_the_margin_are_reported() -> None:
     small = report(lambda x: 1e-8 * room(x))
     assert small.subjects == {"scale"}
     assert "are h and epsilon in the same unit?" in small[0].sentence
@@ -148,7 +150,7 @@ def test_a_relative_degree_above_one() -> None:
     assert "does not answer to the action in one tick" in str(ahead)
 
 
-def test_an_h_that_falls_under_the_backup_is_told_even_of_a_filter_that_is_switched_off() -> None:
+def test_an_h_that_falls_under_the_backup_is_reported_even_for_a_filter_that_is_switched_off() -> None:
     found = report(settings=replace(SETTINGS, backup_action=(1.0,)))
     assert found.subjects == {"backup"}
     assert "under the backup" in found[0].sentence
@@ -169,6 +171,7 @@ def test_conditions_that_no_action_can_satisfy_or_that_exclude_each_other_are_re
     assert "conditions" in found.subjects or "backup" in found.subjects
 
 
+@pytest.mark.long
 def test_a_backup_out_of_bounds_or_of_another_shape_or_not_the_barriers_own() -> None:
     assert "wanted [-1] to [1]" in report(backup=lambda x: [-3.0])[0].sentence
     assert "finite numbers" in report(backup=lambda x: [0.0] if x is None else [0.0, 0.0])[0].sentence
@@ -202,7 +205,7 @@ def test_an_obstacle_thinner_than_a_tick() -> None:
     assert not check_filter(SafetyFilter(jumping, [looking], limits), states)
 
 
-def test_a_margin_of_zero_and_a_gradient_that_its_own_h_contradicts_are_told() -> None:
+def test_a_margin_of_zero_and_a_gradient_that_contradicts_its_h_are_reported() -> None:
     found = report(settings=replace(SETTINGS, epsilon={"obstacle": 0.01}), kind="wall")
     assert found.subjects == {"margin"}
     assert "epsilon = { wall = ... }" in found[0].sentence
@@ -243,12 +246,14 @@ def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: b
     own = [-1.0]
     checked = made(first, rollout([0.5] if foreign else own), backup=lambda x: own)
     near = probe(0.5, h=[0.5, 9.0])
-    found = backup_issues(checked, [near], stationary_for=True)
+    found = backup_issues(checked, [near], can_stop=True)
     assert [name for issue in found for name in issue.names if name in reported] == reported
     assert all("the same; give the filter" in issue.sentence for issue in found) is foreign
     assert any("misses its condition" in issue.sentence for issue in found) is not foreign
-    unasked = backup_issues(checked, [near], stationary_for=False)
-    assert len(unasked) == foreign, "a robot without a stand is not asked, and another backup is told all the same"
+    unasked = backup_issues(checked, [near], can_stop=False)
+    assert len(unasked) == foreign, (
+        "a robot that cannot stop is not checked for it, but another backup is reported nevertheless"
+    )
 
 
 @pytest.mark.parametrize("backup", ["stop", 0.0, (0.0, 0.0), [0.0, 0.0], np.zeros(2)])
@@ -274,15 +279,15 @@ NAMES = ("a", "b", "c", "d", "e", "f")
 
 def test_the_worst_is_named_first_and_gives_its_sentence() -> None:
     cases = {0: (1.0, "slightly"), 3: (7.0, "badly"), 5: (2.0, "somewhat")}
-    assert gathered("scale", NAMES, cases) == [FilterIssue("scale", ("d", "f", "a"), "badly")]
-    assert gathered("scale", NAMES, {}) == []
+    assert collect("scale", NAMES, cases) == [FilterIssue("scale", ("d", "f", "a"), "badly")]
+    assert collect("scale", NAMES, {}) == []
 
 
 @pytest.mark.parametrize(
     ("count", "notice"),
     [(0, "scale: x"), (1, "scale (a): x"), (4, "scale (a, b, c, d): x"), (5, "scale (a, b, c, d, ...): x")],
 )
-def test_four_names_are_said_and_that_there_are_more(count: int, notice: str) -> None:
+def test_an_issue_shows_four_names_and_that_there_are_more(count: int, notice: str) -> None:
     assert str(FilterIssue("scale", NAMES[:count], "x")) == notice
 
 
@@ -292,5 +297,5 @@ def test_a_report_is_its_issues() -> None:
     assert (list(report), len(report), report[1], report[:1]) == (issues, 2, issues[1], (issues[0],))
     assert (report.subjects, str(report)) == ({"scale", "margin"}, "- scale: x\n- margin (a): y")
     assert not FilterReport([], 7)
-    assert str(FilterReport([], 7)) == "Nothing amiss at 7 states."
-    assert shown([1.0, -0.123456]) == "[1, -0.1235]"
+    assert str(FilterReport([], 7)) == "No issue at 7 states."
+    assert format_vector([1.0, -0.123456]) == "[1, -0.1235]"

@@ -13,7 +13,7 @@ from safedpa.errors import InputError
 from safedpa.safety import FunctionBarrier, RolloutBarrier, Verdict, check_filter
 from safedpa.safety.checks.backup import backup_issues, horizon_issues
 from safedpa.safety.checks.barriers import condition_issues, gradient_issues, margin_issues, scale_issues, tick_issues
-from safedpa.safety.checks.probes import FilterUnderTest, probed
+from safedpa.safety.checks.probes import FilterUnderTest, collect_probes
 from safedpa.safety.checks.report import FilterIssue
 from safedpa.safety.verdict import Status, resting_verdict
 
@@ -23,11 +23,11 @@ from safedpa.safety.verdict import Status, resting_verdict
 def test_thresholds_and_residuals_follow_worked_examples_and_the_latent_is_the_models() -> None:
     checked = made(first, lambda x: 5.0 - x[0], epsilon=0.002, eta=0.1)
     np.testing.assert_allclose(checked.threshold, [0.02, 0.02])
-    np.testing.assert_allclose(checked.slight(np.array([3.0, -4e6])), [0.0001 + 3e-9, 0.0001 + 4e-3])
+    np.testing.assert_allclose(checked.tolerance(np.array([3.0, -4e6])), [0.0001 + 3e-9, 0.0001 + 4e-3])
     # From 3 with a = -1 to 2.9: 2.9 - 0.9 x 3 - 0.002.
     np.testing.assert_allclose(made(first).residual(np.array([3.0]), np.array([-1.0])), [0.198])
     checked = made(first, model=lambda x, z: (x + z, 0.1 * np.eye(1)), latent=np.array([0.5]))
-    np.testing.assert_allclose(checked.after(np.array([3.0]), np.array([-1.0])), [3.4])
+    np.testing.assert_allclose(checked.next_state(np.array([3.0]), np.array([-1.0])), [3.4])
 
 
 @pytest.mark.parametrize(("actions", "corners"), [(1, 2), (2, 4), (4, 16), (5, 16)])
@@ -62,7 +62,7 @@ def opened(end: float = np.inf) -> tuple[FilterUnderTest, Open]:
 
 def test_sixty_states_are_probed_and_twelve_drives_from_them() -> None:
     checked, safe = opened()
-    found = probed(checked, [np.array([float(at)]) for at in range(70)], 16, 0)
+    found = collect_probes(checked, [np.array([float(at)]) for at in range(70)], 16, 0)
     assert [one.state[0] for one in found[:60]] == list(range(60))
     assert len(found) == 60 + 12 * 2, "of each drive the eighth tick and the sixteenth"
     assert len(safe.asked) == 12 * 16
@@ -81,7 +81,7 @@ def test_nominal_actions_are_held_for_some_ticks_and_come_from_the_seed() -> Non
     runs = []
     for seed in (0, 0, 1):
         checked, safe = opened()
-        probed(checked, [np.array([0.0])], 200, seed)
+        collect_probes(checked, [np.array([0.0])], 200, seed)
         nominal_actions = [nominal for _, nominal in safe.asked[400:]]
         runs.append(nominal_actions)
         changes = [
@@ -94,7 +94,7 @@ def test_nominal_actions_are_held_for_some_ticks_and_come_from_the_seed() -> Non
 
 def test_a_drive_ends_where_no_action_keeps_every_condition() -> None:
     checked, safe = opened(end=0.75)
-    found = probed(checked, [np.array([0.0])], 40, 0)
+    found = collect_probes(checked, [np.array([0.0])], 40, 0)
     up = [one for one in found[1:] if one.state[0] >= 0.75]
     assert up
     assert max(one.state[0] for one in found) < 0.75 + 0.2 + 1e-9
@@ -104,22 +104,22 @@ def test_a_drive_ends_where_no_action_keeps_every_condition() -> None:
 def test_a_filter_that_decides_nothing_is_refused_at_the_first_state_and_ends_a_drive_later() -> None:
     checked, safe = opened(end=0.75)
     safe.beyond = Status.fallback
-    assert max(one.state[0] for one in probed(checked, [np.array([0.0])], 40, 0)) >= 0.75
+    assert max(one.state[0] for one in collect_probes(checked, [np.array([0.0])], 40, 0)) >= 0.75
     with pytest.raises(InputError, match="the filter decides nothing at"):
-        probed(checked, [np.array([0.8])], 40, 0)
+        collect_probes(checked, [np.array([0.8])], 40, 0)
 
 
 def test_drives_begin_inside_where_some_state_is() -> None:
     checked = made(first)
-    found = probed(checked, [np.array([0.01]), np.array([5.0])], 8, 0)
+    found = collect_probes(checked, [np.array([0.01]), np.array([5.0])], 8, 0)
     assert [one.inside for one in found[:2]] == [False, True]
     assert all(one.state[0] > 1.0 for one in found[2:])
-    outside = probed(checked, [np.array([0.01])], 8, 0)
+    outside = collect_probes(checked, [np.array([0.01])], 8, 0)
     assert len(outside) > 1, "where none is, they begin there all the same"
 
 
 def test_what_is_known_at_a_state() -> None:
-    (one, *_) = probed(made(first, lambda x: 4.0 - 2.0 * x[0]), [np.array([1.0])], 1, 0)
+    (one, *_) = collect_probes(made(first, lambda x: 4.0 - 2.0 * x[0]), [np.array([1.0])], 1, 0)
     np.testing.assert_allclose(one.h, [1.0, 2.0])
     np.testing.assert_allclose(
         one.residuals, [[0.9 - 0.902, 2.2 - 1.802], [1.2 - 0.902, 1.6 - 1.802], [1.05 - 0.902, 1.9 - 1.802]]
@@ -127,7 +127,7 @@ def test_what_is_known_at_a_state() -> None:
     np.testing.assert_allclose(one.moved, [0.2])
     np.testing.assert_allclose(one.reached, [0.3, 0.6])
     assert one.inside
-    assert one.kept
+    assert one.is_feasible
 
 
 def test_a_kind_without_a_margin() -> None:
@@ -284,13 +284,13 @@ def test_conditions_that_exclude_each_other() -> None:
     assert "keeps all of them together at 1 states" in found.sentence
 
 
-@pytest.mark.parametrize(("inside", "retained"), [(False, False), (True, True), (False, True)])
+@pytest.mark.parametrize(("inside", "kept"), [(False, False), (True, True), (False, True)])
 def test_states_outside_or_kept_are_no_issue(inside: bool, kept: bool) -> None:
     one = probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], inside=inside, kept=kept)
     assert condition_issues(made(first), [one]) == []
 
 
-def test_the_worst_of_several_is_said() -> None:
+def test_the_worst_of_several_is_reported() -> None:
     probes = [probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.4], [-0.2, -0.3]], kept=False)]
     (found,) = condition_issues(made(first, first), probes)
     assert found.names == ("h1", "h0")
@@ -310,7 +310,7 @@ def test_the_worst_of_several_is_said() -> None:
 )
 def test_a_backup_is_an_action_within_its_bounds(backup: Callable[[Any], Any], notice: str) -> None:
     checked = made(first, backup=lambda x: backup(x) if x[0] == 1.0 else [0.0])  # else it is refused when it is given
-    found = backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)
+    found = backup_issues(checked, [probe(0.0), probe(1.0)], can_stop=False)
     assert [issue.subject for issue in found] == ["backup"] * bool(notice)
     assert notice in "".join(issue.sentence for issue in found)
 
@@ -323,16 +323,16 @@ def test_a_backup_under_which_conditions_break() -> None:
     """It goes down by 0.1 a tick: from 0.5 a condition of 0.9 x 0.5 + 0.002 is missed by 0.052, from 2 none is."""
     checked = made(first, lambda x: 9.0 + x[0], backup=lambda x: [-1.0])
     near, far, out = probe(0.5, h=[0.5, 9.5]), probe(2.0, h=[2.0, 11.0]), probe(0.3, h=[0.3, 9.3], inside=False)
-    assert backup_issues(checked, [far, out], stationary_for=True) == []
-    assert backup_issues(checked, [near], stationary_for=False) == []
-    (found,) = backup_issues(checked, [far, near, probe(0.6, h=[0.6, 9.6]), out], stationary_for=True)
+    assert backup_issues(checked, [far, out], can_stop=True) == []
+    assert backup_issues(checked, [near], can_stop=False) == []
+    (found,) = backup_issues(checked, [far, near, probe(0.6, h=[0.6, 9.6]), out], can_stop=True)
     assert (found.subject, found.names) == ("backup", ("h0",))
     assert "misses its condition by 0.052 under the backup, from h = 0.5 at [0.5]" in found.sentence
     slight = made(first, epsilon=0.02, backup=lambda x: [-1.0])
-    assert backup_issues(slight, [probe(1.1901, h=1.1901)], stationary_for=True) == [], (
+    assert backup_issues(slight, [probe(1.1901, h=1.1901)], can_stop=True) == [], (
         "missed by a twentieth of epsilon: slight"
     )
-    assert backup_issues(slight, [probe(1.189, h=1.189)], stationary_for=True)
+    assert backup_issues(slight, [probe(1.189, h=1.189)], can_stop=True)
 
 
 def rollout(backup: Any, horizon: int, names: Sequence[str] = ("r",)) -> RolloutBarrier:
@@ -343,7 +343,7 @@ def test_a_rollout_of_another_backup() -> None:
     part = rollout([-0.5], 5)
     for own, reported in (([-0.5], False), ([-0.5 + 1e-10], False), ([-0.4], True)):
         found = backup_issues(
-            made(first, part, backup=lambda x, own=own: own), [probe(1.0), probe(2.0)], stationary_for=False
+            made(first, part, backup=lambda x, own=own: own), [probe(1.0), probe(2.0)], can_stop=False
         )  # type: ignore[misc]
         assert bool(found) is reported
     assert (found[0].names, len(found)) == (("r",), 1)

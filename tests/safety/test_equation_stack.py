@@ -2,7 +2,6 @@
 
 import pickle
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,16 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.safety.dual_numbers import DUALS, Dual, dual
 
-from safedpa.equations import Given, NotStraightError
-from safedpa.equations.many_rows import ManyRows
-from safedpa.equations.plain_rows import plain_rows
+from safedpa.equations import Given, NotRecordableError
+from safedpa.equations.batch_rows import BatchRows
 from safedpa.equations.rows import RowGroup, RowTape
+from safedpa.equations.scalar_rows import scalar_rows
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations
-from safedpa.robots.car import written_barriers
+from safedpa.robots.car.barriers.body import GENERATED_MODULE
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.generate_barriers import text
 from safedpa.safety import FilterSettings, FunctionBarrier
 from safedpa.safety.barriers.base import AbstractBarrier, Barriers
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
@@ -43,7 +41,7 @@ def by_hand(parts: Sequence[Any], state: Sequence[Any], operations: Operations) 
     found: list[Any] = []
     for part in parts:
         for item in part.each:
-            found += part.h(Given(state, part.shared, item, part.form), operations)
+            found += part.equation(Given(state, part.shared, item, part.form), operations)
     return found
 
 
@@ -75,15 +73,15 @@ def test_values_and_slopes_are_those_of_the_equation_itself(
     parts = scene_of(scene, walls, way, state)
     stack = make_barrier_set(parts)
     assert isinstance(stack, CompiledBarrierSet)
-    assert stack.heights(state) == pytest.approx(by_hand(parts, state, FLOATS), rel=0.0, abs=1e-14)
-    gradient, rows = stack.gradient(np.array(state)), range(len(stack.names))
+    assert stack.h_floats(state) == pytest.approx(by_hand(parts, state, FLOATS), rel=0.0, abs=1e-14)
+    gradient, rows = stack.grad_h(np.array(state)), range(len(stack.names))
     np.testing.assert_allclose(gradient, slopes_by_hand(parts, state), rtol=0.0, atol=1e-12)
-    assert stack.heights(state) == stack.values(np.array(state)).tolist()
-    np.testing.assert_array_equal(stack.slopes(state, rows[::-1]), gradient[::-1])
-    np.testing.assert_allclose(stack.one_by_one.gradient(np.array(state)), gradient, rtol=0.0, atol=1e-14)
-    steepest = stack.steepest(state)
-    assert steepest is not None
-    assert (abs(gradient) <= np.array(steepest) + 1e-12).all()
+    assert stack.h_floats(state) == stack.h(np.array(state)).tolist()
+    np.testing.assert_array_equal(stack.grad_h_floats(state, rows[::-1]), gradient[::-1])
+    np.testing.assert_allclose(stack.sequential.grad_h(np.array(state)), gradient, rtol=0.0, atol=1e-14)
+    grad_bound = stack.grad_bound(state)
+    assert grad_bound is not None
+    assert (abs(gradient) <= np.array(grad_bound) + 1e-12).all()
 
 
 @settings(max_examples=50, deadline=None)
@@ -97,19 +95,21 @@ def test_many_robots_at_once_have_what_each_has_alone(
     assert many.kinds == reference.kinds
     state, widths = np.array(drive), np.array([2.0, 1.0])
     g = np.random.default_rng(0).normal(size=(len(drive), 4, 2))
-    np.testing.assert_allclose(many.values(state), reference.values(state), rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(many.along(state, g, widths), reference.along(state, g, widths), rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(many.h(state), reference.h(state), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        many.lie_derivative(state, g, widths), reference.lie_derivative(state, g, widths), rtol=0.0, atol=1e-11
+    )
     last = np.array([len(drive) - 1])
-    np.testing.assert_array_equal(many.only(last).values(state[last]), many.values(state)[last])
+    np.testing.assert_array_equal(many.only(last).h(state[last]), many.h(state)[last])
     assert many.only(last).one(0) == parts[-1]
 
 
 def test_a_longer_state_has_no_slope_over_what_is_not_read() -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     state, stack = [0.1, 0.2, 0.3, 0.4], make_barrier_set(parts)
-    assert stack.heights([*state, 9.0]) == stack.heights(state)
-    np.testing.assert_array_equal(stack.gradient(np.array([*state, 9.0]))[:, :4], stack.gradient(np.array(state)))
-    assert not stack.gradient(np.array([*state, 9.0]))[:, 4].any()
+    assert stack.h_floats([*state, 9.0]) == stack.h_floats(state)
+    np.testing.assert_array_equal(stack.grad_h(np.array([*state, 9.0]))[:, :4], stack.grad_h(np.array(state)))
+    assert not stack.grad_h(np.array([*state, 9.0]))[:, 4].any()
 
 
 @pytest.mark.parametrize("which", [slice(0, 1), slice(None, None, -1), slice(1, 3)])
@@ -117,7 +117,7 @@ def test_any_equations_in_any_order_make_a_stack(which: slice) -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2), (2.0, 0.3, 0.1)], FIELD)[which]
     state = (0.1, 0.2, 0.3, 0.4)
     assert isinstance(make_barrier_set(parts), CompiledBarrierSet)
-    assert make_barrier_set(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
+    assert make_barrier_set(parts).h_floats(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_together_with_a_users_function_all_barriers_are_asked_one_by_one() -> None:
@@ -133,48 +133,46 @@ def test_bodies_that_differ_keep_their_own_numbers() -> None:
     for body, braking in (((0.08, 0.5, 0.12), braking_of(FilterSettings())), (FOOTPRINT, Braking(1.0, 2.5))):
         other = ObstacleBarrier([(1.0, 1.0, 0.2)], body, braking)
         parts = [other, field, speed]
-        assert make_barrier_set(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
+        assert make_barrier_set(parts).h_floats(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None:
     stacks, settings = BarrierSetCache(), FilterSettings()
     parts: list[AbstractBarrier] = car_barriers(settings, FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
-    first = stacks.of(parts, 4)
-    assert stacks.of(tuple(parts), 4) is first
-    assert stacks.of(first, 4) is first
+    first = stacks.get(parts, 4)
+    assert stacks.get(tuple(parts), 4) is first
+    assert stacks.get(first, 4) is first
     parts[0] = ObstacleBarrier([(0.5, 0.0, 0.2)], FOOTPRINT, braking_of(settings), settings.barrier("clearance"))
-    assert stacks.of(parts, 4) is not first
-    assert stacks.of(parts, 4).parts == tuple(parts)
-    assert stacks.of(parts[:2], 4).parts == tuple(parts[:2])
-    assert stacks.of((), 4).names == ()
+    assert stacks.get(parts, 4) is not first
+    assert stacks.get(parts, 4).parts == tuple(parts)
+    assert stacks.get(parts[:2], 4).parts == tuple(parts[:2])
+    assert stacks.get((), 4).names == ()
 
 
 def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_made_of_them() -> None:
     stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)]))
     state = (0.1, 0.2, 0.3, 0.4)
-    expected = stack.heights(state)
-    assert pickle.loads(pickle.dumps(stack)).heights(state) == expected
+    expected = stack.h_floats(state)
+    assert pickle.loads(pickle.dumps(stack)).h_floats(state) == expected
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD)
     here = np.array([0.3, -0.2, 0.4, 1.1])
     for part in parts:
-        before = part.values(here)
+        before = part.h(here)
         other = pickle.loads(pickle.dumps(part))
-        assert other.values(here).tobytes() == before.tobytes()
+        assert other.h(here).tobytes() == before.tobytes()
         assert (other.names, other.kind, other.reads) == (part.names, part.kind, part.reads)
 
 
-def test_what_was_written_ahead_of_time_is_what_recording_gives_today_and_no_branch_on_a_number_is_recorded() -> None:
-    source = Path(written_barriers.__file__).with_name("written_barriers.py")
-    assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.robots.car.generate_barriers"
-    with pytest.raises(NotStraightError, match="branch"):
-        Branching().values(np.zeros(2))
+def test_an_equation_that_branches_on_a_number_is_rejected() -> None:
+    with pytest.raises(NotRecordableError, match="branch"):
+        Branching().h(np.zeros(2))
 
 
 @pytest.mark.parametrize("way", [None, 0.3])
 @pytest.mark.parametrize("walls", [False, True])
-def test_no_service_records_the_cars_barriers(walls: bool, way: float | None) -> None:
-    plain = make_barrier_set(scene_of([(1.0, 1.0, 0.2)], walls, way, (0.0, 0.0, 0.0))).plain(4)
-    assert type(plain).__module__ == written_barriers.__name__
+def test_the_cars_barriers_are_the_generated_ones(walls: bool, way: float | None) -> None:
+    plain = make_barrier_set(scene_of([(1.0, 1.0, 0.2)], walls, way, (0.0, 0.0, 0.0))).scalar_rows(4)
+    assert type(plain).__module__ == GENERATED_MODULE, "run make environment"
 
 
 class Branching(AbstractEquationBarrier):
@@ -183,16 +181,16 @@ class Branching(AbstractEquationBarrier):
     kind, names, numbers, each = "branching", ("h",), 0, ((),)
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Any]:
+    def equation(given: Given, operations: Operations) -> Sequence[Any]:
         return (given.state[0] if given.state[0] > 0.0 else 0.0,)
 
 
 def test_the_same_parts_are_refused_again_for_a_state_of_another_size() -> None:
     parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), BarrierSetCache()
-    for scene in (parts, stacks.of(parts, 4)):
-        assert stacks.of(scene, 4).names
+    for scene in (parts, stacks.get(parts, 4)):
+        assert stacks.get(scene, 4).names
         with pytest.raises(InputError, match="got a state of 5 entries"):
-            stacks.of(scene, 5)
+            stacks.get(scene, 5)
 
 
 POINTS = [(0.3, -0.7), (-0.4, 0.9), (1.2, 1.2), (0.0, 0.5), (0.5, 0.0), (-1.0, 1.0), (0.0, 0.0), (2.0, -3.0)]
@@ -248,15 +246,15 @@ def by_dual_numbers(form: Callable[..., Any], point: Sequence[float], shared: fl
 @pytest.mark.parametrize("name", FORMS)
 def test_values_and_slopes_are_those_of_dual_numbers(name: str) -> None:
     tape, shared = recorded(FORMS[name]), 0.7
-    rows = plain_rows(tape)(((shared,),), (tuple((each,) for each in EACH),))
-    many, robots = ManyRows(tape), len(POINTS)
+    rows = scalar_rows(tape)(((shared,),), (tuple((each,) for each in EACH),))
+    many, robots = BatchRows(tape), len(POINTS)
     columns = [[np.full((robots, 1), shared)]], [[np.tile(EACH, (robots, 1))]]
-    values, slopes = many.heights(np.array(POINTS), *columns), many.slopes(np.array(POINTS), *columns)
+    values, slopes = many.h(np.array(POINTS), *columns), many.grad_h(np.array(POINTS), *columns)
     for index, point in enumerate(POINTS):
         h, expected = by_dual_numbers(FORMS[name], point, shared)
-        assert rows.heights(point) == pytest.approx(h, abs=1e-14)
-        np.testing.assert_allclose(rows.slopes(point, range(4)), expected, rtol=1e-13, atol=1e-14)
-        np.testing.assert_allclose(rows.slopes(point, [3, 1]), expected[[3, 1]], rtol=1e-13, atol=1e-14)
+        assert rows.h_floats(point) == pytest.approx(h, abs=1e-14)
+        np.testing.assert_allclose(rows.grad_h_floats(point, range(4)), expected, rtol=1e-13, atol=1e-14)
+        np.testing.assert_allclose(rows.grad_h_floats(point, [3, 1]), expected[[3, 1]], rtol=1e-13, atol=1e-14)
         np.testing.assert_allclose(values[index], h, rtol=0.0, atol=1e-14)
         np.testing.assert_allclose(slopes[index], expected, rtol=1e-13, atol=1e-14)
 
@@ -264,13 +262,13 @@ def test_values_and_slopes_are_those_of_dual_numbers(name: str) -> None:
 @pytest.mark.parametrize("form", [lambda x, y, e, o: x**3, lambda x, y, e, o: x**y])
 def test_a_power_without_a_rule_is_refused_and_never_level(form: Callable[..., Any]) -> None:
     with pytest.raises(KeyError, match="exponent"):
-        plain_rows(recorded(form))
+        scalar_rows(recorded(form))
 
 
 def test_pythons_own_absolute_value_has_a_slope_as_well() -> None:
-    rows = plain_rows(recorded(lambda x, y, e, o: abs(x)))(((1.0,),), (((1.0,),),))
-    assert rows.slopes((-2.0, 3.0), range(2)) == [(-1.0, 0.0), (0.0, 1.0)]
-    assert rows.slopes((0.0, 0.0), range(2)) == [(0.0, 0.0), (0.0, 0.0)]
+    rows = scalar_rows(recorded(lambda x, y, e, o: abs(x)))(((1.0,),), (((1.0,),),))
+    assert rows.grad_h_floats((-2.0, 3.0), range(2)) == [(-1.0, 0.0), (0.0, 1.0)]
+    assert rows.grad_h_floats((0.0, 0.0), range(2)) == [(0.0, 0.0), (0.0, 0.0)]
 
 
 def test_groups_with_the_same_body_share_what_they_compute() -> None:
@@ -282,7 +280,7 @@ def test_groups_with_the_same_body_share_what_they_compute() -> None:
     apart = RowTape(1, [RowGroup(reach, 1, 1), RowGroup(reach, 1, 1)])
     assert len(both.of("state", [name for names in both.results for name in names])) == 2
     assert len(apart.of("state", [name for names in apart.results for name in names])) == 3
-    assert alone.steepest is None
-    rows = plain_rows(both)(((2.0,), ()), (((1.0,),), ((3.0,), (4.0,))))
-    assert rows.heights([0.0]) == [-1.0, -3.0, -4.0]
-    assert rows.steepest([0.0]) is None
+    assert alone.grad_bound is None
+    rows = scalar_rows(both)(((2.0,), ()), (((1.0,),), ((3.0,), (4.0,))))
+    assert rows.h_floats([0.0]) == [-1.0, -3.0, -4.0]
+    assert rows.grad_bound([0.0]) is None

@@ -32,19 +32,19 @@ def conditions(
 
 
 def slope_at(posed: Constraints, action: float) -> float:
-    about = posed.outcome((action,))
-    return posed.linearised(about).at(about.residual, about.action, 0.0)[0][0][0]
+    about = posed.evaluate((action,))
+    return posed.linearize(about).at(about.residual, about.action, 0.0)[0][0][0]
 
 
 def test_required_is_what_eta_and_epsilon_leave() -> None:
     posed = conditions(lambda x, a: x + a, [[1.0], [0.0]])
-    np.testing.assert_allclose(posed.required, [0.8 * 1.0 + 0.1])
-    outcome = posed.outcome((0.5,))
+    np.testing.assert_allclose(posed.rhs, [0.8 * 1.0 + 0.1])
+    outcome = posed.evaluate((0.5,))
     np.testing.assert_allclose(outcome.residual, [1.5 - 0.9])
     assert outcome.violation == 0.0
-    assert outcome.least == 1.5
-    assert posed.least_now == 1.0
-    A, b = posed.linearised(outcome).at(outcome.residual, outcome.action, 0.0)
+    assert outcome.min_h_next == 1.5
+    assert posed.min_h_now == 1.0
+    A, b = posed.linearize(outcome).at(outcome.residual, outcome.action, 0.0)
     np.testing.assert_allclose(A, [[1.0]])
     np.testing.assert_allclose(b, [0.5 - 0.6], atol=1e-8)
 
@@ -87,12 +87,17 @@ def test_earlier_slopes_beat_the_chord() -> None:
 
 def test_one_number_that_is_none_is_enough() -> None:
     for step in (lambda x, a: np.array([1.0, np.nan]), lambda x, a: np.array([np.inf, 0.0])):
-        outcome = conditions(step, [[1.0], [0.0]]).outcome((0.0,))
-        assert (outcome.usable, outcome.kept, outcome.broken, outcome.least) == (False, False, [0], -np.inf)
-    assert conditions(lambda x, a: x + a, [[1.0], [0.0]]).outcome((0.0,)).usable
+        outcome = conditions(step, [[1.0], [0.0]]).evaluate((0.0,))
+        assert (outcome.is_finite, outcome.is_feasible, outcome.violated_rows, outcome.min_h_next) == (
+            False,
+            False,
+            [0],
+            -np.inf,
+        )
+    assert conditions(lambda x, a: x + a, [[1.0], [0.0]]).evaluate((0.0,)).is_finite
     posed = conditions(lambda x, a: x + a, [[1.0], [np.inf]])
     with pytest.raises(InputError, match="g of the model: got NaN or infinity"):
-        posed.linearised(posed.outcome((0.0,)))
+        posed.linearize(posed.evaluate((0.0,)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -111,7 +116,7 @@ def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
             Constraints(stack, Prediction(lambda x: (x, np.zeros((4, 2)))), state, None, None, 0.2, [0.0] * 18, sides)
             for stack in (make_barrier_set(parts), Barriers(parts))
         ]
-        widths, about = [width for _, _, width in sides], posed[0].outcome(settings.resting_action.tolist())
+        widths, about = [width for _, _, width in sides], posed[0].evaluate(settings.resting_action.tolist())
         found, every = (
             Linearization(one.barriers, g, about.next_state, widths, [0.0] * 18).at(about.residual, about.action, 0.0)
             for one in posed
@@ -142,59 +147,59 @@ def several(h: Callable[[np.ndarray], list[float]], epsilon: list[float], eta: f
 
 def test_a_barriers_scale_is_what_it_is_its_margin_or_what_actions_change_in_it() -> None:
     posed = several(lambda x: [10.0 - x[0], -3.0 + 0.1 * x[0], 0.0, 1e-6], [0.1, 0.0, 0.25, 0.0])
-    assert posed.sizes == [10.0, 3.0, 0.25, 1e-6]
+    assert posed.base_scales == [10.0, 3.0, 0.25, 1e-6]
     assert posed.scales == [10.0, 3.0, 0.25, 1e-6]
     steep = several(lambda x: [1.0 - x[0], 2.0 + 3.0 * x[0]], [0.0, 0.0])
-    steep.linearised(steep.outcome((0.0,))).all(2)
+    steep.linearize(steep.evaluate((0.0,))).all(2)
     np.testing.assert_allclose(steep.scales, [8.0, 24.0])
-    assert steep.sizes == [1.0, 2.0]
+    assert steep.base_scales == [1.0, 2.0]
 
 
 def test_a_reach_once_known_is_not_forgotten_and_rounding_is_far_below_what_matters() -> None:
     """h = 1 - x^2 / 2: steep where x is large, flat where it is 0."""
     posed = several(lambda x: [1.0 - x[0] ** 2 / 2.0], [0.0])
-    posed.linearised(posed.outcome((3.0,))).all(1)
+    posed.linearize(posed.evaluate((3.0,))).all(1)
     assert posed.scales[0] == pytest.approx(24.0)
-    posed.linearised(posed.outcome((0.5,))).all(1)
+    posed.linearize(posed.evaluate((0.5,))).all(1)
     assert posed.scales[0] == pytest.approx(24.0)
     assert 1e-12 <= ROUNDING <= 1e-10
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize(
-    ("missed", "retained"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
+    ("missed", "kept"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
 )
 def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: float, kept: bool, unit: float) -> None:
     """h now is 8, half of it may be used up: 4, but for the rounding of 8."""
     posed = several(lambda x: [unit * (8.0 - x[0])], [0.0])
-    outcome = posed.outcome((4.0 + 8.0 * missed,))
-    assert outcome.kept is kept
-    assert outcome.broken == ([] if kept else [0])
+    outcome = posed.evaluate((4.0 + 8.0 * missed,))
+    assert outcome.is_feasible is kept
+    assert outcome.violated_rows == ([] if kept else [0])
 
 
 def test_no_kept_action_leads_below_zero_and_a_violation_is_the_largest_slack_of_what_is_broken() -> None:
     """With h = 0 now the condition h >= 0 may not be missed at all, though h's scale would allow for rounding."""
     posed = several(lambda x: [-1e-14 * x[0], 1.0], [0.0, 0.0])
     posed.scales[:] = [1.0, 1.0]
-    below, on = posed.outcome((1.0,)), posed.outcome((0.0,))
-    assert (below.broken, below.kept) == ([], False)
-    assert (on.broken, on.kept) == ([], True)
+    below, on = posed.evaluate((1.0,)), posed.evaluate((0.0,))
+    assert (below.violated_rows, below.is_feasible) == ([], False)
+    assert (on.violated_rows, on.is_feasible) == ([], True)
     assert below.violation == 0.0
     posed = several(lambda x: [5.0 - x[0], 2.0 - x[0], 100.0], [0.0, 0.0, 0.0])
-    outcome = posed.outcome((3.0,))
-    assert outcome.broken == [0, 1]
+    outcome = posed.evaluate((3.0,))
+    assert outcome.violated_rows == [0, 1]
     assert outcome.violation == 2.0
-    assert outcome.least == -1.0
-    assert several(lambda x: [5.0 - x[0]], [0.0]).outcome((3.0,)).violation == 0.5
+    assert outcome.min_h_next == -1.0
+    assert several(lambda x: [5.0 - x[0]], [0.0]).evaluate((3.0,)).violation == 0.5
 
 
 def test_tightest_is_a_share_of_each_barriers_scale() -> None:
     posed = several(lambda x: [100.0 - x[0], 2.0 - x[0]], [0.0, 0.0])
-    outcome = posed.outcome((2.0,))
-    assert posed.tightest(outcome) == -1.0 / 2.0
-    assert posed.tightest(posed.outcome((-2.0,))) == pytest.approx(0.52)
+    outcome = posed.evaluate((2.0,))
+    assert posed.min_scaled_residual(outcome) == -1.0 / 2.0
+    assert posed.min_scaled_residual(posed.evaluate((-2.0,))) == pytest.approx(0.52)
     posed.scales[1] = 20.0
-    assert posed.tightest(outcome) == -1.0 / 20.0
+    assert posed.min_scaled_residual(outcome) == -1.0 / 20.0
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -204,26 +209,26 @@ def test_tightest_does_not_depend_on_the_order(turned: bool) -> None:
         return three[::-1] if turned else three
 
     posed = several(h, [0.0] * 3)
-    assert posed.tightest(posed.outcome((1.5,))) == pytest.approx(-0.25)
-    assert posed.tightest(posed.outcome((0.0,))) == pytest.approx(0.5)
+    assert posed.min_scaled_residual(posed.evaluate((1.5,))) == pytest.approx(-0.25)
+    assert posed.min_scaled_residual(posed.evaluate((0.0,))) == pytest.approx(0.5)
 
 
 def test_of_a_barrier_without_a_scale_what_is_missing_is_infinitely_much() -> None:
     posed = several(lambda x: [-abs(x[0])], [0.0])
-    assert posed.tightest(posed.outcome((0.0,))) == 0.0
-    assert posed.tightest(posed.outcome((1.0,))) < -1e200
-    assert posed.outcome((0.0,)).kept
+    assert posed.min_scaled_residual(posed.evaluate((0.0,))) == 0.0
+    assert posed.min_scaled_residual(posed.evaluate((1.0,))) < -1e200
+    assert posed.evaluate((0.0,)).is_feasible
 
 
 def test_binding_names_come_tightest_first_as_shares_of_their_scales() -> None:
     """After a = 0 half of each h is left over: all residuals are half of their scale."""
     posed = several(lambda x: [8.0 - x[0], 4.0 - x[0], 2.0 - x[0], 1.0], [0.0] * 4)
-    outcome = posed.outcome((2.0,))  # residuals 2, 0, -1, 0.5: shares 0.25, 0, -0.5, 0.5
+    outcome = posed.evaluate((2.0,))  # residuals 2, 0, -1, 0.5: shares 0.25, 0, -0.5, 0.5
     assert posed.active_names(outcome, 1.0) == ("h2", "h1", "h0", "h3")
     assert posed.active_names(outcome, 0.25) == ("h2", "h1", "h0")
     assert posed.active_names(outcome, 0.249) == ("h2", "h1")
     assert posed.active_names(outcome, 0.0) == ("h2", "h1")
-    assert posed.active_names(posed.outcome((0.0,)), 0.0) == ()
+    assert posed.active_names(posed.evaluate((0.0,)), 0.0) == ()
 
 
 def test_as_many_margins_and_values_as_barriers() -> None:
@@ -241,10 +246,10 @@ def test_as_many_margins_and_values_as_barriers() -> None:
 
 
 def test_an_outcome_with_nothing_broken_may_still_be_unsafe() -> None:
-    assert ActionCandidate((0.0,), [0.0], [1.0], [1.0], []).kept
-    assert ActionCandidate((0.0,), [0.0], [0.0], [0.0], []).kept
-    assert not ActionCandidate((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
-    assert not ActionCandidate((0.0,), [0.0], [1.0], [-1.0], [0]).kept
+    assert ActionCandidate((0.0,), [0.0], [1.0], [1.0], []).is_feasible
+    assert ActionCandidate((0.0,), [0.0], [0.0], [0.0], []).is_feasible
+    assert not ActionCandidate((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).is_feasible
+    assert not ActionCandidate((0.0,), [0.0], [1.0], [-1.0], [0]).is_feasible
 
 
 def test_the_second_of_two_actions_has_its_chord_too() -> None:
@@ -259,7 +264,7 @@ def test_the_second_of_two_actions_has_its_chord_too() -> None:
         Prediction(lambda x: (x, np.array([[1.0, 0.0], [0.0, 0.0]])), step),
         (1.0, 0.5), None, None, 0.2, [0.1], [(-1.0, 3.0, 4.0)] * 2,
     )  # fmt: skip
-    assert posed.linearised(posed.outcome((0.7, 2.0))).all(1)[0] == pytest.approx([1.0, 2.0 / 3.0])
+    assert posed.linearize(posed.evaluate((0.7, 2.0))).all(1)[0] == pytest.approx([1.0, 2.0 / 3.0])
 
 
 def test_numbers_whose_sum_is_too_large_are_numbers() -> None:
@@ -270,8 +275,8 @@ def test_numbers_whose_sum_is_too_large_are_numbers() -> None:
         Prediction(lambda x: (x, np.eye(2)), lambda x, a: np.array([large, large])),
         (0.5, 0.5), None, None, 0.2, [0.0, 0.0], [(0.0, 1.0, 1.0)] * 2,
     )  # fmt: skip
-    outcome = posed.outcome((0.0, 0.0))
-    assert (outcome.usable, outcome.kept, outcome.h_next) == (True, True, [large, large])
+    outcome = posed.evaluate((0.0, 0.0))
+    assert (outcome.is_finite, outcome.is_feasible, outcome.h_next) == (True, True, [large, large])
 
 
 NAMES = ("a", "b", "c", "d", "e")

@@ -30,8 +30,8 @@ from safedpa.safety.prediction.dead_time import InFlightCommands
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa.safety.validation import FiniteClock
 from safedpa.safety.verdict import resting_verdict
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 
 def line_filter(wall: float = 1.0, **changes: object) -> SafetyFilter:
@@ -61,7 +61,7 @@ def test_kinds_without_a_margin_have_none() -> None:
 
 
 def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decision_module, "search", lambda conditions, program, nominal, start, *_: (start, "solved"))
+    monkeypatch.setattr(decision_module, "solve_sqp", lambda conditions, program, nominal, start, *_: (start, "solved"))
     verdict = line_filter(wall=0.0).decide(np.zeros(1), [1.0])
     assert (verdict.status, verdict.reason) == (Status.corrected, "Found from another start than the nominal action.")
     assert verdict.action[0] == 0.0
@@ -69,9 +69,9 @@ def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPa
 
 def test_search_result_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     def found(conditions: Constraints, *_: object) -> tuple[ActionCandidate, str]:
-        return conditions.outcome((1.0,)), "solved"
+        return conditions.evaluate((1.0,)), "solved"
 
-    monkeypatch.setattr(decision_module, "search", found)
+    monkeypatch.setattr(decision_module, "solve_sqp", found)
     verdict = line_filter().decide(np.zeros(1), [2.0])
     assert (verdict.status, verdict.reason) == (Status.corrected, "")
 
@@ -122,7 +122,7 @@ def test_relaxed_takes_the_action_that_leaves_the_most() -> None:
     verdict = infeasible(5.0)
     assert verdict.status is Status.relaxed
     assert verdict.action[0] == pytest.approx(1.0, abs=0.02)
-    assert verdict.reason == "Not kept: h."
+    assert verdict.reason == "Not satisfied: h."
     assert verdict.slack == pytest.approx(4.0 - verdict.h_next)
     assert verdict.h_next == pytest.approx(3.0, abs=0.02)
     assert verdict.active == ("h",)
@@ -146,7 +146,7 @@ def test_where_no_action_helps_within_one_step_the_backup_is_taken(start: float,
     verdict = infeasible(start, backup=lambda state: np.array([0.25]), gain=0.0)
     assert verdict.status is status
     assert verdict.action[0] == 0.25
-    assert verdict.reason.endswith(" No action moves h within one step: the backup is taken for the nominal action.")
+    assert verdict.reason.endswith(" No action changes h within one step: the backup is used as the nominal action.")
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_violated_begins_right_below_zero(start: float, status: Status) -> None:
 
 
 def test_violated_names_all_that_is_below_zero_even_where_the_nominal_action_keeps_every_condition() -> None:
-    """From -1 to -0.5 is what a condition asks for and more; no one is to be told that all is well."""
+    """From -1 to -0.5 satisfies the condition and more, but the verdict must not say that all is well."""
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: x[0])], settings)
     verdict = safe.decide(np.array([-1.0]), [0.5])
@@ -179,9 +179,9 @@ def test_relaxed_names_three_barriers_and_says_that_there_are_more() -> None:
         safe = SafetyFilter(lambda x: (x - 9.0, np.eye(1)), [barrier], settings)
         return safe.decide(np.zeros(1), [0.0]).reason
 
-    assert reason(1) == "Not kept: h0."
-    assert reason(3) == "Not kept: h0, h1, h2."
-    assert reason(4) == "Not kept: h0, h1, h2, ...."
+    assert reason(1) == "Not satisfied: h0."
+    assert reason(3) == "Not satisfied: h0, h1, h2."
+    assert reason(4) == "Not satisfied: h0, h1, h2, ...."
 
 
 Values = NDArray[np.float64]
@@ -202,12 +202,12 @@ def test_an_action_brought_back_is_nearest_once_the_program_is_posed_from_there(
 
     gradient = np.array([1.0, 1.0])
     barrier = FunctionBarrier(lambda x: x[0] + x[1] - 1.2, lambda x: gradient)
-    found, searched = [(2.0, 0.5)], decisions.search
+    found, searched = [(2.0, 0.5)], decisions.solve_sqp
 
     def far_at_first(conditions: Any, *rest: Any) -> Any:
-        return (conditions.outcome(found.pop()), "solved") if found else searched(conditions, *rest)
+        return (conditions.evaluate(found.pop()), "solved") if found else searched(conditions, *rest)
 
-    monkeypatch.setattr(decisions, "search", far_at_first)
+    monkeypatch.setattr(decisions, "solve_sqp", far_at_first)
     verdict = SafetyFilter(Prediction(affine, step), [barrier], settings).decide((1.0, 1.0), (0.1, 0.1))
     assert verdict.status is Status.corrected
     np.testing.assert_allclose(verdict.action, (0.6, 0.6), atol=1e-6)
@@ -234,8 +234,11 @@ def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(
     barrier = FunctionBarrier(lambda x: problems.heights(robot, x), lambda x: problems.gradient(robot, x), names)
     state = problems.state[robot]
     verdict = SafetyFilter(Prediction(affine, step), [barrier], TWO).decide(state, problems.nominal[robot])
-    assert (verdict.status, verdict.reason) == (Status.corrected, "Found next to the least broken of many actions.")
-    now, then = barrier.values(state), barrier.values(step(state, verdict.action))
+    assert (verdict.status, verdict.reason) == (
+        Status.corrected,
+        "Found by a search around the least-violation sample.",
+    )
+    now, then = barrier.h(state), barrier.h(step(state, verdict.action))
     assert (then >= (1.0 - TWO.eta) * now + 0.01 - 1e-9 * np.abs(now)).all()
 
 
@@ -261,7 +264,7 @@ def test_a_collision_before_the_action_acts_is_reported() -> None:
     verdict, free = decided(-0.2)
     assert (free.status, free.h_next) == (Status.passed, 1.0)
     assert (verdict.status, verdict.h_next) == (Status.relaxed, -0.2)
-    assert verdict.reason == "Some h falls below 0 before this action can act."
+    assert verdict.reason == "Some h falls below 0 before this action takes effect."
     np.testing.assert_array_equal(verdict.action, free.action)
 
 
@@ -271,7 +274,7 @@ def test_a_narrow_pass_before_the_action_acts_is_reported_and_nothing_is_given_u
     assert (verdict.status, verdict.h_next, verdict.reason) == (Status.passed, low, "")
 
 
-def test_another_verdict_keeps_its_own_words() -> None:
+def test_another_verdict_keeps_its_own_reason() -> None:
     """Below 0 now and on the way: it says which h that is."""
     verdict, _ = decided(-0.2, (0.1, 0.0, 0.0, 1.0))
     assert verdict.status is Status.violated
@@ -328,7 +331,7 @@ def test_what_can_be_no_time_is_0(now: object) -> None:
 
 
 @pytest.mark.parametrize("clock", [broken, None, lambda _argument: 1.0])
-def test_a_clock_that_raises_tells_0(clock: Callable[[], float]) -> None:
+def test_a_clock_that_raises_reads_0(clock: Callable[[], float]) -> None:
     assert FiniteClock(clock)() == 0.0
 
 
@@ -340,17 +343,17 @@ def delayed() -> PhysicsModel:
 def test_with_a_delay_the_next_tick_says_nothing_of_the_nominal_action(
     late: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is on its way raises h; the nominal action, which begins to act later, would be handed on for that."""
+    """Commands in flight raise h; because of that the nominal action, which acts later, would be passed on."""
     model, settings = delayed() if late else load_model("car"), settings_named("car")
     own = fingerprint(model)
-    memory = RobotSession.begun(CalibratedModel(model, own, uncalibrated(settings, own)), settings)
+    memory = RobotSession.create(CalibratedModel(model, own, uncalibrated(settings, own)), settings)
     state = CarRobot(Scene.random(3, "none"), 0.05).state_message()
     memory.barriers = memory.scene.of(state)
     if late:
         memory.pending = InFlightCommands(model.initial_memory(np.array([0.0, 0.0])), (0.0, 0.0))
     resting: Any = resting_verdict(np.zeros(2), "none")
     relaxed = type(resting)(**{**vars(resting), "status": Status.relaxed, "nominal": np.array([0.5, 0.0])})
-    found = memory.out_of_the_layer(state, relaxed, model.latent)
+    found = memory.escape_boundary_layer(state, relaxed, model.latent)
     assert (found is relaxed) is late
 
 

@@ -39,14 +39,14 @@ BAD_STATES = [
     ([0.0, -2e4, 0.0, 0.0], "state is out of its plausible range: y = -20000, wanted -10000 to 10000"),
 ]
 BAD_NOMINAL_ACTIONS = [
-    (None, "nominal action is missing"),
-    ([math.nan, 0.0], "nominal action holds NaN or infinity"),
-    ([0.0, math.inf], "nominal action holds NaN or infinity"),
-    ([0.0], "nominal action has shape (1,), wanted (2,)"),
-    ([[0.0, 0.0]], "nominal action has shape (1, 2), wanted (2,)"),
-    ([{}, 0.0], "nominal action does not consist of numbers"),
-    ([30.0, 0.0], "nominal action is out of its plausible range: entry 0 = 30, wanted -26.6 to 28"),
-    ([0.0, -8.0], "nominal action is out of its plausible range: entry 1 = -8, wanted -7.14 to 7.14"),
+    (None, "nominal is missing"),
+    ([math.nan, 0.0], "nominal holds NaN or infinity"),
+    ([0.0, math.inf], "nominal holds NaN or infinity"),
+    ([0.0], "nominal has shape (1,), wanted (2,)"),
+    ([[0.0, 0.0]], "nominal has shape (1, 2), wanted (2,)"),
+    ([{}, 0.0], "nominal does not consist of numbers"),
+    ([30.0, 0.0], "nominal is out of its plausible range: entry 0 = 30, wanted -26.6 to 28"),
+    ([0.0, -8.0], "nominal is out of its plausible range: entry 1 = -8, wanted -7.14 to 7.14"),
 ]
 
 
@@ -83,7 +83,7 @@ def test_edges_of_the_plausible_range_are_believed_and_of_several_problems_all_a
     assert car_filter.decide(GOOD, [28.0, 0.0]).status is not Status.fallback
     assert car_filter.decide([0.0, 0.0, 0.0, 30.0], NOMINAL).status is not Status.fallback
     verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
-    assert verdict.reason == "Reason: latent is stale; state is missing; nominal action holds NaN or infinity."
+    assert verdict.reason == "Reason: latent is stale; state is missing; nominal holds NaN or infinity."
     assert verdict.solver == "not run"
 
 
@@ -138,7 +138,7 @@ def test_if_it_is_unclear_what_is_stale_the_state_is_not_trusted(car: PhysicsMod
 
 @pytest.mark.parametrize(
     ("nominal", "reason"),
-    [(None, "nominal action is missing"), ([math.nan, 0.0], "nominal action holds NaN or infinity")],
+    [(None, "nominal is missing"), ([math.nan, 0.0], "nominal holds NaN or infinity")],
     ids=repr,
 )
 def test_without_a_nominal_action_even_a_filter_that_is_switched_off_takes_the_backup(
@@ -162,7 +162,7 @@ def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, r
         return np.zeros(2) if state is None else result
 
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
-    assert_brakes(safe.decide(GOOD, None), "nominal action is missing")
+    assert_brakes(safe.decide(GOOD, None), "nominal is missing")
 
 
 def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(
@@ -264,7 +264,8 @@ GIVEN_UP = solution(0.1, False, "max iter reached")
 
 @pytest.mark.parametrize("useless", [GIVEN_UP, solution(math.nan), solution(math.inf)], ids=["gives up", "nan", "inf"])
 def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.MonkeyPatch, useless: Solution) -> None:
-    """From the backup, which satisfies the condition, as far towards the nominal action as it allows: 0.2 would be the nearest."""
+    """From the backup, which satisfies the condition, as far towards the nominal action as it allows: 0.2 would be the
+    nearest."""
     safe = scalar_filter()
     program_reports(monkeypatch, safe, useless)
     verdict = safe.decide(np.zeros(1), [1.0])
@@ -302,7 +303,7 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
     assert verdict.status is Status.relaxed
     assert verdict.action[0] == pytest.approx(-1.0, abs=0.01)
     assert verdict.solver == "max iter reached"
-    monkeypatch.setattr(safe.tools.highest.__class__, "solve", lambda *_: None)
+    monkeypatch.setattr(safe.tools.maximin_lp.__class__, "solve", lambda *_: None)
     blind = safe.decide(np.zeros(1), [1.0])
     assert blind.status is Status.relaxed
     assert blind.action[0] == -1.0
@@ -311,7 +312,8 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
 
 
 def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No action on the way from it to the nominal action satisfies the condition: the backup itself, as a correction, with its h."""
+    """No action on the way from it to the nominal action satisfies the condition: the backup itself, as a correction,
+    with its h."""
     safe = scalar_filter(affine=lambda x: (x + 0.1, np.array([[0.2]])), backup=lambda state: np.array([0.5]))
     program_reports(monkeypatch, safe, GIVEN_UP)
     verdict = safe.decide(np.zeros(1), [1.0])
@@ -324,7 +326,7 @@ def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkey
 def test_below_zero_a_solver_that_gives_up_leaves_the_best_of_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     safe = scalar_filter()
     program_reports(monkeypatch, safe, GIVEN_UP)
-    monkeypatch.setattr(safe.tools.highest.__class__, "solve", lambda *_: None)
+    monkeypatch.setattr(safe.tools.maximin_lp.__class__, "solve", lambda *_: None)
     verdict = safe.decide(np.array([2.0]), [1.0])
     assert verdict.status is Status.violated
     assert verdict.action[0] == -1.0
@@ -354,7 +356,7 @@ def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: 
 
 
 def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
-    original, calls = decision_module.search, []
+    original, calls = decision_module.solve_sqp, []
 
     def first_fails(conditions: Any, program: Any, nominal: Any, start: Any, rounds: int) -> Any:
         calls.append(start.action[0])
@@ -362,7 +364,7 @@ def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
             return start, "solved"
         return original(conditions, program, nominal, start, rounds)
 
-    monkeypatch.setattr(decision_module, "search", first_fails)
+    monkeypatch.setattr(decision_module, "solve_sqp", first_fails)
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
     assert verdict.reason == "Found from another start than the nominal action."
     assert verdict.action[0] == pytest.approx(0.2)

@@ -58,12 +58,12 @@ class Problem:
         )  # fmt: skip
 
     @property
-    def required(self) -> Values:
+    def rhs(self) -> Values:
         return np.asarray((1.0 - self.eta) * self.now + self.epsilon)
 
     @property
     def scale(self) -> Values:
-        """Of a row that no action moves it is what h is then, if that is more."""
+        """For a row without influence of the action it is the next h, if that is larger."""
         reach = np.abs(self.slopes) @ (self.high - self.low)
         then = np.where(reach > 0.0, 0.0, np.abs(self.base))
         return np.asarray(np.maximum.reduce([np.abs(self.now), self.epsilon, reach, then, np.full(len(then), 1e-300)]))
@@ -93,7 +93,7 @@ class Problem:
     def scaled(self) -> tuple[Values, Values, Values]:
         """Slopes over the range and base at the lowest action, and what is required, all as shares of the scales."""
         slopes = self.slopes * (self.high - self.low) / self.scale[:, np.newaxis]
-        return slopes, (self.base + self.slopes @ self.low) / self.scale, self.required / self.scale
+        return slopes, (self.base + self.slopes @ self.low) / self.scale, self.rhs / self.scale
 
     def best_least(self, offset: Any = 0.0) -> float:
         """Largest attainable least (h_i(x+) - offset_i) / scale_i."""
@@ -108,7 +108,7 @@ class Problem:
     @property
     def room(self) -> float:
         """By how much of the scales all that is asked for can be kept; below 0 where it cannot."""
-        return self.best_least(np.maximum(self.required, 0.0))
+        return self.best_least(np.maximum(self.rhs, 0.0))
 
     def nearest(self) -> float:
         """Distance of the nearest action that keeps all, by quadprog, in shares of the ranges."""
@@ -129,7 +129,7 @@ def check(problem: Problem) -> Status:
     verdict = problem.decide()
     heights = problem.after(verdict.action)
     shares = heights / problem.scale
-    residual = (heights - problem.required) / problem.scale
+    residual = (heights - problem.rhs) / problem.scale
     assert verdict.known
     assert (verdict.action >= problem.low).all()
     assert (verdict.action <= problem.high).all()
@@ -168,6 +168,7 @@ def test_promises_hold_where_some_h_may_be_below_zero(seed: int, spread: float, 
     check(Problem.drawn(seed, spread, drift, 1.0))
 
 
+@pytest.mark.long
 def test_every_kind_of_problem_is_among_them() -> None:
     kinds = Counter(check(Problem.drawn(seed, 6.0, 0.7, 0.5 * (seed % 2))) for seed in range(300))
     print({kind.value: count for kind, count in kinds.items()})
@@ -176,7 +177,8 @@ def test_every_kind_of_problem_is_among_them() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_nearest_of_equally_unsafe_actions_is_taken(seed: int) -> None:
-    """Only the first action moves h, and more of it than there is would be needed: the second one stays as requested."""
+    """Only the first action moves h, and more of it than there is would be needed: the second one stays as
+    requested."""
     random = np.random.default_rng(seed)
     now, nominal = random.uniform(-3.0, -1.0), random.uniform(-1.0, 1.0, 2)
     settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), epsilon=0.0)
@@ -188,7 +190,8 @@ def test_the_nearest_of_equally_unsafe_actions_is_taken(seed: int) -> None:
 
 
 def test_where_the_least_h_leaves_room_the_backup_decides() -> None:
-    """h_0 cannot be helped within one step; the other satisfies its condition, as near to the backup (0, 0) as it can."""
+    """h_0 cannot be helped within one step; the other satisfies its condition, as near to the backup (0, 0) as it
+    can."""
     problem = Problem(
         now=np.array([0.5, 1.0]), base=np.array([-0.2, 0.4]), slopes=np.array([[0.0, 0.0], [1.0, -1.0]]),
         low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]), nominal=np.array([-0.9, 0.3]), weights=np.ones(2),
@@ -197,7 +200,7 @@ def test_where_the_least_h_leaves_room_the_backup_decides() -> None:
     verdict = problem.decide()
     assert verdict.status is Status.relaxed
     np.testing.assert_allclose(verdict.action, [0.2, -0.2], atol=0.02)
-    assert verdict.reason.endswith("No action moves h0 within one step: the backup is taken for the nominal action.")
+    assert verdict.reason.endswith("No action changes h0 within one step: the backup is used as the nominal action.")
 
 
 FEWER = hypothesis_settings(derandomize=True, deadline=None, database=None, max_examples=60)

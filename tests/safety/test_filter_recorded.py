@@ -40,7 +40,7 @@ def drawn_state(random: np.random.Generator, barriers: Sequence[AbstractBarrier]
     """Anywhere; or ``tight``: where the least h is 0 to 0.05, the margin's own boundary layer."""
     while True:
         state = np.round(random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0)), 3)
-        if not tight or 0.0 <= min(part.values(state).min() for part in barriers) < 0.05:
+        if not tight or 0.0 <= min(part.h(state).min() for part in barriers) < 0.05:
             return list(state.tolist())
 
 

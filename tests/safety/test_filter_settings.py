@@ -95,7 +95,7 @@ def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_
         ("relinearisations = -1", "relinearisations: got -1, wanted at least 0, at most 20"),
         ("relinearisations = 21", "relinearisations: got 21, wanted at least 0, at most 20"),
         ("enabled = 1", "enabled: got 1, wanted true or false"),
-        ("format = 2", "format: wanted 1"),
+        ("format = 7", "format: wanted 2"),
         ("eta =", "not TOML"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Every status, what it promises, and the ladder of fallbacks."""
+"""Every status, what it promises, and the fallback hierarchy."""
 
 import math
 from collections.abc import Callable
@@ -57,7 +57,9 @@ def test_a_safe_nominal_action_is_handed_on_bit_for_bit_with_the_sign_of_its_zer
     assert math.copysign(1.0, verdict.action[0]) == -1.0
 
 
-def test_nominal_action_beyond_the_actuator_is_clipped_and_said(car_filter: SafetyFilter) -> None:
+def test_a_nominal_action_beyond_the_actuator_limits_is_clipped_and_the_verdict_says_so(
+    car_filter: SafetyFilter,
+) -> None:
     verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), [0.2, 0.5])
     assert verdict.status is Status.corrected
     assert verdict.reason == "The nominal action lay outside the actuator limits."
@@ -81,8 +83,8 @@ def test_h_now_and_h_next_are_those_of_the_model(car: PhysicsModel, settings: Fi
     barriers = car_barriers(settings, FOOTPRINT, [(2.0, 0.0, 0.3)], FIELD)
     verdict = SafetyFilter.for_model(car, settings, barriers).decide(NEAR, [2.0, 0.0])
     following = car.step(NEAR, verdict.action)
-    assert verdict.h_now == min(part.values(NEAR).min() for part in barriers)
-    assert verdict.h_next == pytest.approx(min(part.values(following).min() for part in barriers), abs=1e-12)
+    assert verdict.h_now == min(part.h(NEAR).min() for part in barriers)
+    assert verdict.h_next == pytest.approx(min(part.h(following).min() for part in barriers), abs=1e-12)
     assert verdict.margin == 0.01
 
 
@@ -140,10 +142,10 @@ def test_no_better_action_is_overlooked(
         if verdict.status is not Status.corrected:
             continue
         following = car.step(np.broadcast_to(state, (len(grid), 4)), grid)
-        required = [0.8 * part.values(state) + 0.01 for part in barriers]
+        required = [0.8 * part.h(state) + 0.01 for part in barriers]
         kept = np.array(
             [
-                all((part.values(row) >= need).all() for part, need in zip(barriers, required, strict=True))
+                all((part.h(row) >= need).all() for part, need in zip(barriers, required, strict=True))
                 for row in following
             ]
         )
@@ -182,13 +184,13 @@ def test_infeasible_situation_is_visible_and_brakes() -> None:
     after = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), verdict.action)
     assert after[3] == pytest.approx(20.0 - 0.05 * 1.0)  # as hard as it can
     braking = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), np.array([0.0, 0.0]))
-    assert verdict.h_next >= min(part.values(braking).min() for part in barriers[1:])
+    assert verdict.h_next >= min(part.h(braking).min() for part in barriers[1:])
     turned = [
         car.step(np.array([-0.57, 0.0, 0.0, 20.0]), np.array([target, steer]))
         for target in np.linspace(-0.6, 25.0, 9)
         for steer in np.linspace(-0.34, 0.34, 9)
     ]
-    best = max(min(part.values(state).min() for part in barriers[1:]) for state in turned)
+    best = max(min(part.h(state).min() for part in barriers[1:]) for state in turned)
     assert verdict.h_next >= best - 1.0  # turning away helps more than braking: -89 against -199
     check_promises(verdict, settings)
 
@@ -242,7 +244,8 @@ def test_disabled_hands_on_what_the_actuator_can_do(car: PhysicsModel) -> None:
 
 
 def test_saturated_servo_does_not_hide_the_brake(car_filter: SafetyFilter) -> None:
-    """At low speed the servo saturates for a fast nominal action, so that the tangent at the nominal action knows no influence of it."""
+    """At low speed the servo saturates for a fast nominal action, so that the tangent at the nominal action knows no
+    influence of it."""
     verdict = car_filter.decide(np.array([1.0, 0.0, 0.0, 0.2]), [2.0, 0.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == ""

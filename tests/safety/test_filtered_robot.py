@@ -78,7 +78,7 @@ def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_eac
     for tick in range(9):
         state = state_at(tick)
         verdict = asked(node, state, latent_at(state))
-        wanted, _ = CAR.held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 8, period=0.05)
+        wanted, _ = CAR.rollout_held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 8, period=0.05)
         assert len(verdict.predicted) == (8 if tick % 4 == 0 else 1)
         np.testing.assert_allclose(verdict.predicted, wanted[: len(verdict.predicted)], atol=1e-12)
 
@@ -94,13 +94,13 @@ def test_for_a_state_of_another_size_nothing_is_predicted(model: PhysicsModel) -
 
 def test_a_first_action_of_another_size_teaches_nothing() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    assert "later than told" not in answered(node, 0, applied=(0.1,)).sentence
+    assert "later than reported" not in answered(node, 0, applied=(0.1,)).sentence
 
 
 def at_rest_with(applied: tuple[float, float], verdict: VerdictMessage) -> Any:
     """The path of a late car whose actuators have settled at ``applied`` when the verdict's action is sent."""
     memory, start = LATE.initial_memory(np.array(applied)), np.array((0.0, 0.0, 0.0, 0.5))
-    return LATE.held(start, np.array(verdict.action), memory, LATE.latent, 8, period=0.05)[0]
+    return LATE.rollout_held(start, np.array(verdict.action), memory, LATE.latent, 8, period=0.05)[0]
 
 
 @pytest.mark.parametrize(("last", "epoch", "tick"), [(5, 1, 8), (5, 1, 4), (7, 2, 8), (5, 2, 0)])
@@ -165,13 +165,13 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
     state = state_at(10, (0.0, 0.0, 0.0, 0.5), period=0.025)
     verdict = asked(node, state, latent_at(state))
     assert (verdict.margin, verdict.coverage) == (widened.margin, widened.coverage)
-    wanted, _ = CAR.held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 1, period=0.025)
+    wanted, _ = CAR.rollout_held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 1, period=0.025)
     np.testing.assert_allclose(verdict.predicted[0], wanted[0], atol=1e-12)
 
 
 # standing
 @pytest.mark.parametrize(
-    ("changed", "nominal", "status", "stands"),
+    ("changed", "nominal", "status", "stationary_for"),
     [
         ({}, (1.0, 0.0), "passed", 0.2),
         ({"obstacle": 0.9}, (1.0, 0.0), "corrected", 0.2),
@@ -205,7 +205,10 @@ def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None
             assert verdict.stationary_reason == ""
     assert verdict.stationary_for == pytest.approx(6.95, abs=0.11)
     assert verdict.stationary_reason
-    assert f"The robot has stood for {verdict.stationary_for:.1f} s. {verdict.stationary_reason}." in sentences[-1]
+    assert (
+        f"The robot has been stationary for {verdict.stationary_for:.1f} s. {verdict.stationary_reason}."
+        in sentences[-1]
+    )
     assert "has stood" not in sentences[20]
 
 
@@ -318,7 +321,7 @@ def test_the_end_of_the_filter_stops_every_robot_until_the_next_one_starts(tmp_p
     orders = StopOrders(tmp_path / "orders.json")
     node, state = SafetyFilterNode(CAR, SETTINGS, orders=orders), state_at(0)
     assert asked(node, state, latent_at(state)).status == "passed"
-    node.wind_up()
+    node.begin_shutdown()
     verdict = asked(node, state_at(1), latent_at(state_at(1)))
     assert (verdict.status, verdict.action) == ("stopped", (0.0, 0.0))
     again = SafetyFilterNode(CAR, SETTINGS, orders=StopOrders(tmp_path / "orders.json"))

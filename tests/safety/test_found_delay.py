@@ -1,4 +1,4 @@
-"""A delay that no one told of is found from what the robot did; none is found where there is none."""
+"""An unreported delay is found from the robot's motion; none is found where there is none."""
 
 from typing import Any
 
@@ -14,9 +14,15 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.prediction.command_history import CommandHistory
-from safedpa.safety.prediction.delay_estimator import MOST, TOLERATED, USUAL, DelayEstimator, Transition
+from safedpa.safety.prediction.delay_estimator import (
+    MAX_DELAY,
+    TOLERATED_DELAY,
+    USUAL_DELAY,
+    DelayEstimator,
+    Transition,
+)
 from safedpa.safety.prediction.predictor import Prediction
-from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives
+from safedpa_lab.experiments.driving.delayed_drives import Lateness, delayed_drives
 from safedpa_sim.closed_loop import drive
 
 CAR = load_model("car")
@@ -35,7 +41,7 @@ def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float
     commands = [(0.0, 0.0)]
     for tick in range(ticks):
         history.add(tick, tuple(state.tolist()), commands[-1], ())
-        passed = history.passed(MOST)
+        passed = history.last_transition(MAX_DELAY)
         if passed is not None:
             found.append(passed)
         new = (float(random.uniform(0.0, 1.5)), float(random.uniform(-0.3, 0.3))) if tick % 4 == 0 else commands[-1]
@@ -52,22 +58,24 @@ def after(periods: list[Transition], scale: float = 1.0, ranges: tuple[float, ..
     return delay
 
 
-@pytest.mark.parametrize("late", range(MOST + 1))
+@pytest.mark.parametrize("late", range(MAX_DELAY + 1))
 def test_each_delay_is_found_within_a_second(late: int) -> None:
     found = after(way(CAR, late, 20, noise=1e-3))
     assert found.periods == late
-    assert found.beyond(0.0) == pytest.approx((late - USUAL) * CAR.period if late > TOLERATED else 0.0)
-    assert found.beyond(late * CAR.period) == late * CAR.period, "told already"
+    assert found.delay_to_compensate(0.0) == pytest.approx(
+        (late - USUAL_DELAY) * CAR.period if late > TOLERATED_DELAY else 0.0
+    )
+    assert found.delay_to_compensate(late * CAR.period) == late * CAR.period, "reported already"
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_the_unit_of_the_state_does_not_matter(unit: float) -> None:
     delay = DelayEstimator(Prediction(lambda x: (x, np.array([[0.05 * unit]]))), [2.0], 0.05)
-    random, x, commands = np.random.default_rng(5), 0.0, [0.0] * (MOST + 1)
+    random, x, commands = np.random.default_rng(5), 0.0, [0.0] * (MAX_DELAY + 1)
     for tick in range(60):
         commands.append(float(random.uniform(-1.0, 1.0)) if tick % 3 == 0 else commands[-1])
         before, x = x, x + 0.05 * unit * commands[-4]
-        known = tuple(((commands[-1 - n],), None) for n in range(MOST + 1))
+        known = tuple(((commands[-1 - n],), None) for n in range(MAX_DELAY + 1))
         delay.observe(Transition((before,), (x,), known), None)
     assert delay.periods == 3
 
@@ -99,11 +107,11 @@ def refuted_by_all_that_was_seen(periods: list[Transition]) -> list[int]:
 @pytest.mark.parametrize(("seed", "noise"), list(enumerate((0.01, 0.02, 0.03, 0.05, 0.08, 0.03, 1e-5))))
 def test_what_is_believed_is_what_the_whole_past_at_once_says(seed: int, noise: float) -> None:
     """Delays that change, with pauses in which commands tell nothing; noise makes the evidence come slowly."""
-    at_rest = Transition((1.0, 0.0, 0.0, 0.7), (1.0, 0.1, 0.0, 0.7), (((0.7, 0.0), None),) * (MOST + 1))
+    at_rest = Transition((1.0, 0.0, 0.0, 0.7), (1.0, 0.1, 0.0, 0.7), (((0.7, 0.0), None),) * (MAX_DELAY + 1))
     periods = [
         period
         for place, late in enumerate((1, 5, 7, 3))
-        for period in [*way(CAR, late, 50, 10 * seed + place, noise)[MOST:], *[at_rest] * 9]
+        for period in [*way(CAR, late, 50, 10 * seed + place, noise)[MAX_DELAY:], *[at_rest] * 9]
     ]
     found, reported = after([]), []
     assert found.periods == 0
@@ -115,26 +123,26 @@ def test_what_is_believed_is_what_the_whole_past_at_once_says(seed: int, noise: 
 
 
 def test_three_periods_are_acted_upon_two_are_not_and_the_only_one_that_explains_everything_is_found() -> None:
-    """Of 0.05 s each; a delay of 8 is the longest that is looked for. What the robot tells of counts as known."""
+    """Of 0.05 s each; a delay of 8 is the longest that is looked for. What the robot reports counts as known."""
     found = after([])
     for periods, reported, seconds in ((2, 0.0, 0.0), (3, 0.0, 0.1), (3, 0.05, 0.05), (4, 0.05, 0.15), (8, 0.0, 0.35)):
         found.periods = periods
-        assert found.beyond(reported) == pytest.approx(seconds)
-    assert MOST * CAR.period == pytest.approx(0.4)
+        assert found.delay_to_compensate(reported) == pytest.approx(seconds)
+    assert MAX_DELAY * CAR.period == pytest.approx(0.4)
     # The car stands, exactly, and of the last commands none but the one of three periods ago is to stand.
-    commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MOST + 1))
+    commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MAX_DELAY + 1))
     assert after([Transition((0.0,) * 4, (0.0,) * 4, commands)] * 20).periods == 3
 
 
-def test_commands_of_either_sign_tell_as_much_and_less_than_a_hundredth_of_their_range_nothing() -> None:
+def test_commands_of_either_sign_are_as_informative_and_less_than_a_hundredth_of_their_range_is_not() -> None:
     periods = way(CAR, 4, 40, noise=1e-3)
     assert after(periods, scale=200.0).periods == 0, "1.5 of a range of 520"
     assert after(periods, scale=50.0).periods == 4
     # Forwards and backwards alike, so that their largest and least sum up to nothing.
     periods, state = [], np.array([0.0, 0.0, 0.3, 0.0])
     speeds = [0.5 if tick // 3 % 2 else -0.5 for tick in range(60)]
-    for tick in range(MOST + 4, 60):
-        commands = tuple(((speeds[tick - n], 0.0), None) for n in range(MOST + 1))
+    for tick in range(MAX_DELAY + 4, 60):
+        commands = tuple(((speeds[tick - n], 0.0), None) for n in range(MAX_DELAY + 1))
         reached = np.asarray(CAR.step(state, np.array(commands[4][0]), CAR.latent))
         periods.append(Transition(tuple(state.tolist()), tuple(reached.tolist()), commands))
         state = reached
@@ -142,31 +150,31 @@ def test_commands_of_either_sign_tell_as_much_and_less_than_a_hundredth_of_their
 
 
 def test_what_is_believed_is_doubted_at_the_ends_and_a_longer_delay_is_taken_for_the_longest() -> None:
-    found = after(way(CAR, MOST, 40, noise=1e-3))
-    assert found.periods == MOST
-    for passed in way(CAR, MOST - 1, 120, 4, noise=1e-3)[MOST:]:
+    found = after(way(CAR, MAX_DELAY, 40, noise=1e-3))
+    assert found.periods == MAX_DELAY
+    for passed in way(CAR, MAX_DELAY - 1, 120, 4, noise=1e-3)[MAX_DELAY:]:
         found.observe(passed, LATENT_VALUES)
-    assert found.periods == MOST - 1
-    for passed in way(CAR, 1, 60, 5, noise=1e-3)[MOST:]:
+    assert found.periods == MAX_DELAY - 1
+    for passed in way(CAR, 1, 60, 5, noise=1e-3)[MAX_DELAY:]:
         found.observe(passed._replace(commands=passed.commands[:3]), LATENT_VALUES)
     assert found.periods == 1
-    assert after(way(CAR, MOST + 1, 40, noise=1e-3)).periods == MOST
+    assert after(way(CAR, MAX_DELAY + 1, 40, noise=1e-3)).periods == MAX_DELAY
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_without_a_delay_none_is_found_however_noisy_the_measurement(seed: int) -> None:
-    assert after(way(CAR, 0, 120, seed, noise=0.02)).periods <= TOLERATED
+    assert after(way(CAR, 0, 120, seed, noise=0.02)).periods <= TOLERATED_DELAY
 
 
 def test_what_is_believed_stays_until_it_is_refuted() -> None:
     found = after(way(CAR, 4, 40, noise=1e-3))
     assert found.periods == 4
     at_rest = ((0.0, 0.0), None)
-    still = Transition((0.0,) * 4, (0.0,) * 4, (at_rest,) * (MOST + 1))
+    still = Transition((0.0,) * 4, (0.0,) * 4, (at_rest,) * (MAX_DELAY + 1))
     for _ in range(200):
         found.observe(still, LATENT_VALUES)
     assert found.periods == 4, "commands that do not differ tell nothing"
-    for passed in way(CAR, 0, 120, noise=1e-3)[MOST:]:
+    for passed in way(CAR, 0, 120, noise=1e-3)[MAX_DELAY:]:
         found.observe(passed, LATENT_VALUES)
     assert found.periods == 0
 
@@ -174,7 +182,7 @@ def test_what_is_believed_stays_until_it_is_refuted() -> None:
 def test_after_ten_seconds_behind_one_delay_another_one_is_found_within_three() -> None:
     """What was seen long ago is forgotten, or a delay that changes would be found too late."""
     found = after(way(CAR, 4, 200, noise=1e-3))
-    for passed in way(CAR, 0, MOST + 60, 5, noise=1e-3)[MOST:]:
+    for passed in way(CAR, 0, MAX_DELAY + 60, 5, noise=1e-3)[MAX_DELAY:]:
         found.observe(passed, LATENT_VALUES)
     assert found.periods == 0
 
@@ -182,7 +190,7 @@ def test_after_ten_seconds_behind_one_delay_another_one_is_found_within_three() 
 def test_a_delay_that_explains_everything_counts_for_it() -> None:
     """Of a state that is exactly 0 all the time the right delay has no error at all: no reason to doubt it."""
     still, push = (0.0, 0.0), (1.0, 0.0)
-    commands = tuple((still if n == 0 else push, None) for n in range(MOST + 1))
+    commands = tuple((still if n == 0 else push, None) for n in range(MAX_DELAY + 1))
     found = after([Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), commands)] * 20)
     assert found.periods == 0
 
@@ -210,15 +218,15 @@ def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a
     history = CommandHistory(CAR)
     for tick, speed in enumerate((0.0, 0.1, 0.2)):
         history.add(tick, (0.0, 0.0, 0.0, speed), (speed, 0.0), ())
-    passed = history.passed(4)
+    passed = history.last_transition(4)
     assert passed is not None
     assert [command[0] for command, _ in passed.commands] == [0.2, 0.1, 0.0, 0.0, 0.0]
     assert (passed.before[3], passed.now[3]) == (0.1, 0.2)
     for tick in range(7, 12):
         history.add(tick, (0.0, 0.0, 0.0, 0.5), (float(tick), 0.0), ())
-        assert history.passed(4) is None, "what was sent before the gap is not known"
+        assert history.last_transition(4) is None, "what was sent before the gap is not known"
     history.add(12, (0.0, 0.0, 0.0, 0.5), (12.0, 0.0), ())
-    passed = history.passed(4)
+    passed = history.last_transition(4)
     assert passed is not None
     assert [command[0] for command, _ in passed.commands] == [12.0, 11.0, 10.0, 9.0, 8.0]
 
@@ -226,28 +234,29 @@ def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a
 def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = settings_named("car")
     held = CalibratedModel(CAR, "m", uncalibrated(settings, "m"))
-    robot = RobotSession.begun(held, settings)
-    assert robot.delay.beyond(0.0) == 0.0
+    robot = RobotSession.create(held, settings)
+    assert robot.delay.delay_to_compensate(0.0) == 0.0
     monkeypatch.setattr(robot.delay, "periods", 4)
-    drives = Lateness(0.15, reported="no_one").robot(900, "none")
+    drives = Lateness(0.15, reported="none").robot(900, "none")
     robot.observe_state(drives.state_message())
     assert robot.until_action == pytest.approx(3 * CAR.period)
-    assert robot.pending.sent, "what is on its way is known"
+    assert robot.pending.queue, "the commands in flight are known"
 
 
-def test_what_the_robot_tells_is_not_counted_twice_and_the_verdict_says_what_was_found() -> None:
+def test_a_reported_delay_is_not_counted_twice_and_the_verdict_reports_what_was_found() -> None:
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
     ticks = list(drive(Lateness(0.2, reported="clock").robot(905, "box"), nodes, 60))
-    assert "later than told" not in ticks[-1].verdict.sentence
+    assert "later than reported" not in ticks[-1].verdict.sentence
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
-    ticks = list(drive(Lateness(0.2, reported="no_one").robot(905, "box"), nodes, 30))
-    assert "later than told" not in ticks[3].verdict.sentence
-    assert "later than told; the filter looks past that." in ticks[-1].verdict.sentence
+    ticks = list(drive(Lateness(0.2, reported="none").robot(905, "box"), nodes, 30))
+    assert "later than reported" not in ticks[3].verdict.sentence
+    assert "later than reported; the filter compensates for that." in ticks[-1].verdict.sentence
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_drives_behind_an_unknown_delay_are_corrected_and_end_well() -> None:
-    found = delayed_drives(Lateness(0.2, reported="no_one"), 4, 900, 8.0)
+    found = delayed_drives(Lateness(0.2, reported="none"), 4, 900, 8.0)
     assert found.collided == 0
     assert found.statuses["corrected"] > 0.08 * sum(found.statuses.values())
     assert found.least_h > -0.25, "without looking past it, -0.37"
@@ -309,7 +318,7 @@ def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary
     before: tuple[float, ...], now: tuple[float, ...], speeds: tuple[int, ...], stood: bool
 ) -> None:
     """Of what has no speeds, or is no state, that is not known."""
-    assert Transition(before, now, ()).stood(speeds) is stood
+    assert Transition(before, now, ()).is_stationary(speeds) is stood
 
 
 def test_six_periods_that_count_are_enough_where_one_delay_alone_explains_them() -> None:

@@ -44,7 +44,7 @@ def brake(x: Any) -> Any:
 
 
 def writing(h: Callable[[Any], float]) -> Callable[[Any], Any]:
-    """The same h, told in one array that is written again with every call."""
+    """The same h, returned in one array that is written again with every call."""
     kept = np.zeros(1)
 
     def reported(x: Any) -> Any:
@@ -60,10 +60,10 @@ class Own(AbstractBarrier):
     def __init__(self, h: Callable[[Any], float]) -> None:
         self._h = writing(h)
 
-    def values(self, state: Any) -> Any:
+    def h(self, state: Any) -> Any:
         return self._h(state)
 
-    def evaluate(self, state: Any) -> Any:
+    def h_and_grad(self, state: Any) -> Any:
         return self._h(state), np.array([[np.sign(state[0] - 1.0), 0.0]])
 
 
@@ -77,7 +77,7 @@ def test_a_rollout_sees_its_whole_path_though_h_writes_one_array_again(h: Any) -
     state = np.array([0.6, 1.0])
     wanted = RolloutBarrier(mass, brake, post, 80)
     found = RolloutBarrier(mass, brake, h, 80)
-    np.testing.assert_array_equal(found.values(state), wanted.values(state))
+    np.testing.assert_array_equal(found.h(state), wanted.h(state))
     assert SafetyFilter(mass, [found], SETTINGS, backup=brake_or_rest).decide(state, [1.0]).status is Status.violated
 
 
@@ -101,7 +101,7 @@ def test_barriers_that_write_one_array_are_two_barriers() -> None:
 
 
 def test_arrays_that_are_written_again_or_of_another_length_are_not_mixed_up() -> None:
-    h, gradient = FunctionBarrier(writing(wall)).evaluate(np.array([0.5]))
+    h, gradient = FunctionBarrier(writing(wall)).h_and_grad(np.array([0.5]))
     np.testing.assert_allclose((h[0], gradient[0, 0]), (0.5, -1.0))
     # Three values for three names, but not the right ones: the margin of one was that of the other.
     parts = [Counts("function", ("a",), [0.8, 5.0]), Counts("speed", ("b", "c"), [5.0])]
@@ -116,10 +116,10 @@ class Counts(AbstractBarrier):
     def __init__(self, kind: str, names: tuple[str, ...], h: list[float]) -> None:
         self.kind, self.names, self._h = kind, names, h
 
-    def values(self, state: Any) -> Any:
+    def h(self, state: Any) -> Any:
         return np.array(self._h)
 
-    def evaluate(self, state: Any) -> Any:
+    def h_and_grad(self, state: Any) -> Any:
         return np.array(self._h), np.zeros((len(self._h), 1))
 
 
@@ -149,7 +149,8 @@ def test_one_number_is_f_of_one_state() -> None:
 
 @pytest.mark.parametrize("g", [np.ones(2), np.ones((2, 1)), np.ones((1, 3)), np.ones((1, 2, 1))], ids=str)
 def test_slopes_given_with_a_step_have_a_row_for_each_state(g: Any) -> None:
-    """The step knows the next state, and says nothing of their shape: the filter needs them once a nominal action is refused."""
+    """The step knows the next state, and says nothing of their shape: the filter needs them once a nominal action is
+    refused."""
     settings = FilterSettings(action_low=(-1.0,) * 2, action_high=(1.0,) * 2, epsilon=0.0)
     for given, status in ((g, Status.fallback), (np.ones((1, 2)), Status.corrected)):
         model = Prediction(lambda x, given=given: (x, given), lambda x, a: x + a.sum())
@@ -177,14 +178,14 @@ def test_an_action_is_found_though_the_model_has_no_number_for_others(lowest: fl
 
 def test_functions_of_several_values_return_one_for_each_name() -> None:
     one = FunctionBarrier(lambda x: x[0], lambda _: [1.0, 0.0])
-    assert one.evaluate(np.array([0.5, 0.0]))[1].tolist() == [[1.0, 0.0]]
+    assert one.h_and_grad(np.array([0.5, 0.0]))[1].tolist() == [[1.0, 0.0]]
     two = FunctionBarrier(lambda x: x[:2], lambda _: [[1.0], [1.0]], names=("a", "b"))
-    assert two.values(np.array([0.5, 0.25])).tolist() == [0.5, 0.25]
+    assert two.h(np.array([0.5, 0.25])).tolist() == [0.5, 0.25]
     with pytest.raises(InputError, match=r"of barrier a, b: got shape \(2, 1\), wanted \(2, 2\)"):
-        two.evaluate(np.zeros(2))
+        two.h_and_grad(np.zeros(2))
     for wrong in ([1.0], [1.0, 2.0, 3.0], 1.0, [[1.0, 2.0]]):
         with pytest.raises(InputError, match=r"of barrier a, b: got shape \(.*\), wanted \(2,\)"):
-            FunctionBarrier(lambda _, wrong=wrong: wrong, names=("a", "b")).values(np.zeros(2))
+            FunctionBarrier(lambda _, wrong=wrong: wrong, names=("a", "b")).h(np.zeros(2))
 
 
 def test_three_slopes_are_no_table_of_three_actions() -> None:
@@ -210,7 +211,7 @@ def test_what_only_looks_like_numbers_on_the_way(value: Any) -> None:
     assert SafetyFilter(mass, [last], SETTINGS).decide([0.5, 0.5], [1.0]).status is Status.fallback
     rolled = RolloutBarrier(mass, lambda x: np.atleast_1d(value) if np.ndim(value) == 0 else value, wall, 3)
     with pytest.raises(InputError, match="backup: got"):
-        rolled.values(np.array([0.5, 0.5]))
+        rolled.h(np.array([0.5, 0.5]))
     late = PendingActions(mass, 1, (0.0,))
     entry = value if np.ndim(value) else [value, value]
     with pytest.raises(InputError, match="state: got"):
@@ -232,7 +233,7 @@ class Kindless(Own):
     [
         (lambda: SafetyFilter((wall, wall), [FunctionBarrier(wall)], SETTINGS), "affine: got tuple, wanted a function"),  # type: ignore[arg-type]
         (lambda: SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS, step=3), "step: got int, wanted a function"),  # type: ignore[arg-type]
-        (lambda: SafetyFilter(dict, [FunctionBarrier(wall)], SETTINGS), "which does not tell its arguments"),
+        (lambda: SafetyFilter(dict, [FunctionBarrier(wall)], SETTINGS), "which has no readable signature"),
         (
             lambda: SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS, state_range=(-1, 1)),  # type: ignore[arg-type]
             "state_range: got tuple, wanted Plausible",
@@ -318,11 +319,11 @@ def test_a_users_barrier_falls_by_its_share_a_step() -> None:
     class Room(AbstractBarrier):
         kind, names = "obstacle", ("wall",)
 
-        def values(self, state: Any) -> Any:
+        def h(self, state: Any) -> Any:
             return np.array([1.0 - state[0]])
 
-        def evaluate(self, state: Any) -> Any:
-            return self.values(state), np.array([[-1.0]])
+        def h_and_grad(self, state: Any) -> Any:
+            return self.h(state), np.array([[-1.0]])
 
     verdict = SafetyFilter(still, [Room()], SETTINGS).decide([0.0], [0.9])
     assert verdict.status is Status.corrected

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from tests.safety.aims import Case, Counted
 
-from safedpa.safety.solver.candidates import NEARBY, action_grid, grid_around
+from safedpa.safety.solver.candidates import STEP_SHARES, action_grid, grid_around
 from safedpa.safety.solver.least_violation import TOLERANCE
 from safedpa.safety.solver.maximin_lp import MaxMinProgram, solve_by_dual_simplex
 
@@ -33,6 +33,7 @@ def least(slopes: Values, heights: Values, levels: Values, u: Values) -> float:
     return float((heights + slopes @ u)[np.isnan(levels)].min())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("actions", [1, 2, 3, 4])
 def test_the_least_is_as_high_as_scipy_can_make_it(actions: int) -> None:
     random, program, held = np.random.default_rng(actions), MaxMinProgram(actions), 0
@@ -96,6 +97,7 @@ def drawn(random: np.random.Generator, actions: int) -> tuple[Values, Values, Va
     return slopes, heights, np.where(some, inside - random.uniform(0.0, 0.2, rows), nan)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("actions", [1, 2, 3, 4])
 def test_it_is_as_high_as_scipy_can_make_it_and_nearly_always_answers(actions: int) -> None:
     random, silent = np.random.default_rng(actions), 0
@@ -165,7 +167,7 @@ def test_a_level_without_end_is_no_number_and_there_are_as_many_heights_and_leve
     assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 0.0], [nan, -inf]) is None
     assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 0.0], [nan, inf]) is None
     for heights, levels in (([0.0, 0.0], [nan]), ([0.0], [nan, nan]), ([], [nan])):
-        with pytest.raises(ValueError, match=f"1 rows of slopes, {len(heights)} heights and {len(levels)} levels"):
+        with pytest.raises(ValueError, match=f"1 rows, {len(heights)} offsets and {len(levels)} levels"):
             solve_by_dual_simplex([[1.0]], heights, levels)
     assert solve_by_dual_simplex([], [], []) is None
 
@@ -217,10 +219,10 @@ def test_what_lies_around_an_action_is_one_entry_moved_within_the_bounds_nearer_
     for other in grid_around(sides, (0.1, 0.2, 0.3), 0.1):
         assert sum(one != kept for one, kept in zip(other, (0.1, 0.2, 0.3), strict=True)) == 1
     # From a quarter of the range, between the points of the lattice, down to what is as good as the same.
-    assert tuple(sorted(NEARBY, reverse=True)) == NEARBY
-    assert 0.2 < NEARBY[0] <= 0.25
-    assert 0.005 < NEARBY[-1] < 0.01
-    assert all(0.3 < less / more < 0.6 for more, less in pairwise(NEARBY))
+    assert tuple(sorted(STEP_SHARES, reverse=True)) == STEP_SHARES
+    assert 0.2 < STEP_SHARES[0] <= 0.25
+    assert 0.005 < STEP_SHARES[-1] < 0.01
+    assert all(0.3 < less / more < 0.6 for more, less in pairwise(STEP_SHARES))
 
 
 class Affine:
@@ -233,7 +235,7 @@ class Affine:
         self.base, self.now = random.normal(-0.7, 0.8, rows), random.normal(-0.3, 0.8, rows)
         self.now[0] = -abs(self.now[0])
         self.nominal, self.eta = random.uniform(-1.0, 1.0, actions), float(random.uniform(0.05, 1.0))
-        self.required = (1.0 - self.eta) * self.now
+        self.rhs = (1.0 - self.eta) * self.now
         self.reach = 2.0 * np.abs(self.slopes).sum(axis=1)
         self.scale = np.maximum(np.abs(self.now), self.reach)
         self.found = np.array(Case(self.after, self.now.tolist(), self.nominal.tolist(), eta=self.eta).run().action)
@@ -264,7 +266,7 @@ class Affine:
 def test_aim_by_aim_scipy_finds_nothing_better(seed: int) -> None:
     problem = Affine(seed)
     heights, given = problem.after(problem.found) / problem.scale, TOLERANCE * problem.reach / problem.scale
-    rows, required = np.arange(len(heights)), problem.required / problem.scale
+    rows, required = np.arange(len(heights)), problem.rhs / problem.scale
     first = problem.highest(rows >= 0, np.full(len(rows), np.nan))
     assert heights.min() >= first - given.max()
     held = min(first, float((problem.now / problem.scale).min()))  # what the robot has now is not given away
@@ -337,14 +339,15 @@ def test_of_what_is_above_zero_half_is_given_away_and_nothing_of_a_zero_missed_b
 def test_what_is_kept_but_for_rounding_is_not_stuck(now: float, required: float) -> None:
     """h_0 is the same after any action."""
     case = Case(lambda a: [max(now, 0.25), a[0] - 3.0], [now, -3.0], [0.0], eta=1.0)
-    case.conditions.required[0] = required
+    case.conditions.rhs[0] = required
     case.run()
     assert case.stuck == ()
 
 
 @pytest.mark.parametrize("now", [0.0, 0.5])
 def test_where_all_is_well_now_what_keeps_all_wins_over_what_almost_does(now: float) -> None:
-    """The second known action is nearer to the nominal action, and misses its condition by less than else may be given away."""
+    """The second known action is nearer to the nominal action, and misses its condition by less than else may be given
+    away."""
     case = Case(lambda a: [a[0] + 5.0, 3.0], [5.5, now], [0.0], eta=0.0)
     found = case.run([0.5], [0.4995])
     assert found.action == (0.5,)
@@ -360,14 +363,16 @@ def test_what_keeps_all_is_no_more_a_question_of_height(now: float) -> None:
 
 
 def test_an_affine_question_is_answered_in_one_round_without_anything_between_known_answers() -> None:
-    """Four corners, the nominal action, the backup, the highest and the nearest as high; one linear program for each level."""
+    """Four corners, the nominal action, the backup, the highest and the nearest as high; one linear program for each
+    level."""
     highest = Counted(MaxMinProgram(2))
     rows, now = [[1.0, 1.0, -3.0], [-2.0, -1.0, -4.0], [0.3, -2.0, -3.6]], [-3.0, -4.0, -3.5]
     case = Case(lambda a: [x * a[0] + y * a[1] + z for x, y, z in rows], now, [0.0, 0.0], highest=highest)
     case.run()
     assert len(case.asked) == 4 + 1 + 1 + 2
     assert highest.solved == 1
-    # As near to the nominal action as what may be given away allows: what the programs propose is predicted, and no better.
+    # As near to the nominal action as what may be given away allows: what the programs propose is predicted, and no
+    # better.
     case = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0])
     assert case.run([-1.0], [0.9962]).action == (0.9962,)
     assert len(case.asked) == 2 + 2 + 1 + 2

@@ -36,11 +36,11 @@ class Writer(AbstractBarrier):
 
     kind, names = "own", ("own",)
 
-    def values(self, state: Any) -> Any:
+    def h(self, state: Any) -> Any:
         state[0] = -100.0
         return np.ones(1)
 
-    def evaluate(self, state: Any) -> Any:
+    def h_and_grad(self, state: Any) -> Any:
         state[0] = -100.0
         return np.ones(1), np.zeros((1, len(state)))
 
@@ -65,7 +65,7 @@ def test_a_gradient_that_writes_and_a_barrier_asked_alone_leave_the_state_alone(
     state = np.array([0.5])
     for barrier in (FunctionBarrier(writes), FunctionBarrier(lambda x: x[0], writes)):
         with pytest.raises(ValueError, match="read-only"):
-            barrier.evaluate(state)
+            barrier.h_and_grad(state)
     assert state == [0.5]
     assert state.flags.writeable
 
@@ -125,10 +125,10 @@ class Answers(AbstractBarrier):
     def __init__(self, value: Any, slope: Any) -> None:
         self._value, self._slope = value, slope
 
-    def values(self, state: Any) -> Any:
+    def h(self, state: Any) -> Any:
         return self._value
 
-    def evaluate(self, state: Any) -> Any:
+    def h_and_grad(self, state: Any) -> Any:
         return self._value, self._slope
 
 
@@ -323,7 +323,7 @@ def test_two_threads_at_once_get_one_decision_and_one_refusal() -> None:
     first.join(10.0)
     for second in seconds:
         assert second.status is Status.fallback
-        assert "another decision of this filter is under way" in second.reason
+        assert "another decision of this filter is in progress" in second.reason
         np.testing.assert_array_equal(second.action, [0.0])
     assert (found[0].status, found[0].h_now) == (Status.passed, 1.0)
     assert safe.decide([0.0], [1.0], barriers=free).status is Status.passed
@@ -379,6 +379,6 @@ def test_many_threads_never_get_each_others_barriers() -> None:
 def test_parts_are_checked_by_the_stack_of_any_kind() -> None:
     stack = Barriers((Answers(["0.5"], [[0.0]]),))
     with pytest.raises(InputError, match=r"h: got list of <U3, wanted real numbers"):
-        stack.heights((0.0,))
+        stack.h_floats((0.0,))
     with pytest.raises(InputError, match="gradient of h: got a masked array"):
-        Barriers((Answers([0.5], np.ma.zeros((1, 1))),)).slopes((0.0,), [0])
+        Barriers((Answers([0.5], np.ma.zeros((1, 1))),)).grad_h_floats((0.0,), [0])

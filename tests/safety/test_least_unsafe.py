@@ -35,7 +35,7 @@ def test_what_is_given_away_is_a_share_of_what_actions_can_change(far: float) ->
 
 
 @pytest.mark.parametrize("actions", [3, 5])
-def test_few_outcomes_do_not_tell_what_many_actions_can_change(actions: int) -> None:
+def test_few_candidates_do_not_show_what_many_actions_can_change(actions: int) -> None:
     """Of five actions no corners are tried: what a handful of outcomes have in common is not beyond their reach."""
     rest = [0.0] * (actions - 1)
     known = [[-1.0, share, *rest[1:]] for share in np.linspace(-1.0, 1.0, 12)]
@@ -46,7 +46,7 @@ def test_few_outcomes_do_not_tell_what_many_actions_can_change(actions: int) -> 
 
 
 @pytest.mark.parametrize(("actions", "known"), [(1, [[1.0], [0.95]]), (3, [[1.0, 0.0, 0.0]])])
-def test_of_an_actuator_that_saturates_the_corners_tell_and_not_the_slope(
+def test_for_an_actuator_that_saturates_the_corners_count_and_not_the_gradient(
     actions: int, known: list[list[float]]
 ) -> None:
     """What the actions change is 0.1, though the slope at the best of them promises 2: of that little is given away."""
@@ -91,7 +91,8 @@ def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
 
 
 def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
-    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the nominal action."""
+    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the nominal
+    action."""
     found = Case(lambda a: [a[0] - 3.0, 2.0 * a[1] - 2.0], [-3.0, -3.0], [-1.0, -1.0], eta=0.0).run()
     assert found.action == pytest.approx((1.0, -1.0 / 3.0), abs=0.02)
     both = Case(
@@ -110,7 +111,8 @@ def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_no
 
 
 def test_of_what_is_known_the_best_is_never_lost() -> None:
-    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the nominal action."""
+    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the nominal
+    action."""
 
     def bump(a: Values) -> list[float]:
         return [0.5 - abs(a[0] - 0.2) - 0.1 * a[1]]
@@ -131,7 +133,7 @@ def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_nomin
     assert case.run([-0.5], [0.5]).action == (1.0,)
     kept = Case(lambda a: [-7.0, a[0]], [-7.0, 0.25], [-0.5], eta=0.0, highest=Mute())
     found = kept.run([-0.5], [0.3])
-    assert found.kept is False
+    assert found.is_feasible is False
     assert found.residual[1] >= 0.0
     assert found.action[0] <= 0.3, "and nearer to the nominal action by itself, as far as the condition allows"
 
@@ -163,7 +165,7 @@ def test_what_bends_is_followed_to_its_top_on_a_line_and_in_the_plane() -> None:
 
 
 def test_corners_are_tried_where_a_tangent_is_blind_and_programs_posed_from_the_best() -> None:
-    """Flat from -0.9 to 0.5, steep beyond: no slope at the nominal action tells of it."""
+    """Flat from -0.9 to 0.5, steep beyond: no gradient at the nominal action shows it."""
     found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0], [-3.0], [0.0]).run()
     assert found.h_next[0] >= -2.5 - 0.01
     # The corner is a foothold; between it and the top the tangent leads on to the nominal action.
@@ -187,7 +189,7 @@ def test_where_one_action_alone_has_numbers_the_search_begins_there() -> None:
         lambda a: [np.nan if a[0] == 0.7 else a.sum() - 9.0], [-9.0], [0.7] + [0.0] * 4, affine=False, backup=[0.0] * 5
     )
     found = case.run()
-    assert found.usable
+    assert found.is_finite
     assert found.action == pytest.approx((1.0,) * 5, abs=0.02)
 
 
@@ -229,7 +231,7 @@ def test_a_program_that_gives_up_at_the_second_aim_leaves_what_the_first_one_fou
     assert found.action[0] == pytest.approx(1.0, abs=0.01)
 
 
-def test_what_was_foretold_needs_no_second_round() -> None:
+def test_a_predicted_result_needs_no_second_round() -> None:
     """Affine: 4 corners, the nominal action, the highest and the nearest as high."""
     case = Case(lambda a: [a[0] - 3.0, a[1] - 2.0], [-3.0, -2.0], [0.0, 0.0])
     case.run()
@@ -281,7 +283,7 @@ def test_what_no_action_moves_within_one_step_brings_the_backup_unless_it_is_wel
 def test_stuck_is_what_is_below_zero_or_not_kept(now: float, required: float, stuck: tuple[str, ...]) -> None:
     """h_0 is 1 after any action."""
     case = Case(lambda a: [1.0, a[0] - 3.0], [now, -3.0], [0.0], eta=1.0 if required < 1.0 else 0.0)
-    case.conditions.required[0] = required
+    case.conditions.rhs[0] = required
     case.run()
     assert case.stuck == stuck
 
@@ -290,7 +292,7 @@ def test_actions_without_a_finite_prediction_are_left_out_and_without_any_there_
     """h is a number for actions below 0.5 alone: of these the highest that is found."""
     case = Case(lambda a: [a[0] - 3.0 if a[0] < 0.5 else np.nan], [-3.0], [-1.0], affine=False)
     found = case.run()
-    assert found.usable
+    assert found.is_finite
     assert 0.0 <= found.action[0] < 0.5
     with pytest.raises(DecisionError, match="no finite number for any action"):
         Case(lambda a: [np.nan], [-3.0], [-1.0]).run()

@@ -24,8 +24,8 @@ from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.margins.conformal import margins_over_drives
 from safedpa.safety.margins.error_clipping import ErrorClip, HSample
 from safedpa.safety.solver.sqp import DecisionError
-from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
-from safedpa_services.driving import drive_command
+from safedpa_lab.experiments.driving.hidden_car import HIDDEN, incomplete_model, oracle_model
+from safedpa_services.model_deployment import drive_command
 
 CAR = incomplete_model()
 SETTINGS = settings_named("car")
@@ -65,7 +65,7 @@ def test_logs_of_the_models_own_rate_have_the_margin_that_they_had() -> None:
     run = log_of(np.full(300, 0.05))
     found, notice = reported(run)
     assert found.calibration == calibration_from_runs(CAR, SETTINGS, [run], 0.99, "2026-11-28")
-    assert (found.period, notice) == (0.05, ""), "nothing to be told"
+    assert (found.period, notice) == (0.05, ""), "nothing to report"
 
 
 @pytest.mark.parametrize("period", [0.01, 1.0 / 7.0, 0.1, 0.025])
@@ -75,9 +75,9 @@ def test_logs_of_another_rate_have_a_margin_of_their_own_steps(period: float) ->
     assert found.calibration.fingerprint == fingerprint(CAR), "it belongs to the model, whatever its steps"
     assert found.calibration.transitions == 500
     assert all(0.0 <= value < 0.2 for value in found.calibration.epsilon.values())
-    assert f"The margin is of steps of {period:.3g} s, as the recordings have them" in notice
-    beyond = f"over the model's own, 0.05 s, it is {0.05 / period:.3g} times as wide and promises nothing"
-    assert (beyond if period < 0.05 else "over the model's own, 0.05 s, it is wider than needed") in notice
+    assert f"The margin is valid for steps of {period:.3g} s, as in the recordings" in notice
+    beyond = f"for the model's period of 0.05 s it is scaled by {0.05 / period:.3g} and has no guarantee"
+    assert (beyond if period < 0.05 else "for the model's period of 0.05 s it is wider than needed") in notice
 
 
 def test_it_is_that_of_the_steps_themselves_and_not_one_that_was_scaled() -> None:
@@ -101,7 +101,7 @@ def test_of_several_rates_the_models_own_counts_if_it_has_steps_enough() -> None
     own, quick = log_of(np.full(99, 0.05), "own"), log_of(np.full(9000, 0.01), "quick")
     found, notice = reported(quick, own)
     assert (found.period, found.calibration.transitions, found.others) == (0.05, 99, 9000)
-    assert notice == "The margin is of the model's own steps of 0.05 s; 9000 steps of other lengths tell nothing of it."
+    assert notice == "The margin is valid for the model's period of 0.05 s; 9000 steps of other lengths were not used."
     both = log_of(np.concatenate([np.full(120, 0.05), np.full(3000, 0.01)]))
     assert reported(both)[0].calibration.transitions == pytest.approx(120, abs=1)
 
@@ -114,7 +114,7 @@ def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) 
     notice = refused(*runs)
     assert notice == (
         "margin: got steps of 0.01 to 0.143 s, none of the model's own 0.05 s, wanted recordings of one rate or 99 "
-        "steps of the model's own; diagnose those of one rate alone, or record at the model's"
+        "steps of the model's own; use recordings of one rate, or record at the model's"
     )
     few = refused(*runs, log_of(np.full(98, 0.05)))
     assert "98 of the model's own 0.05 s" in few
@@ -123,7 +123,7 @@ def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) 
 def test_the_rate_of_a_log_is_that_of_most_of_its_time_not_of_a_moment_or_of_rows() -> None:
     found, notice = reported(log_of(np.concatenate([np.full(1000, 0.01), np.full(20, 0.04)])))
     assert (found.calibration.transitions, found.others) == (1000, 20)
-    assert "20 steps of other lengths tell nothing of it" in notice
+    assert "20 steps of other lengths were not used" in notice
     # Of quick steps there are many in a moment, of slow ones few in most of a drive.
     slow, moment = log_of(np.full(300, 1.0 / 7.0)), log_of(np.full(400, 0.01))
     assert reported(slow, moment)[0].period == pytest.approx(1.0 / 7.0)
@@ -143,18 +143,17 @@ def test_a_log_that_is_too_short_is_refused(rows: int, period: float) -> None:
 def test_a_log_without_a_step_is_refused_and_stretches_of_two_rows_have_one() -> None:
     alone = log_of(np.full(10, 0.05), gaps=1)
     for runs in ((), (alone,), (replace(alone, stretches=()),)):
-        assert refused(*runs).startswith("margin: got no step, wanted recordings with at least 99 of one length")
+        assert refused(*runs).startswith("margin: no steps, wanted recordings with at least 99 of one length")
     # Of a log that loses every third row.
     found = log_margin(CAR, SETTINGS, [log_of([0.1] * 399, gaps=2)], 0.99, "2026-11-28")
     assert (found.period, found.calibration.transitions) == (pytest.approx(0.1), 200)
 
 
-def test_networks_tell_no_other_steps_than_those_that_they_were_trained_on() -> None:
+def test_networks_predict_no_other_steps_than_those_that_they_were_trained_on() -> None:
     learned = load_model("car_learned")
     notice = refused(log_of(np.full(300, 0.01)), model=learned)
     assert notice == (
-        "margin: got steps of 0.01 s, wanted those of 0.05 s, on which the model's networks were trained; "
-        "record at that rate"
+        "margin: got steps of 0.01 s, wanted 0.05 s, for which the model's networks were trained; record at that rate"
     )
     assert reported(log_of(np.full(300, 0.05)), model=learned)[0].period == 0.05
 
@@ -235,15 +234,15 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
     smaller = calibration_from_drives(drives, 0.9, "2026-11-22", "x")
     assert smaller.epsilon["a"] == pytest.approx(0.81), "half of the steps are errors of 0"
     assert smaller.drive["a"] == pytest.approx(0.9)
-    assert smaller.chosen("drive").epsilon == smaller.drive
-    assert smaller.chosen(parse_settings('margin = "drive"').margin).epsilon == smaller.drive
+    assert smaller.select("drive").epsilon == smaller.drive
+    assert smaller.select(parse_settings('margin = "drive"').margin).epsilon == smaller.drive
     with pytest.raises(InputError, match="margin 'drive': the calibration has it for no kind, wanted a, b"):
-        dataclasses.replace(smaller, drive={}).chosen("drive")
+        dataclasses.replace(smaller, drive={}).select("drive")
     with pytest.raises(InputError, match=r"drives: got 98, wanted at least 99 for a coverage of 0\.99"):
         calibration_from_drives(drives[:98], 0.99, "2026-11-22", "x")
 
 
-def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
+def test_a_clip_level_is_raised_until_it_is_above_the_boundary_layer_of_the_margin() -> None:
     """At h of 5 no one is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
     drives = [{"a": np.array([HSample(5.0, 5.0 - 0.04 * k), HSample(0.3, 0.3)])} for k in range(100)]
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
@@ -311,13 +310,13 @@ def test_margins_follow_the_request_and_the_barriers() -> None:
     )
     asked: dict[str, float] = {}
     for _ in range(2):
-        assert margins.of(one, asked) == ([0.1, 0.02, 0.02], 0.1)
+        assert margins.resolve(one, asked) == ([0.1, 0.02, 0.02], 0.1)
     asked["speed"] = 0.3
     for _ in range(2):
-        assert margins.of(one, asked) == ([0.1, 0.3, 0.3], 0.3)
-    assert margins.of(one, dict(asked)) is margins.of(one, asked)  # kept
-    assert margins.of(other, asked) == ([0.1, 0.1, 0.3, 0.3], 0.3)
-    assert margins.of(one, {}) == ([0.1, 0.02, 0.02], 0.1)
+        assert margins.resolve(one, asked) == ([0.1, 0.3, 0.3], 0.3)
+    assert margins.resolve(one, dict(asked)) is margins.resolve(one, asked)  # kept
+    assert margins.resolve(other, asked) == ([0.1, 0.1, 0.3, 0.3], 0.3)
+    assert margins.resolve(one, {}) == ([0.1, 0.02, 0.02], 0.1)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -0.1])
@@ -327,8 +326,8 @@ def test_a_bad_margin_is_refused_every_time_and_forgotten(bad: float) -> None:
     asked = {"speed": bad}
     for _ in range(2):
         with pytest.raises(DecisionError, match="not a finite number >= 0"):
-            margins.of(stack, asked)
-    assert margins.of(stack, {}) == ([0.1, 0.02, 0.02], 0.1)
+            margins.resolve(stack, asked)
+    assert margins.resolve(stack, {}) == ([0.1, 0.02, 0.02], 0.1)
 
 
 @pytest.mark.parametrize(("name", "affine"), [("car_learned", True), ("car", False)])
@@ -339,11 +338,11 @@ def test_only_networks_have_the_same_slopes_about_every_action(name: str, affine
     state, random = (0.3, -0.2, 0.7, 0.9), np.random.default_rng(0)
     actions = random.uniform((-0.6, -0.34), (2.0, 0.34), (300, 2)).tolist()  # enough for the straight road
     for action in actions:
-        prediction.following(state, action, latent, None)
-    slopes = [prediction.slopes_of_one(state, action, latent, None) for action in actions]
+        prediction.next_state_floats(state, action, latent, None)
+    slopes = [prediction.control_matrix_floats(state, action, latent, None) for action in actions]
     assert all(slope == slopes[0] for slope in slopes) is affine
-    at = np.array(prediction.following(state, actions[0], latent, None))
-    there = np.array(prediction.following(state, actions[1], latent, None))
+    at = np.array(prediction.next_state_floats(state, actions[0], latent, None))
+    there = np.array(prediction.next_state_floats(state, actions[1], latent, None))
     predicted = at + np.array(slopes[0]) @ (np.array(actions[1]) - np.array(actions[0]))
     assert np.allclose(there, predicted, rtol=0.0, atol=1e-12) is affine
 
@@ -359,9 +358,9 @@ def test_what_was_ever_in_sight_may_be_named_though_nothing_was_asked_when_it_ca
     margins, bare = ActiveMargins(EPSILON), make_barrier_set([SpeedBarrier(-1.0, 1.0)])
     strange = SpeedBarrier(-1.0, 1.0)
     strange.kind = "wheel"
-    with pytest.raises(DecisionError, match="'wheel', which no barrier is"):
-        margins.of(bare, {"wheel": 0.3})
-    assert margins.of(bare, {}) == ([0.02, 0.02], 0.02)
-    assert margins.of(make_barrier_set([strange]), {}) == ([0.02, 0.02], 0.02)
-    assert margins.of(bare, {"wheel": 0.3}) == ([0.02, 0.02], 0.02)
-    assert margins.of(make_barrier_set([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)
+    with pytest.raises(DecisionError, match="'wheel', a kind without barriers"):
+        margins.resolve(bare, {"wheel": 0.3})
+    assert margins.resolve(bare, {}) == ([0.02, 0.02], 0.02)
+    assert margins.resolve(make_barrier_set([strange]), {}) == ([0.02, 0.02], 0.02)
+    assert margins.resolve(bare, {"wheel": 0.3}) == ([0.02, 0.02], 0.02)
+    assert margins.resolve(make_barrier_set([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)

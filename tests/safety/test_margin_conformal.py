@@ -221,8 +221,8 @@ GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"
         ("= 0.02", "= 0.02\n[theorem]\nobstacle = nan", r"theorem\.obstacle: got nan"),
         ("= 0.02", "= 0.02\n[constants]\nL = -1.0", r"constants\.L: got -1\.0"),
         ("= 0.02", "= 0.02\n[covered]\na = inf", r"covered\.a: got inf"),
-        ("format = 2", "format = 1\ndrives = inf", "drives: got inf"),
-        ("format = 2", "format = 1\ntheorem = [0.1]", "theorem: got .* wanted a table of numbers"),
+        ("format = 2", "format = 2\ndrives = inf", "drives: got inf"),
+        ("format = 2", "format = 2\ntheorem = [0.1]", "theorem: got .* wanted a table of numbers"),
         ('"obstacle" = 0.02', "", "epsilon: got {}"),
         ("transitions = 500", "transitions = 0", "transitions: got 0"),
         ('date = "2026-11-21"', "date = 3", "date: got 3"),
@@ -261,14 +261,14 @@ def test_calibrations_at_the_ends_of_their_ranges_come_back_from_their_file(chan
 def test_a_chosen_margin_has_a_number_for_each_kind_and_no_other(margin: str) -> None:
     epsilon = {"obstacle": 0.1, "speed": 0.2}
     made = MarginCalibration(epsilon, 0.95, 500, "", "abc", **{margin: {"speed": 0.4, "obstacle": 0.3}})
-    assert made.chosen(margin).epsilon == {"obstacle": 0.3, "speed": 0.4}
-    assert made.chosen("conformal").epsilon == epsilon
-    assert made.chosen(0.7).epsilon == {"obstacle": 0.7, "speed": 0.7}
+    assert made.select(margin).epsilon == {"obstacle": 0.3, "speed": 0.4}
+    assert made.select("conformal").epsilon == epsilon
+    assert made.select(0.7).epsilon == {"obstacle": 0.7, "speed": 0.7}
     for table in ({}, {"obstacle": 0.3}, {"obstacle": 0.3, "corridor": 0.4}, {**epsilon, "corridor": 0.1}):
         with pytest.raises(
             InputError, match=f"margin '{margin}': the calibration has it for .*, wanted obstacle, speed"
         ):
-            replace(made, **{margin: table}).chosen(margin)
+            replace(made, **{margin: table}).select(margin)
 
 
 def run(online: OnlineMargin, errors: np.ndarray) -> np.ndarray:

@@ -29,8 +29,8 @@ from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import calibration_from_errors, margin_from_text, margin_text
 from safedpa.safety.settings import FilterSettings
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 QUICK = 0.005
 EPSILON = {"obstacle": 0.003, "field": 0.002, "speed": 0.005}
@@ -88,8 +88,8 @@ def test_the_margin_that_the_settings_choose_is_widened_and_of_one_of_no_step_no
     _, verdict = answered(whole, settings=replace(SETTINGS, margin="drive"))
     assert verdict.margin == pytest.approx(20.0 * WIDEST)
     whole = replace(OF_QUICK_STEPS, drive=dict.fromkeys(EPSILON, 0.1), slower={"0.1": dict.fromkeys(EPSILON, 0.2)})
-    assert whole.chosen("drive").slower == {}
-    assert whole.chosen("conformal") is whole
+    assert whole.select("drive").slower == {}
+    assert whole.select("conformal") is whole
 
 
 def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps() -> None:
@@ -108,7 +108,7 @@ def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps
 
 @pytest.mark.parametrize(("slow", "then"), [(0.1, QUICK), (0.1, 0.05)])
 def test_a_robot_that_goes_on_quicker_is_not_held_to_what_its_long_steps_took(slow: float, then: float) -> None:
-    """Nor told how long they were."""
+    """Nor does the verdict mention how long they were."""
     node, verdict = answered(OF_QUICK_STEPS, slow)
     assert f"A step is {slow / QUICK:g} times" in verdict.sentence
     state = state_at(1, period=then, applied=verdict.action)
@@ -146,7 +146,7 @@ TABLES = st.dictionaries(
 @given(st.floats(1e-4, 10.0), st.floats(1e-4, 10.0), TABLES)
 def test_a_longer_step_never_has_the_narrower_margin(one: float, other: float, slower: dict[str, Any]) -> None:
     calibration = replace(OF_QUICK_STEPS, slower=slower)
-    (short, few), (long, many) = (calibration.over(period, 0.05) for period in sorted((one, other)))
+    (short, few), (long, many) = (calibration.for_period(period, 0.05) for period in sorted((one, other)))
     assert 1.0 <= few <= many
     assert all(EPSILON[kind] <= short.epsilon[kind] <= long.epsilon[kind] for kind in EPSILON)
 
@@ -155,7 +155,7 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     """Between two the longer one's; never less than that of shorter ones; beyond the last in proportion."""
     slower = {"0.2": dict.fromkeys(EPSILON, 0.02), "0.1": {"obstacle": 0.05, "field": 0.001, "speed": 0.01}}
     calibration = replace(OF_QUICK_STEPS, slower=slower)
-    reported = {period: calibration.over(period, 0.05) for period in (QUICK, 0.05, 0.1, 0.11, 0.2, 0.4)}
+    reported = {period: calibration.for_period(period, 0.05) for period in (QUICK, 0.05, 0.1, 0.11, 0.2, 0.4)}
     assert [times for _, times in reported.values()] == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 2.0])
     assert reported[QUICK][0].epsilon == EPSILON
     assert reported[0.05][0].epsilon == reported[0.1][0].epsilon == {"obstacle": 0.05, "field": 0.002, "speed": 0.01}
@@ -166,9 +166,9 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     assert "times as long" not in verdict.sentence
     assert MarginCalibration.parse(calibration.write()) == calibration
     assert margin_from_text(margin_text(calibration)) == calibration
-    assert calibration.chosen(0.02).slower == {}
+    assert calibration.select(0.02).slower == {}
     narrower = replace(OF_QUICK_STEPS, period=0.0, slower={"0.05": dict.fromkeys(EPSILON, 0.0)})
-    assert narrower.over(0.05, 0.05)[0].epsilon == EPSILON, "a table of the same steps takes nothing away"
+    assert narrower.for_period(0.05, 0.05)[0].epsilon == EPSILON, "a table of the same steps takes nothing away"
 
 
 @pytest.mark.parametrize(
@@ -203,8 +203,8 @@ def test_file_and_text_keep_the_period() -> None:
 def test_heights_of_a_drive_of_no_tick_are_none_and_a_step_longer_by_its_own_spread_is_as_long() -> None:
     assert barrier_residuals(CAR, SETTINGS, []) == {}
     assert barrier_residuals(CAR, SETTINGS, driven_ticks(0.05, 0.05)) == {}
-    assert OF_QUICK_STEPS.over(1.01 * QUICK, 0.05) == (OF_QUICK_STEPS, 1.0)
-    assert OF_QUICK_STEPS.over(1.02 * QUICK, 0.05)[1] == pytest.approx(1.02)
+    assert OF_QUICK_STEPS.for_period(1.01 * QUICK, 0.05) == (OF_QUICK_STEPS, 1.0)
+    assert OF_QUICK_STEPS.for_period(1.02 * QUICK, 0.05)[1] == pytest.approx(1.02)
 
 
 @pytest.mark.parametrize("name", ["car", "car_learned", "car_measured", "pendulum", "differential_drive"])

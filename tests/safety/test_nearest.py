@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety import QuadraticProgram
 from safedpa.safety.batch.active_set_2d import solve_hard_qp_2d_batch
-from safedpa.safety.solver.active_set_2d import LINEAR, QUADRATIC, HardQP2D, SoftQP2D
+from safedpa.safety.solver.active_set_2d import LINEAR_PRICE, QUADRATIC_PRICE, HardQP2D, SoftQP2D
 
 Row = tuple[float, float, float]
 """a_1, a_2, b."""
@@ -160,15 +160,15 @@ def cost(points: Any, rows: list[Row], nominal: Any, weights: Any) -> Values:
     found = ((np.atleast_2d(points) - nominal) ** 2) @ np.array(weights)
     for a, b, limit in rows:
         slack = np.maximum(0.0, limit - np.atleast_2d(points) @ [a, b])
-        found = found + LINEAR * slack + QUADRATIC * slack**2
+        found = found + LINEAR_PRICE * slack + QUADRATIC_PRICE * slack**2
     return np.asarray(found)
 
 
 def truth(rows: list[Row], nominal: Values, weights: Values) -> Values:
     """(2 + rows,) u and slack by quadprog."""
     count, table = len(rows), np.array(rows)
-    G = np.diag(2.0 * np.concatenate([weights, np.full(count, QUADRATIC)]))
-    c = np.concatenate([2.0 * weights * nominal, np.full(count, -LINEAR)])
+    G = np.diag(2.0 * np.concatenate([weights, np.full(count, QUADRATIC_PRICE)]))
+    c = np.concatenate([2.0 * weights * nominal, np.full(count, -LINEAR_PRICE)])
     eye = np.eye(2 + count)
     C = np.vstack([np.hstack([table[:, :2], np.eye(count)]), eye, -eye[:2]])
     return np.asarray(quadprog.solve_qp(G, c, C.T, np.concatenate([table[:, 2], np.zeros(2 + count), [-1.0, -1.0]]))[0])
@@ -230,18 +230,19 @@ def test_without_a_condition_the_nominal_action_stays_and_what_can_be_kept_costs
 
 
 def test_two_that_contradict_each_other_share_what_is_missing_by_what_they_cost() -> None:
-    """x >= 0.8 and x <= 0.2: either is short of 0.3; the nominal action's pull of 1e-5 of their prices moves them by no more."""
+    """x >= 0.8 and x <= 0.2: either is short of 0.3; the nominal action's pull of 1e-5 of their prices moves them by
+    no more."""
     rows: list[Row] = [(1.0, 0.0, 0.8), (-1.0, 0.0, -0.2)]
     found = nearest_with_slack(rows, (0.9, 0.4), (1.0, 1.0))
     assert found is not None
-    pull = 2.0 * (0.9 - 0.5) / (2.0 + 4.0 * QUADRATIC)
+    pull = 2.0 * (0.9 - 0.5) / (2.0 + 4.0 * QUADRATIC_PRICE)
     assert found == pytest.approx((0.5 + pull, 0.4), abs=1e-12)
     # Of 2 x >= 1.6 and x <= 0.5: twice the price for the same way.
     rows: list[Row] = [(2.0, 0.0, 1.6), (-1.0, 0.0, -0.5)]
     found = nearest_with_slack(rows, (0.5, 0.5), (1.0, 1.0))
     assert found is not None
     # 2 (x - 0.5) - 2 (rho1 + 2 rho (1.6 - 2 x)) + rho1 + 2 rho (x - 0.5) = 0, as long as 2 x < 1.6
-    x = (1.0 + LINEAR + 2.0 * QUADRATIC * (3.2 + 0.5)) / (2.0 + 10.0 * QUADRATIC)
+    x = (1.0 + LINEAR_PRICE + 2.0 * QUADRATIC_PRICE * (3.2 + 0.5)) / (2.0 + 10.0 * QUADRATIC_PRICE)
     assert found == pytest.approx((x, 0.5), abs=1e-12)
     assert 0.5 < x < 0.8
 
@@ -250,7 +251,7 @@ def test_a_condition_that_costs_more_than_its_price_is_given_up_and_one_out_of_r
     """A slope of 1e-5 pulls with 0.1 where it is short at all; the way to its line would cost 2 * 0.3."""
     found = nearest_with_slack([(1e-5, 0.0, 0.8e-5)], (0.5, 0.5), (1.0, 1.0))
     assert found is not None
-    pull = LINEAR * 1e-5 + 2.0 * QUADRATIC * 1e-5 * (0.8e-5 - 0.5e-5)
+    pull = LINEAR_PRICE * 1e-5 + 2.0 * QUADRATIC_PRICE * 1e-5 * (0.8e-5 - 0.5e-5)
     assert found == pytest.approx((0.5 + 0.5 * pull, 0.5), abs=1e-6)
     assert nearest_with_slack([(0.5, 0.5, 2.0)], (0.3, 0.6), (1.0, 1.0)) == (1.0, 1.0)
     assert nearest_with_slack([(-0.5, -0.5, 2.0)], (0.3, 0.6), (1.0, 1.0)) == (0.0, 0.0)
@@ -264,7 +265,9 @@ def test_the_same_condition_twice_costs_twice() -> None:
     found = nearest_with_slack(rows, (0.5, 0.5), (1.0, 1.0))
     assert found is not None
     # 2 (x - 0.5) - 2 (rho1 + 2 rho (0.8 - x)) + rho1 + 2 rho (x - 0.2) = 0
-    assert found[0] == pytest.approx((1.0 + LINEAR + 2.0 * QUADRATIC * 1.8) / (2.0 + 6.0 * QUADRATIC), abs=1e-12)
+    assert found[0] == pytest.approx(
+        (1.0 + LINEAR_PRICE + 2.0 * QUADRATIC_PRICE * 1.8) / (2.0 + 6.0 * QUADRATIC_PRICE), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("row", [(nan, 0.0, 0.1), (1.0, inf, 0.1), (1.0, 0.0, nan), (-inf, 0.0, 0.5)])
@@ -285,7 +288,8 @@ def test_a_nominal_action_beyond_all_squares_is_never_answered_with_what_is_no_n
 
 
 def test_a_weight_too_faint_for_its_price_is_left_to_others() -> None:
-    """The bound of y would be held for a price of 4e-10, though nothing but the nominal action says where y should be."""
+    """The bound of y would be held for a price of 4e-10, though nothing but the nominal action says where y should
+    be."""
     rows: list[Row] = [(1.0, 0.0, 0.25), (0.57, 0.43, -0.5), (-0.87, -0.13, -0.25), (-1.0, 0.0, 0.5)]
     assert nearest_with_slack(rows, (0.99, 0.82), (1.0, 1e-9)) is None
     assert nearest_with_slack(rows, (0.99, 0.82), (0.9e-6, 1.0)) is None
@@ -366,7 +370,8 @@ def test_the_corner_of_almost_parallel_conditions_is_not_believed(size: float) -
 
 
 def by_trying_all(slopes: Any, limits: Any, nominal: Any) -> Any:
-    """The nearest of all points that could be it: the nominal action, its foot on every row, and every corner; None: no one."""
+    """The nearest of all points that could be it: the nominal action, its foot on every row, and every corner; None:
+    no one."""
     rows = [(a, b) for a, b in zip(slopes, limits, strict=True) if b > -inf and a.any()]
     A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
     points = [nominal]

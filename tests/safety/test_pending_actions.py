@@ -1,4 +1,4 @@
-"""Actions on their way: the barrier is judged where the new one begins to act."""
+"""Actions in flight: the barrier is evaluated where the new one takes effect."""
 
 from collections.abc import Callable
 from math import cos, hypot, sin, tau
@@ -40,7 +40,7 @@ def room(x: np.ndarray) -> float:
 
 
 def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
-    """How far a mass gets whose commands arrive three ticks late, and what was said."""
+    """How far a mass gets whose commands arrive three ticks late, and the statuses."""
     random = np.random.default_rng(seed)
     late = PendingActions(affine, TICKS, (0.0,))
     x = np.array([random.uniform(-1.0, 0.0), 0.0])
@@ -75,7 +75,7 @@ def test_the_state_holds_what_is_pending_oldest_first() -> None:
     np.testing.assert_array_equal(xi, [0.3, 0.4, 0.5, -1.0])
     after = A @ [0.3, 0.4] + B @ [0.5]
     np.testing.assert_allclose(late.step(xi, np.array([0.7])), [*after, -1.0, 0.7])
-    np.testing.assert_allclose(late.reached(xi), A @ after + B @ [-1.0])
+    np.testing.assert_allclose(late.state_at_effect(xi), A @ after + B @ [-1.0])
     f, g = late.affine(xi)
     np.testing.assert_allclose(f + g @ [0.7], late.step(xi, np.array([0.7])))
     np.testing.assert_array_equal(late.state([0.1, 0.2], [[1.0], [2.0]]), [0.1, 0.2, 1.0, 2.0])
@@ -87,7 +87,7 @@ def test_the_condition_is_the_one_without_delay_at_the_state_after_what_is_pendi
     for _ in range(50):
         queue = random.uniform(-1.0, 1.0, (TICKS, 1))
         xi = late.state(random.uniform((0.0, -0.5), (0.6, 0.8)), queue)
-        plain = SafetyFilter(affine, [FunctionBarrier(room)], ON_A_LINE).decide(late.reached(xi), [1.0])
+        plain = SafetyFilter(affine, [FunctionBarrier(room)], ON_A_LINE).decide(late.state_at_effect(xi), [1.0])
         known = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], ON_A_LINE).decide(xi, [1.0])
         assert known.status is plain.status
         np.testing.assert_allclose(known.action, plain.action, atol=1e-3)
@@ -104,7 +104,7 @@ def test_it_holds_any_model_of_the_project(name: str) -> None:
         x = random.uniform(-1.0, 1.0, len(model.system.state))
         queue = random.uniform(low, high, (2, len(low)))
         reached = model.step(model.step(x, queue[0], latent), queue[1], latent)
-        np.testing.assert_allclose(late.reached(late.state(x, queue), latent), reached, atol=1e-12)
+        np.testing.assert_allclose(late.state_at_effect(late.state(x, queue), latent), reached, atol=1e-12)
         np.testing.assert_allclose(
             late.prediction.next_state(late.state(x, queue), low, latent, None)[-len(low) :], low
         )
@@ -126,7 +126,7 @@ def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
         notice.add(verdict.status)
         x = model.step(x, late.split(xi)[1][0])
         xi = late.next_state(xi, verdict.action, x)
-        assert min(part.values(x).min() for part in scene) > 0.0
+        assert min(part.h(x).min() for part in scene) > 0.0
     assert notice == {Status.passed, Status.corrected}
 
 
@@ -138,22 +138,22 @@ def test_the_gradient_by_the_chain_rule_is_that_of_its_values() -> None:
         for _ in range(5):
             xi = late.state(random.uniform((-1, -1, -3, 0.2), (1, 1, 3, 1.5)), random.uniform(-0.3, 0.3, (2, 2)))
             steps = 1e-6 * np.eye(len(xi))
-            near = np.array([(barrier.values(xi + step) - barrier.values(xi - step)) / 2e-6 for step in steps]).T
-            h, gradient = barrier.evaluate(xi)
-            np.testing.assert_array_equal(h, barrier.values(xi))
+            near = np.array([(barrier.h(xi + step) - barrier.h(xi - step)) / 2e-6 for step in steps]).T
+            h, gradient = barrier.h_and_grad(xi)
+            np.testing.assert_array_equal(h, barrier.h(xi))
             np.testing.assert_allclose(gradient, near, atol=2e-6)
             directions = 0.1 * random.normal(size=(len(xi), 3))
-            np.testing.assert_allclose(barrier.along(xi, directions), gradient @ directions, atol=1e-5)
+            np.testing.assert_allclose(barrier.lie_derivative(xi, directions), gradient @ directions, atol=1e-5)
 
 
 def test_what_looks_between_ticks_still_does() -> None:
     looking = RolloutBarrier(lambda x: (np.array(x), np.eye(1)), (0.0,), lambda x: abs(x[0] - 1.0) - 0.1, 1)
     late = PendingActions(lambda x: (np.array(x), np.eye(1)), 1, (0.0,))
     barrier, ahead, beyond = late.barrier(looking), late.state([0.8]), np.array([0.8, 0.4])
-    assert barrier.values(beyond)[0] == pytest.approx(0.1)
-    assert barrier.since(ahead).values(beyond)[0] == pytest.approx(-0.1, abs=1e-6)
+    assert barrier.h(beyond)[0] == pytest.approx(0.1)
+    assert barrier.starting_at(ahead).h(beyond)[0] == pytest.approx(-0.1, abs=1e-6)
     plain = late.barrier(FunctionBarrier(lambda x: x[0]))
-    assert plain.since(ahead) is plain
+    assert plain.starting_at(ahead) is plain
 
 
 def test_what_is_no_delay_is_named() -> None:
@@ -174,8 +174,8 @@ def test_what_is_no_delay_is_named() -> None:
         (lambda: PendingActions(affine, 2, ()), "wanted (actions,) finite"),
         (lambda: PendingActions(affine, 2, (np.nan,)), "wanted (actions,) finite"),
         (lambda: late.state([0.0, 0.0], [[1.0]]), "pending: got"),
-        (lambda: late.reached(np.zeros(2)), "make it with state()"),
-        (lambda: PendingActions(lambda x, a: x[:1], 1, (0.0,)).reached(np.zeros(3)), "predicted state"),
+        (lambda: late.state_at_effect(np.zeros(2)), "make it with state()"),
+        (lambda: PendingActions(lambda x, a: x[:1], 1, (0.0,)).state_at_effect(np.zeros(3)), "predicted state"),
     ]
     for made, notice in cases:
         with pytest.raises(InputError) as error:
@@ -192,7 +192,7 @@ def test_a_barrier_is_judged_with_the_latent_that_it_was_given() -> None:
     found = []
     for given, latent in ((None, model.latent), (other, other)):
         end = model.step(model.step(x, queue[0], latent), queue[1], latent)
-        found.append(float(late.barrier(ahead, given).values(late.state(x, queue))[0]))
+        found.append(float(late.barrier(ahead, given).h(late.state(x, queue))[0]))
         assert found[-1] == pytest.approx(3.0 - end[0] - 0.1 * end[3], abs=1e-12)
     assert abs(found[0] - found[1]) > 1e-3
 
@@ -232,7 +232,7 @@ def test_the_watchdogs_actions_come_behind_what_is_in_flight(lost: tuple[int, ..
     for tick in range(14):
         truth, start = robot.memory, robot.values
         verdict = robot.turn((0.2 * tick, 0.01 * tick))
-        path, _ = LATE.held(start, np.array(verdict.action), truth, LATE.latent, 8, period=0.05)
+        path, _ = LATE.rollout_held(start, np.array(verdict.action), truth, LATE.latent, 8, period=0.05)
         np.testing.assert_allclose(verdict.predicted, path[: len(verdict.predicted)], atol=1e-12)
 
 

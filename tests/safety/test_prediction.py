@@ -1,4 +1,4 @@
-"""What the filter is told of a model: affine functions, slopes by differences, what actions change in h."""
+"""How the filter uses a model: affine functions, derivatives by differences, the influence of actions on h."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model
 from safedpa.effects import effect
 from safedpa.equations.chain_rule import chain_rule
 from safedpa.safety import Prediction
-from safedpa.safety.barriers.function import central_slopes
+from safedpa.safety.barriers.function import central_differences
 
 Values = NDArray[np.float64]
 STATE, ACTION = (0.3, -0.2, 0.4, 1.1), (1.3, 0.15)
@@ -62,8 +62,8 @@ def test_what_is_known_to_be_affine(prediction: Prediction, affine: bool) -> Non
 def test_a_prediction_knows_the_system_of_its_model_and_of_an_effect_not_whether_it_is_affine() -> None:
     model = load_model("car_learned").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.1)})
     assert not Prediction.of_model(model).affine
-    assert Prediction.of_model(load_model("car")).of_this_project
-    assert not Prediction(line).of_this_project
+    assert Prediction.of_model(load_model("car")).is_project_model
+    assert not Prediction(line).is_project_model
 
 
 def test_a_function_of_any_number_of_arguments_is_given_all() -> None:
@@ -103,22 +103,22 @@ def test_slopes_are_those_of_differences_at_that_latent_and_time(name: str, seco
     prediction, truth = Prediction.of_model(model), differences(model, latent, seconds)
     after = model.advance(np.array(STATE), np.array(ACTION), (), np.array(latent), time=seconds)[0]
     prediction.report_time(seconds)
-    sensitivity = prediction.sensitivity_of_one(STATE, ACTION, given)
+    sensitivity = prediction.sensitivity_floats(STATE, ACTION, given)
     assert sensitivity is not None
     np.testing.assert_allclose(sensitivity, truth, atol=1e-7)
-    np.testing.assert_allclose(prediction.slopes_of_one(STATE, ACTION, given, None), truth[:, 4:], atol=1e-7)
+    np.testing.assert_allclose(prediction.control_matrix_floats(STATE, ACTION, given, None), truth[:, 4:], atol=1e-7)
     for _ in range(200):  # first by the model itself, later by its recorded equations
-        np.testing.assert_allclose(prediction.following(STATE, ACTION, given, None), after, atol=1e-12)
+        np.testing.assert_allclose(prediction.next_state_floats(STATE, ACTION, given, None), after, atol=1e-12)
 
 
 def test_of_functions_and_actuators_that_remember_neither_sensitivity_nor_dead_time_is_guessed() -> None:
-    assert Prediction(line).sensitivity_of_one((0.0,), (0.0,), None) is None
+    assert Prediction(line).sensitivity_floats((0.0,), (0.0,), None) is None
     late = load_model("car").with_effect(effect("car", "drive_lag"), {"time_constant": Setting(0.1)})
-    assert Prediction.of_model(late).sensitivity_of_one(STATE, ACTION, None) is None
+    assert Prediction.of_model(late).sensitivity_floats(STATE, ACTION, None) is None
     late = load_model("car").with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})
     assert Prediction.of_model(late).dead_time(None) == pytest.approx(0.2)
     assert Prediction(line).dead_time(None) == 0.0
-    assert Prediction(line).begin((0.0,), None, ((0.0,),)) is None
+    assert Prediction(line).effect_start((0.0,), None, ((0.0,),)) is None
 
 
 def curved(x: np.ndarray) -> np.ndarray:
@@ -136,30 +136,32 @@ def test_in_any_unit_at_any_place_whatever_moves(
     unit: float, state: tuple[float, ...], moved: tuple[float, ...]
 ) -> None:
     x = np.array(state)
-    found = central_slopes(lambda y: curved(y / unit), unit * x, unit * np.array(moved), np.ones(3))
+    found = central_differences(lambda y: curved(y / unit), unit * x, unit * np.array(moved), np.ones(3))
     np.testing.assert_allclose(found * unit, slopes_of(x), atol=2e-4 if 1e-14 in moved else 2e-6)
 
 
 def test_a_place_far_from_where_it_is_counted_from() -> None:
     far = np.array([5e5, 4e6])
-    found = central_slopes(lambda x: curved(x - far), far + 0.25, np.array([1.0, 1.0]), np.ones(3))
+    found = central_differences(lambda x: curved(x - far), far + 0.25, np.array([1.0, 1.0]), np.ones(3))
     np.testing.assert_allclose(found, slopes_of(np.array([0.25, 0.25])), atol=1e-5)
 
 
 def test_neither_an_extremum_nor_what_answers_only_far_off_has_a_slope() -> None:
     """A flat stretch as wide as the entry moves; a large step would believe in the hill behind it."""
-    found = central_slopes(
+    found = central_differences(
         lambda x: np.array([max(0.0, x[0] - 3.0) ** 2]), np.array([1.0]), np.array([1.5]), np.array([1.0])
     )
     np.testing.assert_array_equal(found, [[0.0]])
-    found = central_slopes(lambda x: np.array([1.0 + x[0] ** 2 + 5.0 * x[0] ** 3]), np.zeros(1), np.ones(1), np.ones(1))
+    found = central_differences(
+        lambda x: np.array([1.0 + x[0] ** 2 + 5.0 * x[0] ** 3]), np.zeros(1), np.ones(1), np.ones(1)
+    )
     np.testing.assert_allclose(found, [[0.0]], atol=1e-9)
 
 
 @pytest.mark.parametrize("moved", [0.0, 1.0])
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_a_step_so_large_that_only_curvature_answers_is_not_believed(moved: float, unit: float) -> None:
-    found = central_slopes(
+    found = central_differences(
         lambda x: np.array([1.0 + (x[0] / unit) ** 3]), np.zeros(1), np.array([unit * moved]), np.ones(1)
     )
     np.testing.assert_allclose(found * unit, [[0.0]], atol=1e-7)
@@ -173,7 +175,7 @@ def test_one_value_that_answers_is_enough_for_all() -> None:
         steps.append(abs(float(x[0])))
         return np.array([x[0], 1e9 + 0.0 * x[0]])
 
-    found = central_slopes(function, np.zeros(1), np.ones(1), np.array([1.0, 1e9]))
+    found = central_differences(function, np.zeros(1), np.ones(1), np.array([1.0, 1e9]))
     np.testing.assert_allclose(found, [[1.0], [0.0]], atol=1e-9)
     assert len(steps) == 2
     assert steps[0] == pytest.approx(np.finfo(float).eps ** (1.0 / 3.0))
@@ -186,10 +188,10 @@ def test_steps_end_where_the_entry_has_moved_to() -> None:
         steps.append(abs(float(x[0])))
         return np.array([1.0])
 
-    central_slopes(function, np.zeros(1), np.array([2.0]), np.ones(1))
+    central_differences(function, np.zeros(1), np.array([2.0]), np.ones(1))
     assert 0.001 < max(steps) <= 2.0
     steps.clear()
-    central_slopes(function, np.array([0.0, 3.0]), np.zeros(2), np.ones(1))
+    central_differences(function, np.array([0.0, 3.0]), np.zeros(2), np.ones(1))
     assert 3e6 < max(steps) <= 3.1e9
 
 
@@ -200,12 +202,12 @@ def test_a_function_that_refuses_a_step_has_no_slope_there() -> None:
         return np.array([x[1]])
 
     for broken in (refusing, lambda x: np.array([np.nan if x[0] != 2.0 else x[1]])):
-        found = central_slopes(broken, np.array([2.0, 1.0]), np.ones(2), np.ones(1))
+        found = central_differences(broken, np.array([2.0, 1.0]), np.ones(2), np.ones(1))
         np.testing.assert_allclose(found, [[0.0, 1.0]], atol=1e-9)
 
 
 def test_one_value_that_is_no_number_makes_the_step_none() -> None:
-    found = central_slopes(
+    found = central_differences(
         lambda x: np.array([x[0], np.nan if abs(x[0] - 2.0) > 0.0 else 1.0]), np.array([2.0]), np.ones(1), np.ones(2)
     )
     np.testing.assert_array_equal(found, [[0.0], [0.0]])
@@ -219,7 +221,7 @@ def test_how_large_a_value_is_says_what_an_answer_is(size: float) -> None:
         steps.append(abs(float(x[0])))
         return size * np.array([1.0 + x[0]])
 
-    found = central_slopes(function, np.zeros(1), np.zeros(1), np.array([size]))
+    found = central_differences(function, np.zeros(1), np.zeros(1), np.array([size]))
     np.testing.assert_allclose(found, [[size]], rtol=1e-5)
     assert steps[-1] == pytest.approx(1e-9)
 
@@ -231,7 +233,7 @@ def test_far_from_the_origin_the_step_grows_with_the_rounding() -> None:
         steps.append(abs(float(x[0]) - 1e6))
         return np.array([x[0] - 1e6])
 
-    central_slopes(function, np.array([1e6]), np.ones(1), np.ones(1))
+    central_differences(function, np.array([1e6]), np.ones(1), np.ones(1))
     assert steps[0] == pytest.approx(np.cbrt(np.finfo(float).eps * 1e6), rel=1e-3)
 
 

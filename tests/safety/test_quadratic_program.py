@@ -7,7 +7,7 @@ import pytest
 import quadprog
 
 from safedpa.safety import QuadraticProgram, Solution
-from safedpa.safety.solver.active_set_2d import LINEAR, QUADRATIC
+from safedpa.safety.solver.active_set_2d import LINEAR_PRICE, QUADRATIC_PRICE
 
 
 def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:
@@ -24,8 +24,8 @@ def reference(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: 
     reach = reaches(program, A)
     limit = np.minimum(b / reach, A @ program.low / reach + 2.0)
     weights = program.weights / program.range**2
-    G = np.diag(2.0 * np.concatenate([weights, np.full(rows, QUADRATIC)]))
-    c = np.concatenate([2.0 * weights * nominal, np.full(rows, -LINEAR)])
+    G = np.diag(2.0 * np.concatenate([weights, np.full(rows, QUADRATIC_PRICE)]))
+    c = np.concatenate([2.0 * weights * nominal, np.full(rows, -LINEAR_PRICE)])
     eye = np.eye(actions + rows)
     C = np.vstack([np.hstack([A / reach[:, np.newaxis], np.eye(rows)]), eye[:actions], -eye[:actions], eye[actions:]])
     d = np.concatenate([limit, program.low, -program.high, np.zeros(rows)])
@@ -48,7 +48,11 @@ def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: np.
 
 def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, nominal: Any) -> float:
     shares = slack / reaches(program, A)
-    return program.distance(action, nominal) + QUADRATIC * float(shares @ shares) + LINEAR * float(shares.sum())
+    return (
+        program.distance(action, nominal)
+        + QUADRATIC_PRICE * float(shares @ shares)
+        + LINEAR_PRICE * float(shares.sum())
+    )
 
 
 def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
@@ -183,7 +187,7 @@ def test_a_row_that_no_action_changes_is_left_out() -> None:
 
 
 def test_slack_goes_to_the_row_that_it_belongs_to() -> None:
-    """Rows that are left out stand between; the slack is told in each row's own unit."""
+    """Rows that are left out stand between; the slack has each row's own unit."""
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     A, b = np.array([[1.0], [0.0], [1.0], [-50.0]]), np.array([-3.0, 4.0, 1.0, 0.0])
     solution = solved(program, A, b, np.zeros(1))
@@ -196,7 +200,7 @@ def test_distance_is_weighted_by_range_and_slopes_and_limits_have_to_fit() -> No
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     with pytest.raises(ValueError, match="the program has 1 rows and 2 limits"):
         program.solve([[1.0, 0.0]], [0.0, 0.0], [0.0, 0.0])
-    with pytest.raises(ValueError, match="row 1 has 1 slopes for 2 actions"):
+    with pytest.raises(ValueError, match="row 1 has 1 entries for 2 actions"):
         program.solve([[1.0, 0.0], [1.0]], [0.0, 0.0], [0.0, 0.0])
     program = QuadraticProgram(np.array([0.0, 0.0]), np.array([2.0, 4.0]), np.array([1.0, 4.0]))
     assert program.distance(np.array([1.0, 2.0]), np.array([0.0, 0.0])) == pytest.approx(0.25 / 4.0 + 0.25)

@@ -1,4 +1,4 @@
-"""What is remembered of barriers and of what is on its way, and rehearsed before a drive."""
+"""Caches of h, the history of commands in flight, and the rehearsal before a drive."""
 
 import sys
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from safedpa.safety.barriers.base import Barriers, CachingBarrierSet
 from safedpa.safety.barriers.cache import BarrierValueCache
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.prediction.command_history import CommandHistory
-from safedpa.safety.prediction.dead_time import LONGEST, ActuatorModel
+from safedpa.safety.prediction.dead_time import MAX_PERIODS, ActuatorModel
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 PARTS = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], (-4.0, 4.0, -4.0, 4.0))
@@ -32,7 +32,7 @@ class Counting:
     def __init__(self) -> None:
         self.asked: list[tuple[float, ...]] = []
 
-    def heights(self, state: Sequence[float]) -> list[float]:
+    def h_floats(self, state: Sequence[float]) -> list[float]:
         self.asked.append(tuple(state))
         return list(state)
 
@@ -42,13 +42,13 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
     known = BarrierValueCache(counting)
     states = [(float(index), 0.0) for index in range(8)]
     for state in (*states, *states):
-        assert known.heights(state) == list(state)
-        assert known.heights(list(state)) is known.heights(state)
+        assert known.h_floats(state) == list(state)
+        assert known.h_floats(list(state)) is known.h_floats(state)
     assert counting.asked == states
-    known.heights((8.0, 0.0))
-    known.heights(states[1])
+    known.h_floats((8.0, 0.0))
+    known.h_floats(states[1])
     assert len(counting.asked) == 9
-    known.heights(states[0])
+    known.h_floats(states[0])
     assert len(counting.asked) == 10
 
 
@@ -56,15 +56,15 @@ def test_states_that_begin_alike_are_distinguished_and_the_oldest_is_forgotten_f
     counting = Counting()
     known = BarrierValueCache(counting)
     for state in ((1.0, 0.0), (1.0, 2.0), (0.0, 2.0), (3.0,), (1.0, 2.0)):
-        assert known.heights(state) == list(state)
+        assert known.h_floats(state) == list(state)
     assert len(counting.asked) == 4
     counting = Counting()
     known = BarrierValueCache(counting)
     for index in range(30):
-        known.heights((float(index), 0.0))
+        known.h_floats((float(index), 0.0))
         newest = range(max(index - 7, 0), index + 1)
         before = len(counting.asked)
-        assert all(known.heights((float(each), 0.0)) == [float(each), 0.0] for each in newest)
+        assert all(known.h_floats((float(each), 0.0)) == [float(each), 0.0] for each in newest)
         assert len(counting.asked) == before == index + 1
 
 
@@ -76,7 +76,7 @@ def test_threads_that_share_barriers_never_get_the_h_of_another_state() -> None:
         random = np.random.default_rng(seed)
         for value in random.integers(0, 12, 20_000).tolist():
             state = (float(value), float(seed % 2))
-            if known.heights(state) != list(state):
+            if known.h_floats(state) != list(state):
                 wrong.append(state)
 
     before = sys.getswitchinterval()
@@ -91,26 +91,30 @@ def test_threads_that_share_barriers_never_get_the_h_of_another_state() -> None:
 
 def test_the_shortest_way_gives_what_the_stack_gives() -> None:
     stack = make_barrier_set(PARTS)
-    assert stack.plain(4) is stack.plain(4)
+    assert stack.scalar_rows(4) is stack.scalar_rows(4)
     reference = Barriers(PARTS)
-    assert reference.plain(4) is reference
+    assert reference.scalar_rows(4) is reference
     for state in ((0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4, 9.0)):
         for one in (stack, CachingBarrierSet(stack)):
-            plain = one.plain(len(state))
-            assert plain.heights(state) == stack.heights(state) == one.heights(state)
+            plain = one.scalar_rows(len(state))
+            assert plain.h_floats(state) == stack.h_floats(state) == one.h_floats(state)
             rows = range(len(stack.names))
-            assert list(map(tuple, plain.slopes(state, rows))) == list(map(tuple, stack.slopes(state, rows)))
-            assert plain.steepest(state) == stack.steepest(state)
-        np.testing.assert_allclose(stack.heights(state), reference.heights(state), rtol=0.0, atol=1e-12)
+            assert list(map(tuple, plain.grad_h_floats(state, rows))) == list(
+                map(tuple, stack.grad_h_floats(state, rows))
+            )
+            assert plain.grad_bound(state) == stack.grad_bound(state)
+        np.testing.assert_allclose(stack.h_floats(state), reference.h_floats(state), rtol=0.0, atol=1e-12)
 
 
 def test_distances_as_large_and_as_small_as_floats_can_be() -> None:
     """There their squares are infinite or nothing."""
     stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(0.0, 0.0, 0.0)]))
     for state in ((1e200, 0.0, 0.0, 0.0), (-1e200, 1e180, 0.3, 0.0), (0.0, 1e-200, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
-        reference = stack.one_by_one.heights(state)
-        np.testing.assert_allclose(stack.heights(state), reference, rtol=1e-12)
-        np.testing.assert_allclose(stack.slopes(state, [0]), stack.one_by_one.slopes(state, [0]), atol=1e-12)
+        reference = stack.sequential.h_floats(state)
+        np.testing.assert_allclose(stack.h_floats(state), reference, rtol=1e-12)
+        np.testing.assert_allclose(
+            stack.grad_h_floats(state, [0]), stack.sequential.grad_h_floats(state, [0]), atol=1e-12
+        )
 
 
 def test_a_verdict_has_all_its_fields() -> None:
@@ -165,7 +169,7 @@ def test_a_rehearsal_that_fails_costs_no_verdict_and_is_not_repeated(monkeypatch
         tried.append(model)
         raise RuntimeError("cannot be written down")
 
-    monkeypatch.setattr(PhysicsModel, "write_straight", fails)
+    monkeypatch.setattr(PhysicsModel, "record_scalar_step", fails)
     node = SafetyFilterNode(CAR, SETTINGS)
     assert [step(node, tick).status for tick in range(3)] == ["passed"] * 3
     assert len(tried) == 1
@@ -212,7 +216,7 @@ def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[Comm
             memory = model.felt(applied, memory, LATENTS, period=PERIOD)[1]
         states.append(tuple(begin.tolist()))
         history.add(tick, states[-1], applied, memory)
-        history.decided(LATENTS)
+        history.mark_decided(LATENTS)
         for start in np.arange(0.0, PERIOD, 0.01):  # in pieces of 10 ms, whatever is in force there
             number = int(np.floor((tick * PERIOD + start - until_action) / PERIOD + 1e-9))
             command = sent[number] if number >= 0 else (0.0, 0.0)
@@ -229,9 +233,9 @@ def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_a
         assert delayed_prediction is None
         return
     assert delayed_prediction is not None
-    assert delayed_prediction.before == states[-2]
-    np.testing.assert_allclose(delayed_prediction.hoped_before, states[-2], atol=2e-3)
-    np.testing.assert_allclose(delayed_prediction.hoped, states[-1], atol=2e-3)
+    assert delayed_prediction.measured_prev == states[-2]
+    np.testing.assert_allclose(delayed_prediction.predicted_prev, states[-2], atol=2e-3)
+    np.testing.assert_allclose(delayed_prediction.predicted, states[-1], atol=2e-3)
     assert np.abs(np.array(states[-1]) - states[-2]).max() > 0.02
 
 
@@ -241,9 +245,9 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_one
 ) -> None:
     history, states = followed(CAR, until_action, 10)
     pending = history.pending(until_action)
-    assert sum(seconds for _, seconds in pending.sent) == pytest.approx(until_action)
-    assert pending.held == commands(10)[-2]
-    begin = ActuatorModel(CAR).begin(states[-1], LATENTS, pending)
+    assert sum(seconds for _, seconds in pending.queue) == pytest.approx(until_action)
+    assert pending.last == commands(10)[-2]
+    begin = ActuatorModel(CAR).effect_start(states[-1], LATENTS, pending)
     assert begin is not None
     whole = int(until_action / PERIOD + 1e-9)
     longer = followed(CAR, until_action, 11 + whole)[1]
@@ -254,7 +258,7 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_one
     history, states = followed(DELAYED, until_action, 10)
     later = followed(DELAYED, until_action, 12)[1]
     assert later[:10] == states
-    rows = history.expected(commands(10)[-1], LATENTS, history.pending(until_action), 1)
+    rows = history.predict(commands(10)[-1], LATENTS, history.pending(until_action), 1)
     np.testing.assert_allclose(rows, [later[10]], atol=2e-3)
 
 
@@ -263,9 +267,13 @@ def test_after_a_gap_nothing_is_known_of_before() -> None:
     assert history.delayed_prediction(0.0) is not None
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
     history.add(20, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
-    history.decided(LATENTS)
+    history.mark_decided(LATENTS)
     assert history.delayed_prediction(0.0) is None
-    assert history.pending(0.12).sent == (((0.0, 0.0), pytest.approx(0.02)), ((0.0, 0.0), PERIOD), ((0.0, 0.0), PERIOD))
+    assert history.pending(0.12).queue == (
+        ((0.0, 0.0), pytest.approx(0.02)),
+        ((0.0, 0.0), PERIOD),
+        ((0.0, 0.0), PERIOD),
+    )
 
 
 def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
@@ -292,7 +300,7 @@ def test_as_much_is_remembered_as_the_longest_dead_time_and_the_oldest_state_nee
     history = CommandHistory(CAR)
     for tick in range(300):
         history.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
-    assert len(history.commands(300, (0.0, 0.0))) == LONGEST + 20 + 2 + 1, (
+    assert len(history.commands(300, (0.0, 0.0))) == MAX_PERIODS + 20 + 2 + 1, (
         "a second at 20 Hz, both ends, and the new one"
     )
 
@@ -301,9 +309,9 @@ def test_what_is_expected_goes_on_under_the_newest_action() -> None:
     """It is in force from 0.12 s after its state on: from the third row on, and for as long as is asked."""
     history, _ = followed(DELAYED, 0.12, 10)
     later = followed(DELAYED, 0.12, 14)[1]
-    rows = history.expected(commands(10)[-1], LATENTS, history.pending(0.12), 3)
+    rows = history.predict(commands(10)[-1], LATENTS, history.pending(0.12), 3)
     np.testing.assert_allclose(rows, later[10:13], atol=2e-3)
-    assert history.expected(commands(10)[-1], None, history.pending(0.12), 3) == rows, "the model's own latent"
+    assert history.predict(commands(10)[-1], None, history.pending(0.12), 3) == rows, "the model's own latent"
 
 
 @pytest.mark.parametrize(("until_action", "ticks"), [(0.0, 5), (0.05, 7), (0.12, 11)])
@@ -320,7 +328,7 @@ def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATEN
     for tick in range(9):
         history.add(tick, (0.05 * tick + 100.0 * (tick in far), 0.0, 0.0, 1.0), (1.0, 0.0), memory)
         if tick != undecided:
-            history.decided(latent)
+            history.mark_decided(latent)
     return history
 
 
@@ -328,7 +336,7 @@ def test_a_prediction_begins_where_the_dead_time_began_and_not_before() -> None:
     for far, away in ((range(4), False), (range(4, 5), True), (range(5, 8), False)):
         delayed_prediction = elsewhere(far).delayed_prediction(0.0)
         assert delayed_prediction is not None
-        assert (delayed_prediction.hoped[0] > 50.0) == away
+        assert (delayed_prediction.predicted[0] > 50.0) == away
 
 
 @pytest.mark.parametrize(("undecided", "known"), [(7, False), (4, False), (6, True), (8, True), (3, True)])
@@ -350,8 +358,8 @@ def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
         state = start
         for _ in range(4):
             state, memory = DELAYED.advance(state, np.array((1.0, 0.0)), memory, np.array(latent), period=PERIOD)
-        np.testing.assert_allclose(delayed_prediction.hoped, state, atol=1e-12)
-    assert abs(light.hoped[0] - loaded.hoped[0]) > 1e-5
+        np.testing.assert_allclose(delayed_prediction.predicted, state, atol=1e-12)
+    assert abs(light.predicted[0] - loaded.predicted[0]) > 1e-5
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 9])
@@ -360,8 +368,8 @@ def test_a_period_comes_with_the_earlier_commands_and_the_memory_of_then(count: 
     history = CommandHistory(CAR)
     for tick in range(count):
         history.add(tick, (float(tick),) * 4, (0.1 * tick, 0.0), f"after {tick}")
-        assert (history.passed(3) is None) == (tick == 0)
-    found = history.passed(3)
+        assert (history.last_transition(3) is None) == (tick == 0)
+    found = history.last_transition(3)
     assert found is not None
     assert (found.before, found.now) == ((count - 2.0,) * 4, (count - 1.0,) * 4)
     wanted = [((0.1 * tick, 0.0), f"after {tick - 1}") for tick in range(count - 1, 0, -1)]

@@ -66,6 +66,7 @@ def drive(barrier: AbstractBarrier, seed: int, ticks: int) -> tuple[float, set[S
     return least, notice
 
 
+@pytest.mark.long
 def test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed() -> None:
     plain = [drive(FunctionBarrier(room, names=NAMES), seed, 150)[0] for seed in range(10)]
     assert sum(least < 0.0 for least in plain) >= 4, "the plain distance is no barrier of such a robot"
@@ -80,7 +81,7 @@ def test_the_backup_keeps_every_condition_wherever_it_is_promised() -> None:
     safe = SafetyFilter(affine, [barrier], SETTINGS, backup=barrier.backup)
     while tried < 100:
         x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
-        if barrier.values(x).min() < SETTINGS.epsilon["default"] / SETTINGS.eta:
+        if barrier.h(x).min() < SETTINGS.epsilon["default"] / SETTINGS.eta:
             continue
         tried += 1
         assert safe.decide(x, barrier.backup(x)).status is Status.passed
@@ -93,8 +94,8 @@ def test_it_is_the_least_value_of_the_dense_path() -> None:
         path = np.array(barrier.path(x))
         chords = [path[:-1] + share * np.diff(path, axis=0) for share in np.linspace(0.0, 1.0, 101)]
         dense = np.min([room(state) for state in np.concatenate(chords)], axis=0)
-        np.testing.assert_array_less(barrier.values(x), dense + 1e-12)
-        np.testing.assert_allclose(barrier.values(x), dense, atol=1e-5)
+        np.testing.assert_array_less(barrier.h(x), dense + 1e-12)
+        np.testing.assert_allclose(barrier.h(x), dense, atol=1e-5)
 
 
 HOVER = 0.03
@@ -119,6 +120,7 @@ def pillar(x: np.ndarray) -> np.ndarray:
     return np.array([np.hypot(x[0] - 2.0, x[1] - 0.3) - 0.5, x[1] + 2.0])
 
 
+@pytest.mark.long
 def test_a_planar_quadrotor_is_kept_off_by_its_tilt() -> None:
     """Sideways, h answers to the torque's fourth integral."""
     barrier = RolloutBarrier(quadrotor, level_out, pillar, 130, ("pillar", "ground"))
@@ -192,12 +194,13 @@ def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed:
         NAMES,
     )
     origin = x + 0.02 * random.normal(size=4)
-    h, gradient = rollout().since(origin).evaluate(x)
-    other, slopes = reported.since(unit * origin).evaluate(unit * x)
+    h, gradient = rollout().starting_at(origin).h_and_grad(x)
+    other, slopes = reported.starting_at(unit * origin).h_and_grad(unit * x)
     np.testing.assert_allclose(other / height_unit, h, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(slopes * unit / height_unit, gradient, rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("place", "push", "height"), [(1e-6, 1e6, 1.0), (1e6, 1e-6, 1e-6), (1.0, 1.0, 1e6)])
 def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height: float) -> None:
     settings = FilterSettings(
@@ -224,26 +227,26 @@ def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height:
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
-def test_slopes_at_rest_where_nothing_tells_how_large_a_step_is(unit: float) -> None:
+def test_gradients_at_rest_where_nothing_gives_the_size_of_a_step(unit: float) -> None:
     reported = RolloutBarrier(
         lambda y: (unit * affine(y / unit)[0], unit * B), lambda y: brake(y / unit), lambda y: room(y / unit), 40, NAMES
     )
-    gradient = reported.evaluate(np.zeros(4))[1] * unit
+    gradient = reported.h_and_grad(np.zeros(4))[1] * unit
     towards = -DISCS[:, :2] / np.hypot(*DISCS[:, :2].T)[:, np.newaxis]
     np.testing.assert_allclose(gradient[:, :2], towards, atol=1e-6)
 
 
 def differences(barrier: AbstractBarrier, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
     nudges = step * np.eye(len(x))
-    return np.array([(barrier.values(x + nudge) - barrier.values(x - nudge)) / (2.0 * step) for nudge in nudges]).T
+    return np.array([(barrier.h(x + nudge) - barrier.h(x - nudge)) / (2.0 * step) for nudge in nudges]).T
 
 
 def test_the_gradient_is_that_of_its_values() -> None:
     random, agreed = np.random.default_rng(8), 0
     for _ in range(30):
         x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
-        barrier = rollout().since(x - 0.02 * random.normal(size=4))
-        agreed += np.abs(barrier.evaluate(x)[1] - differences(barrier, x)).max() < 1e-6
+        barrier = rollout().starting_at(x - 0.02 * random.normal(size=4))
+        agreed += np.abs(barrier.h_and_grad(x)[1] - differences(barrier, x)).max() < 1e-6
     assert agreed >= 27, "all but where the backup's limits make a kink"
 
 
@@ -256,10 +259,10 @@ def test_slopes_along_directions_are_those_of_the_gradient() -> None:
         for _ in range(20):
             x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
             directions = np.hstack((0.05 * random.normal(size=(4, 2)), still))
-            for barrier in (whole, whole.since(x - 0.02 * random.normal(size=4))):
-                along = barrier.along(x, directions)
+            for barrier in (whole, whole.starting_at(x - 0.02 * random.normal(size=4))):
+                along = barrier.lie_derivative(x, directions)
                 np.testing.assert_array_equal(along[:, 2], 0.0)
-                agreed += np.abs(along - barrier.evaluate(x)[1] @ directions).max() < 1e-6
+                agreed += np.abs(along - barrier.h_and_grad(x)[1] @ directions).max() < 1e-6
         assert agreed >= 36, "all but where the backup's limits make a kink"
 
 
@@ -267,18 +270,18 @@ def test_recorded_equations_and_differences_give_one_gradient() -> None:
     model, random = load_model("car"), np.random.default_rng(0)
     discs = ObstacleBarrier([(2.0, 0.3, 0.3), (1.2, -1.0, 0.25)], (0.08, 0.4, 0.12), Braking(2.0, 2.5), 0.05)
     exact = RolloutBarrier(model, (0.0, 0.0), discs, 40)
-    near = RolloutBarrier(model, (0.0, 0.0), FunctionBarrier(discs.values, names=discs.names), 40)
+    near = RolloutBarrier(model, (0.0, 0.0), FunctionBarrier(discs.h, names=discs.names), 40)
     assert exact.loop.sensitivities(exact.path(np.zeros(4))) is not None
     assert exact.names == discs.names
     assert exact.kind == "obstacle"
     for _ in range(25):
         x = random.uniform((-1, -1, -3, -0.5), (1, 1, 3, 2))
         origin = x - 0.05 * random.normal(size=4)
-        one, other = exact.since(origin).evaluate(x), near.since(origin).evaluate(x)
+        one, other = exact.starting_at(origin).h_and_grad(x), near.starting_at(origin).h_and_grad(x)
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_allclose(one[1], other[1], atol=1e-6)
         latent = RolloutBarrier(model, (0.0, 0.0), discs, 40, latent=model.latent)
-        np.testing.assert_array_equal(latent.evaluate(x)[1], exact.evaluate(x)[1])
+        np.testing.assert_array_equal(latent.h_and_grad(x)[1], exact.h_and_grad(x)[1])
 
 
 def test_left_and_right_are_alike() -> None:
@@ -291,17 +294,17 @@ def test_left_and_right_are_alike() -> None:
     mirror = np.array([1.0, -1.0, -1.0, 1.0])
     for _ in range(20):
         x = random.uniform((-1, -1, -3, -0.5), (1, 1, 3, 2))
-        h, gradient = barrier(1.0).evaluate(x)
-        mirrored, slopes = barrier(-1.0).evaluate(mirror * x)
+        h, gradient = barrier(1.0).h_and_grad(x)
+        mirrored, slopes = barrier(-1.0).h_and_grad(mirror * x)
         np.testing.assert_allclose(mirrored, h, atol=1e-12)
         np.testing.assert_allclose(slopes * mirror, gradient, atol=1e-9)
 
 
 def test_it_looks_past_a_delay() -> None:
-    """Three actions on their way: the path of the backup begins with them."""
+    """Three actions in flight: the path of the backup begins with them."""
     late = PendingActions(affine, 3, (0.0, 0.0))
     barrier = RolloutBarrier(
-        late.prediction, lambda xi: brake(late.reached(xi)), lambda xi: room(late.split(xi)[0]), 44, NAMES
+        late.prediction, lambda xi: brake(late.state_at_effect(xi)), lambda xi: room(late.split(xi)[0]), 44, NAMES
     )
     for seed in range(2):
         random, x = np.random.default_rng(seed), np.zeros(4)
@@ -319,13 +322,13 @@ def test_only_what_looks_between_ticks_asks_where_they_began() -> None:
     plain, looking = FunctionBarrier(lambda x: x[0]), RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1)
     state = (0.5, 0.0)
     stack = CachingBarrierSet(Barriers((plain,)))
-    assert stack.since(state) is stack
+    assert stack.starting_at(state) is stack
     both = CachingBarrierSet(Barriers((plain, looking)))
     behind = np.array([1.5, 0.0])
-    assert both.names == both.since(state).names
-    np.testing.assert_allclose(both.values(behind), [1.5, 0.4])
-    np.testing.assert_allclose(both.since(state).values(behind), [1.5, -0.1], atol=1e-7)
-    np.testing.assert_allclose(both.since(state).gradient(behind)[1], [0.0, 0.0], atol=1e-3)
+    assert both.names == both.starting_at(state).names
+    np.testing.assert_allclose(both.h(behind), [1.5, 0.4])
+    np.testing.assert_allclose(both.starting_at(state).h(behind), [1.5, -0.1], atol=1e-7)
+    np.testing.assert_allclose(both.starting_at(state).grad_h(behind)[1], [0.0, 0.0], atol=1e-3)
 
 
 @pytest.mark.parametrize("horizon", [0, 1.5, True, "4", None])
@@ -337,12 +340,12 @@ def test_a_horizon_is_a_number_of_ticks(horizon: object) -> None:
 def test_what_cannot_be_rolled_out_is_named() -> None:
     slow = load_model("car").with_effect(effect("car", "steering_delay"), {})
     cases: list[tuple[Callable[[], object], str]] = [
-        (lambda: RolloutBarrier(slow, (0.0, 0.0), room, 5), "whose actuators remember"),
+        (lambda: RolloutBarrier(slow, (0.0, 0.0), room, 5), "with actuator memory"),
         (lambda: RolloutBarrier(3, (0.0, 0.0), room, 5), "wanted a model"),  # type: ignore[arg-type]
         (lambda: RolloutBarrier(affine, (np.nan, 0.0), room, 5), "backup: got"),
-        (lambda: RolloutBarrier(affine, lambda x: 1.0, room, 5, NAMES).values(np.zeros(4)), "backup: got shape"),
-        (lambda: RolloutBarrier(lambda x, a: x[:3], (0.0, 0.0), room, 5).values(np.zeros(4)), "predicted state"),
-        (lambda: RolloutBarrier(lambda x, a: x * np.nan, (0.0,), room, 5).values(np.zeros(4)), "NaN or infinity"),
+        (lambda: RolloutBarrier(affine, lambda x: 1.0, room, 5, NAMES).h(np.zeros(4)), "backup: got shape"),
+        (lambda: RolloutBarrier(lambda x, a: x[:3], (0.0, 0.0), room, 5).h(np.zeros(4)), "predicted state"),
+        (lambda: RolloutBarrier(lambda x, a: x * np.nan, (0.0,), room, 5).h(np.zeros(4)), "NaN or infinity"),
         (lambda: rollout().backup(None), "got no state"),
     ]
     for made, notice in cases:
@@ -357,14 +360,14 @@ def test_a_user_function_cannot_write_into_what_the_next_one_sees() -> None:
         return room(x)
 
     with pytest.raises(ValueError, match="read-only"):
-        RolloutBarrier(affine, brake, careless, 5, NAMES).values(np.zeros(4))
+        RolloutBarrier(affine, brake, careless, 5, NAMES).h(np.zeros(4))
 
 
 @pytest.mark.parametrize(("speed", "end"), [(0.5, -1.0), (-0.5, 1.0)])
 def test_the_point_robot_stops_in_about_half_a_second_without_overshooting(speed: float, end: float) -> None:
     """Integrated in steps of 1 ms from 0.5 m/s: slower, and h would hold a robot back from everything far around it."""
     motion, x, seconds = Motion(np.zeros(2), 0.0, 9.0, 3.0), np.array([0.0, 0.0, 0.0, speed, 0.0]), 0.0
-    way = abs(StoppingBarrier(np.array([[9.0, 0.0, 0.0]]), motion).values(x)[0] - 9.0)
+    way = abs(StoppingBarrier(np.array([[9.0, 0.0, 0.0]]), motion).h(x)[0] - 9.0)
     while abs(x[3]) > 0.05 * abs(speed):
         thrust, _ = stopping_action(x[:, np.newaxis], motion, np.array([end]))
         x[0], x[3], seconds = x[0] + 0.001 * x[3], x[3] + 0.001 * float(thrust[0]), seconds + 0.001
@@ -401,6 +404,6 @@ def test_the_point_robots_stopping_manoeuvre_is_a_rollout() -> None:
         x = np.array([*random.uniform(-0.8, 0.8, 2), random.uniform(-3.0, 3.0), *random.uniform(-0.8, 0.8, 2)])
         barrier = rolled(stopping.best_end(x))
         at_ticks = np.min([room_left(state) for state in barrier.path(x)], axis=0)
-        np.testing.assert_allclose(at_ticks, stopping.values(x), atol=1e-9)
-        np.testing.assert_array_less(barrier.values(x), at_ticks + 1e-12)
-        np.testing.assert_allclose(barrier.values(x), at_ticks, atol=4e-3)
+        np.testing.assert_allclose(at_ticks, stopping.h(x), atol=1e-9)
+        np.testing.assert_array_less(barrier.h(x), at_ticks + 1e-12)
+        np.testing.assert_allclose(barrier.h(x), at_ticks, atol=4e-3)

@@ -26,7 +26,7 @@ from safedpa.records import McapRecorder
 from safedpa.records.run import Run, Stretch
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import MarginCalibration, margin_from_text
-from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
+from safedpa_lab.experiments.driving.hidden_car import HIDDEN, incomplete_model, oracle_model
 
 
 def driven(model: PhysicsModel, rows: int = 300) -> Run:
@@ -92,7 +92,7 @@ def test_a_robot_around_whose_states_no_barriers_can_be_drawn_gets_no_margin(mad
     model, chosen = made(), settings_named(settings)
     states, actions = np.zeros((4, len(model.system.state))), np.zeros((4, len(model.system.action)))
     run = Run("run", model.system, model.period * np.arange(4), states, actions, (Stretch(0, 4),))
-    with pytest.raises(InputError, match="wanted one of a robot that says which barriers may be drawn"):
+    with pytest.raises(InputError, match="wanted a robot that supports calibration from logs"):
         calibration_from_runs(model, chosen, [run], 0.5, "2024-01-01")
     assert live_margin(model, chosen, run, ()) == ""
     nothing: Any = None  # not one transition is looked at
@@ -200,7 +200,7 @@ def test_steps_under_another_action_than_the_filters_are_left_out(by: str) -> No
 
 @pytest.mark.parametrize("ticks", [[], [tick(0)], [tick(0, adapted=False), tick(1)], [tick(0), tick(1, by="watchdog")]])
 def test_where_none_is_left_it_says_so(ticks: list[DriveTick]) -> None:
-    with pytest.raises(InputError, match="no transition under an action of the filter with a latent"):
+    with pytest.raises(InputError, match="no transition with an action of the filter and a latent"):
         RecordedTransitions([ticks])
 
 
@@ -275,7 +275,7 @@ def test_what_the_recorded_action_leads_to_is_compared_with_what_came() -> None:
     np.testing.assert_allclose(heights["obstacle"][:, 0], heights["obstacle"][:, 1], atol=1e-9)
     faster = [tick._replace(state=replace(tick.state, applied=(1.5, 0.0))) for tick in drive()]
     hoped, came = barrier_residuals(CAR, SETTINGS, faster)["obstacle"][:, :2].T
-    assert (hoped < came - 1e-3).all(), "a car that is told to drive faster is expected nearer to the wall"
+    assert (hoped < came - 1e-3).all(), "a car with a command to drive faster is expected nearer to the wall"
 
 
 @pytest.mark.parametrize("twice", [12, 21])

@@ -10,7 +10,7 @@ from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 from safedpa.bus import LATENT, NOMINAL, VERDICT, NominalMessage, VerdictMessage
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
-from safedpa.safety.solver.candidates import LASTS, HeldSolution
+from safedpa.safety.solver.candidates import MAX_AGE, HeldSolution
 from safedpa.safety.solver.constraints import ActionCandidate
 
 ONE = FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.5, epsilon={"function": 0.1})
@@ -27,14 +27,14 @@ class Robot:
         self.filter = SafetyFilter(
             lambda x: (x, np.full((1, 1), self.step)), [FunctionBarrier(lambda x: x[0])], ONE, self._following
         )
-        self.searched = HeldSolution()
+        self.held_solution = HeldSolution()
 
     def _following(self, x: Any, action: Any) -> Any:
         self.asked += 1
         return x + self.step * np.sin(action)
 
     def at(self, seconds: float | None, h: float = 0.19, nominal: float = -1.0, **known: Any) -> Verdict:
-        known = {"searched": self.searched, **known}
+        known = {"held_solution": self.held_solution, **known}
         return self.filter.decide(np.array([h]), np.array([nominal]), time=seconds, **known)
 
 
@@ -58,7 +58,7 @@ def test_within_a_twentieth_of_a_second_the_action_is_held_without_another_searc
     assert robot.asked < whole / 2
 
 
-@pytest.mark.parametrize("later", [0.0, LASTS, 2.0 * LASTS, -0.005, float("nan")])
+@pytest.mark.parametrize("later", [0.0, MAX_AGE, 2.0 * MAX_AGE, -0.005, float("nan")])
 def test_a_robot_of_twenty_hertz_looks_in_every_tick(later: float) -> None:
     """So does one whose clock was set back, and whose tick is decided again."""
     robot, other = Robot(), Robot()
@@ -117,9 +117,9 @@ def test_a_nominal_action_that_keeps_all_passes_and_an_action_that_does_by_now_i
 
 def test_without_a_time_or_a_memory_every_tick_is_searched_wholly() -> None:
     robot = Robot()
-    robot.at(0.0, searched=None)
+    robot.at(0.0, held_solution=None)
     whole = robot.asked
-    for seconds, known in ((0.005, {"searched": None}), (None, {}), (None, {})):
+    for seconds, known in ((0.005, {"held_solution": None}), (None, {}), (None, {})):
         robot.asked = 0
         robot.at(seconds, **known)
         assert robot.asked == whole
@@ -153,7 +153,7 @@ class Posed:
         broken = [row for row, rest in enumerate(residual) if rest < 0.0]
         self.found = ActionCandidate((0.5,), (0.0,), h, residual, broken)
 
-    def outcome(self, action: Any) -> ActionCandidate:
+    def evaluate(self, action: Any) -> ActionCandidate:
         del action
         return self.found
 
@@ -166,10 +166,10 @@ def held_then(
 ) -> ActionCandidate | None:
     """What is held ``later`` of what was found ``then``."""
     searched = HeldSolution()
-    searched.note(then.found, 0.0, "")
+    searched.store(then.found, 0.0, "")
     if asked is not None:
-        searched.still(then, sides, asked)
-    return searched.still(now, sides, later)
+        searched.reuse_if_no_worse(then, sides, asked)
+    return searched.reuse_if_no_worse(now, sides, later)
 
 
 @pytest.mark.parametrize(
@@ -205,8 +205,8 @@ def test_no_period_searches_less_often_than_twenty_times_a_second(period: float,
     """An action that would be in force for longer is not held: at 25 Hz one was for 80 ms."""
     searched, then, counted = HeldSolution(), Posed([1.0], [-1.0]), 0
     for tick in range(round(10.0 / period)):
-        if searched.still(then, SIDES, tick * period) is None:
-            searched.note(then.found, tick * period, "")
+        if searched.reuse_if_no_worse(then, SIDES, tick * period) is None:
+            searched.store(then.found, tick * period, "")
             counted += 1
     assert counted / 10.0 == pytest.approx(searches, abs=0.5)
 
@@ -226,7 +226,8 @@ def test_an_action_of_another_filter_is_not_handed_on(sides: Any) -> None:
 def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, int]:
     """Least h of a barrier next to one that hardly any action moves, and how often it was below 0.
 
-    h_A = x is short of its condition whatever is done; h_B is the room beyond the braking way, which the nominal action uses up.
+    h_A = x is short of its condition whatever is done; h_B is the room beyond the braking way, which the nominal
+    action uses up.
     """
     dt, acceleration = 0.005, 3.0
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
@@ -246,7 +247,7 @@ def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, i
     )
     searched, state, least, violated = HeldSolution(), np.array([0.0005, 0.02 + 0.25 / 6.0, -0.5]), inf, 0
     for tick in range(ticks):
-        known = {"searched": searched} if hold else {}
+        known = {"held_solution": searched} if hold else {}
         verdict = filtering.decide(state, np.array([1.0, -acceleration]), time=tick * dt, **known)
         least, violated = min(least, room(state)), violated + (verdict.status is Status.violated)
         state = moved @ state + acts @ verdict.action
@@ -260,7 +261,7 @@ def test_what_one_barrier_is_short_of_does_not_hide_another_and_no_memory_is_non
     assert whole[1] == held[1] == 0
     assert held[0] >= whole[0] - 1e-4
     robot = Robot()
-    assert same(robot.at(0.0, searched=object()), robot.at(0.005, searched=object()))
+    assert same(robot.at(0.0, held_solution=object()), robot.at(0.005, held_solution=object()))
 
 
 @pytest.mark.parametrize("kind", [float, np.float64, np.float32])

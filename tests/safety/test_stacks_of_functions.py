@@ -49,13 +49,13 @@ class Moving(AbstractBarrier):
     def __init__(self, origin: float = 0.0) -> None:
         self.origin = origin
 
-    def values(self, state: Values) -> Values:
+    def h(self, state: Values) -> Values:
         return np.array([self.origin + state.sum()])
 
-    def evaluate(self, state: Values) -> tuple[Values, Values]:
-        return self.values(state), np.ones((1, len(state)))
+    def h_and_grad(self, state: Values) -> tuple[Values, Values]:
+        return self.h(state), np.ones((1, len(state)))
 
-    def since(self, state: Values) -> Moving:
+    def starting_at(self, state: Values) -> Moving:
         return Moving(float(state[0]))
 
 
@@ -69,23 +69,25 @@ PARTS: dict[str, list[AbstractBarrier]] = {
 @pytest.mark.parametrize("name", PARTS)
 def test_a_stack_is_its_parts(name: str) -> None:
     parts, x, g = PARTS[name], np.array(AT), np.array(G)
-    stack, evaluated = Barriers(parts), [part.evaluate(x) for part in parts]
+    stack, evaluated = Barriers(parts), [part.h_and_grad(x) for part in parts]
     h, gradient = (np.concatenate([pair[index] for pair in evaluated]) for index in (0, 1))
     rows = range(len(h))
     assert stack.names == tuple(name for part in parts for name in part.names)
     assert stack.kinds == tuple(part.kind for part in parts for _ in part.names)
     assert stack.rows == {kind: tuple(row for row in rows if stack.kinds[row] == kind) for kind in stack.kinds}
-    assert stack.of_each({"a": 0.5}, 0.1) == [0.5 if kind == "a" else 0.1 for kind in stack.kinds]
+    assert stack.per_row({"a": 0.5}, 0.1) == [0.5 if kind == "a" else 0.1 for kind in stack.kinds]
     for whole in (stack, CachingBarrierSet(stack)):
-        np.testing.assert_array_equal(whole.values(x), h)
-        np.testing.assert_allclose(whole.gradient(x), gradient, atol=1e-9)
-        np.testing.assert_allclose(whole.along(AT, G, WIDTHS, rows), gradient @ g, atol=1e-6)
-        np.testing.assert_allclose(whole.along(AT, G, WIDTHS, [len(h) - 1]), (gradient @ g)[-1:], atol=1e-6)
-        assert whole.heights(AT) == h.tolist()
-        assert whole.plain(3).heights(AT) == h.tolist()
-        assert whole.plain(3) is whole.plain(3)
+        np.testing.assert_array_equal(whole.h(x), h)
+        np.testing.assert_allclose(whole.grad_h(x), gradient, atol=1e-9)
+        np.testing.assert_allclose(whole.lie_derivative_floats(AT, G, WIDTHS, rows), gradient @ g, atol=1e-6)
+        np.testing.assert_allclose(
+            whole.lie_derivative_floats(AT, G, WIDTHS, [len(h) - 1]), (gradient @ g)[-1:], atol=1e-6
+        )
+        assert whole.h_floats(AT) == h.tolist()
+        assert whole.scalar_rows(3).h_floats(AT) == h.tolist()
+        assert whole.scalar_rows(3) is whole.scalar_rows(3)
     for part, (_, slopes) in zip(parts, evaluated, strict=True):
-        np.testing.assert_allclose(part.along(x, g), slopes @ g, atol=1e-6)
+        np.testing.assert_allclose(part.lie_derivative(x, g), slopes @ g, atol=1e-6)
 
 
 def test_a_range_over_which_a_slope_is_measured_is_the_actions_whole_one() -> None:
@@ -96,32 +98,32 @@ def test_a_range_over_which_a_slope_is_measured_is_the_actions_whole_one() -> No
         seen.append(float(x[0]))
         return float(x[0])
 
-    Barriers([FunctionBarrier(h)]).along([1.0], [[2.0]], [5.0], [0])
+    Barriers([FunctionBarrier(h)]).lie_derivative_floats([1.0], [[2.0]], [5.0], [0])
     assert max(seen) - min(seen) == pytest.approx(2.0 * 1e-3 * 2.0 * 5.0)
 
 
 def test_a_stack_looks_from_where_the_tick_began_if_any_part_does() -> None:
     fixed = Barriers([bowl("a", 2), bowl("b", 1)])
-    assert fixed.since([3.0, 0.0, 0.0]) is fixed
+    assert fixed.starting_at([3.0, 0.0, 0.0]) is fixed
     mixed = Barriers([bowl("a", 1), Moving(), bowl("b", 1)])
     for whole in (mixed, CachingBarrierSet(mixed)):
-        moved = whole.since([3.0, 0.0, 0.0])
+        moved = whole.starting_at([3.0, 0.0, 0.0])
         assert moved is not whole
-        np.testing.assert_allclose(moved.values(np.ones(3)) - whole.values(np.ones(3)), [0.0, 3.0, 0.0])
+        np.testing.assert_allclose(moved.h(np.ones(3)) - whole.h(np.ones(3)), [0.0, 3.0, 0.0])
     remembering = CachingBarrierSet(fixed)
-    assert remembering.since([3.0, 0.0, 0.0]) is remembering
+    assert remembering.starting_at([3.0, 0.0, 0.0]) is remembering
 
 
 def test_no_part_writes_into_what_the_next_one_sees_and_a_wrong_shape_is_named() -> None:
     class Writing(Moving):
-        def values(self, state: Values) -> Values:
+        def h(self, state: Values) -> Values:
             state[0] = 7.0
             return state[:1]
 
     with pytest.raises(ValueError, match="read-only"):
-        Barriers([Writing()]).heights(AT)
+        Barriers([Writing()]).h_floats(AT)
     with pytest.raises(InputError, match=r"h: got shape \(3,\), wanted \(1,\)"):
-        Barriers([type("Wide", (Moving,), {"values": lambda self, state: state})()]).heights(AT)
+        Barriers([type("Wide", (Moving,), {"h": lambda self, state: state})()]).h_floats(AT)
 
 
 @pytest.mark.parametrize("index", [None, 0, 2])
@@ -129,9 +131,9 @@ def test_a_speed_s_slope_is_one_over_its_own_entry(index: int | None) -> None:
     part, entry = SpeedBarrier(-1.0, 2.0, index), 3 if index is None else index
     assert part.reads == (("x", "y", "yaw", "speed") if index is None else ())
     state = [0.1, 0.2, 0.3, 0.4, 0.5]
-    reported = part.steepest(Given(state, part.shared, part.each[0], part.form), FLOATS)
+    reported = part.grad_bound(Given(state, part.shared, part.each[0], part.form), FLOATS)
     assert list(reported) == [float(at == entry) for at in range(5)]
-    np.testing.assert_array_equal(np.abs(part.evaluate(np.array(state[:4]))[1]), [reported[:4]] * 2)
+    np.testing.assert_array_equal(np.abs(part.h_and_grad(np.array(state[:4]))[1]), [reported[:4]] * 2)
 
 
 @pytest.mark.parametrize(
@@ -142,25 +144,25 @@ def test_a_speed_s_slope_is_one_over_its_own_entry(index: int | None) -> None:
         ({"a": True}, "is not a finite number"),
         ({"a": "0.1"}, "is not a finite number"),
         ({"a": None}, "is not a finite number"),
-        ({"aa": 0.1}, "for 'aa', which no barrier is: did you mean 'a'"),
-        ({3: 0.1}, "for '3', which no barrier is: known: a, b"),
+        ({"aa": 0.1}, "for 'aa', a kind without barriers: did you mean 'a'"),
+        ({3: 0.1}, "for '3', a kind without barriers: known: a, b"),
     ],
 )
 def test_margins_that_are_none_are_refused_with_the_reason(asked: Any, message: str) -> None:
     with pytest.raises(DecisionError, match=message):
-        ActiveMargins({"a": 0.02}).of(Barriers([bowl("a", 1), bowl("b", 1)]), asked)
+        ActiveMargins({"a": 0.02}).resolve(Barriers([bowl("a", 1), bowl("b", 1)]), asked)
 
 
 def test_without_a_margin_there_is_none_and_without_a_gradient_differences_are_taken_over_little() -> None:
     stack = Barriers([bowl("a", 1), bowl("b", 1)])
-    assert ActiveMargins({"a": 0.02}).of(stack, {}) == ([0.02, 0.0], 0.02)
-    assert ActiveMargins({"a": 0.02, "default": 0.01}).of(stack, {}) == ([0.02, 0.01], 0.02)
+    assert ActiveMargins({"a": 0.02}).resolve(stack, {}) == ([0.02, 0.0], 0.02)
+    assert ActiveMargins({"a": 0.02, "default": 0.01}).resolve(stack, {}) == ([0.02, 0.01], 0.02)
     for asked in ({"b": 2}, MappingProxyType({"b": 2})):
-        assert ActiveMargins({}).of(stack, asked) == ([0.0, 2.0], 2.0)
+        assert ActiveMargins({}).resolve(stack, asked) == ([0.0, 2.0], 2.0)
     part, at = FunctionBarrier(lambda x: x[0] ** 3 + x[1] * x[2]), np.array([0.5, 2.0, -1.0])
     slopes = np.array([0.75, -1.0, 2.0])
-    np.testing.assert_allclose(part.along(at, np.eye(3)), [slopes], atol=1e-5)
-    np.testing.assert_array_equal(part.along(at, np.zeros((3, 2))), np.zeros((1, 2)))
+    np.testing.assert_allclose(part.lie_derivative(at, np.eye(3)), [slopes], atol=1e-5)
+    np.testing.assert_array_equal(part.lie_derivative(at, np.zeros((3, 2))), np.zeros((1, 2)))
 
 
 @pytest.mark.parametrize("later", [0, 1, 2, 3, 4])
@@ -176,7 +178,7 @@ def test_a_function_cannot_write_into_what_it_is_differenced_at(later: int) -> N
         return float(x[0])
 
     with pytest.raises(ValueError, match="read-only"):
-        FunctionBarrier(h).evaluate(np.array([1.0, 2.0]))
+        FunctionBarrier(h).h_and_grad(np.array([1.0, 2.0]))
 
 
 NAMES = ("car_learned", "car_fix", "pendulum_learned", "point_learned")
@@ -190,10 +192,10 @@ def recorded(name: str) -> tuple[PhysicsModel, Prediction]:
     prediction = Prediction.of_model(model)
     state, action = (0.1,) * len(model.system.state_names), (0.1,) * len(model.system.action_names)
     for _ in range(300):
-        prediction.following(state, action, None, None)
-        prediction.slopes_of_one(state, action, None, None)
-    assert model.straight(model.period) is not None
-    assert model.straight_tangent() is not None
+        prediction.next_state_floats(state, action, None, None)
+        prediction.control_matrix_floats(state, action, None, None)
+    assert model.scalar_step(model.period) is not None
+    assert model.scalar_tangent() is not None
     return model, prediction
 
 
@@ -208,9 +210,9 @@ def test_the_same_bits_as_the_recorded_equations(name: str, seed: int, size: flo
     assert motion is not None
     for _ in range(3):
         action = tuple((size * draw.normal(size=len(model.system.action_names))).tolist())
-        assert motion.after(action) == prediction.following(state, action, latent, None)
-        assert motion.after(list(action)) == motion.after(action)
-        assert motion.slopes() == prediction.slopes_of_one(state, action, latent, None)
+        assert motion.next_state(action) == prediction.next_state_floats(state, action, latent, None)
+        assert motion.next_state(list(action)) == motion.next_state(action)
+        assert motion.control_matrix() == prediction.control_matrix_floats(state, action, latent, None)
 
 
 def test_only_of_models_whose_free_parameters_are_the_latent() -> None:
@@ -260,8 +262,8 @@ def test_the_formula(actions: int) -> None:
     draw = np.random.default_rng(actions)
     x, f, g, a = (draw.normal(size=shape) for shape in (2, 2, (2, actions), actions))
     motion = AffineMotion(tuple(x.tolist()), [*f.tolist(), *g.ravel().tolist()], 0.1, 0.05)
-    np.testing.assert_allclose(motion.after(a.tolist()), x + 2.0 * (f + g @ a), rtol=1e-14)
-    np.testing.assert_allclose(motion.slopes(), 2.0 * g, rtol=1e-14)
+    np.testing.assert_allclose(motion.next_state(a.tolist()), x + 2.0 * (f + g @ a), rtol=1e-14)
+    np.testing.assert_allclose(motion.control_matrix(), 2.0 * g, rtol=1e-14)
 
 
 def test_once_recorded_a_model_is_asked_by_its_recorded_equations_alone() -> None:
@@ -270,13 +272,13 @@ def test_once_recorded_a_model_is_asked_by_its_recorded_equations_alone() -> Non
     state, action, latent = (0.1, 0.2, 0.3, 0.4), (0.5, 0.1), (0.5, 0.5)
     for _ in range(200):
         before = (
-            prediction.following(state, action, latent, None),
-            prediction.slopes_of_one(state, action, latent, None),
+            prediction.next_state_floats(state, action, latent, None),
+            prediction.control_matrix_floats(state, action, latent, None),
         )
 
     def refused(*given: object, **named: object) -> object:
         raise AssertionError((given, named))
 
-    vars(model).update(advance=refused, slopes=refused, straight=refused, straight_tangent=refused)
-    assert prediction.following(state, action, latent, None) == pytest.approx(before[0], rel=1e-12)
-    np.testing.assert_allclose(prediction.slopes_of_one(state, action, latent, None), before[1], rtol=1e-9)
+    vars(model).update(advance=refused, slopes=refused, straight=refused, scalar_tangent=refused)
+    assert prediction.next_state_floats(state, action, latent, None) == pytest.approx(before[0], rel=1e-12)
+    np.testing.assert_allclose(prediction.control_matrix_floats(state, action, latent, None), before[1], rtol=1e-9)

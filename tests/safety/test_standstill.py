@@ -6,7 +6,7 @@ from safedpa.bus import VerdictMessage
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.point.system import POINT
-from safedpa.safety.deadlock.detector import DeadlockDetector, Stand, places_of, record_deadlock, what_to_do
+from safedpa.safety.deadlock.detector import DeadlockDetector, Stand, position_entries, record_deadlock, what_to_do
 from safedpa.systems import System, Variable
 
 PERIOD = 0.05
@@ -15,12 +15,13 @@ PERIOD = 0.05
 def stood(
     seconds: float, nominal_speed: float, driven: float, creep: float = 0.0, noise: float = 0.0
 ) -> DeadlockDetector:
-    """After so long at one place; metres a tick that the model promised under the nominal action and under the action."""
+    """After so long at one place; metres a tick that the model promised under the nominal action and under the
+    action."""
     standing, x = DeadlockDetector((0, 1)), 1.0
     for tick in range(round(seconds / PERIOD) + 1):
         here = (x + noise * (tick % 2), 0.0, 0.3)
-        standing.measure(here, PERIOD)
-        standing.promise(here, (here[0] + nominal_speed, 0.0, 0.0), (here[0] + driven, 0.0, 0.0))
+        standing.update(here, PERIOD)
+        standing.expect(here, (here[0] + nominal_speed, 0.0, 0.0), (here[0] + driven, 0.0, 0.0))
         x += creep
     return standing
 
@@ -39,51 +40,51 @@ def test_standing_despite_a_nominal_action_is_counted_and_reported_after_five_se
 def test_an_action_that_should_move_it_and_does_not_lies_in_the_dead_band() -> None:
     standing = stood(6.0, 0.005, 0.001)
     assert standing.reason("corrected", ("obstacle 0",), False).startswith("dead band")
-    assert standing.failed == pytest.approx(0.001)
+    assert standing.failed_displacement == pytest.approx(0.001)
     assert standing.is_inside_dead_band(0.0009)
     assert not standing.is_inside_dead_band(0.002), "a stronger action was not tried"
-    assert standing.is_inside_dead_band(standing.failed)
-    assert stood(0.45, 0.005, 0.001).failed == 0.0, "it takes half a second to see"
-    assert stood(0.5, 0.005, 0.001).failed == pytest.approx(0.001)
+    assert standing.is_inside_dead_band(standing.failed_displacement)
+    assert stood(0.45, 0.005, 0.001).failed_displacement == 0.0, "it takes half a second to see"
+    assert stood(0.5, 0.005, 0.001).failed_displacement == pytest.approx(0.001)
     assert not DeadlockDetector((0,)).is_inside_dead_band(0.0), "nothing has failed"
 
 
 def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
-    assert stood(6.0, 0.005, 0.00005).failed == 0.0, "a hundredth of the nominal action"
+    assert stood(6.0, 0.005, 0.00005).failed_displacement == 0.0, "a hundredth of the nominal action"
     standing = DeadlockDetector((0,))
     for _ in range(20):
-        standing.measure((0.0,), PERIOD)
-        standing.promise((0.0,), (0.5,), (0.01,))
-    assert standing.failed == 0.0, "a fiftieth is no more than that"
+        standing.update((0.0,), PERIOD)
+        standing.expect((0.0,), (0.5,), (0.01,))
+    assert standing.failed_displacement == 0.0, "a fiftieth is no more than that"
 
 
 def test_a_nominal_action_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band() -> None:
     standing = DeadlockDetector((0,))
     for tick in range(122):
-        standing.measure((0.0,), PERIOD)
-        standing.promise((0.0,), (0.005,), (0.0004 * (tick % 2),))
-    assert standing.failed == 0.0
+        standing.update((0.0,), PERIOD)
+        standing.expect((0.0,), (0.005,), (0.0004 * (tick % 2),))
+    assert standing.failed_displacement == 0.0
     assert standing.reason("passed", (), False).startswith("dead band")
     assert standing.reason("corrected", ("wall",), False).startswith("boxed in")
 
 
 def test_a_stand_may_begin_with_a_promise() -> None:
     standing = DeadlockDetector((0,))
-    assert (standing.seconds, standing.failed) == (0.0, 0.0)
-    standing.promise((0.0,), (0.5,), (0.0,))
-    standing.measure((0.05,), PERIOD)
+    assert (standing.seconds, standing.failed_displacement) == (0.0, 0.0)
+    standing.expect((0.0,), (0.5,), (0.0,))
+    standing.update((0.05,), PERIOD)
     assert standing.seconds == PERIOD, "a tenth of what was promised is standing"
-    standing.promise((0.05,), (0.55,), (0.05,))
-    standing.measure((0.16,), PERIOD)
+    standing.expect((0.05,), (0.55,), (0.05,))
+    standing.update((0.16,), PERIOD)
     assert standing.seconds == 0.0
     standing = DeadlockDetector((0,))
     for _ in range(102):
-        standing.promise((0.0,), (0.05,), (0.0,))
-        standing.measure((0.0,), PERIOD)
+        standing.expect((0.0,), (0.05,), (0.0,))
+        standing.update((0.0,), PERIOD)
     assert standing.reason("passed", (), False).startswith("boxed in"), "nothing was to move it"
     standing = DeadlockDetector((0,), seconds=6.0)
-    standing.promise((0.0,), (0.5,), (0.01,))
-    standing.measure((0.0,), PERIOD)
+    standing.expect((0.0,), (0.5,), (0.01,))
+    standing.update((0.0,), PERIOD)
     assert standing.reason("passed", (), False).startswith("boxed in"), "a fiftieth is not meant to move it"
     standing.seconds = 5.0
     assert standing.reason("passed", (), False) == "", "not for longer than that"
@@ -91,7 +92,7 @@ def test_a_stand_may_begin_with_a_promise() -> None:
 
 def test_a_state_without_the_places_ends_a_stand() -> None:
     standing = stood(6.0, 0.005, 0.001)
-    standing.measure((1.0,), PERIOD)
+    standing.update((1.0,), PERIOD)
     assert standing.seconds == 0.0
 
 
@@ -119,11 +120,11 @@ def test_noise_and_creeping_are_standing_but_driving_is_not() -> None:
 
 def test_moving_again_and_requesting_nothing_end_a_stand() -> None:
     standing = stood(6.0, 0.005, 0.001)
-    standing.measure((1.5, 0.0, 0.0), PERIOD)
-    assert (standing.seconds, standing.failed) == (0.0, 0.0)
+    standing.update((1.5, 0.0, 0.0), PERIOD)
+    assert (standing.seconds, standing.failed_displacement) == (0.0, 0.0)
     standing = stood(6.0, 0.005, 0.001)
-    standing.interrupted()
-    standing.measure((1.0, 0.0, 0.3), PERIOD)
+    standing.interrupt()
+    standing.update((1.0, 0.0, 0.3), PERIOD)
     assert standing.seconds == 0.0
 
 
@@ -131,27 +132,27 @@ def test_moving_again_and_requesting_nothing_end_a_stand() -> None:
 def test_the_unit_of_length_does_not_matter(unit: float) -> None:
     standing = DeadlockDetector((0,))
     for _ in range(121):
-        standing.measure((unit,), PERIOD)
-        standing.promise((unit,), (1.005 * unit,), (1.001 * unit,))
+        standing.update((unit,), PERIOD)
+        standing.expect((unit,), (1.005 * unit,), (1.001 * unit,))
     assert standing.seconds == pytest.approx(6.0)
     assert standing.reason("corrected", ("wall",), False).startswith("dead band")
 
 
 def test_places_are_positions_or_what_is_no_rate() -> None:
-    assert places_of(CAR) == (0, 1)
-    assert places_of(POINT) == (0, 1)
-    assert places_of(PENDULUM) == (0,)
+    assert position_entries(CAR) == (0, 1)
+    assert position_entries(POINT) == (0, 1)
+    assert position_entries(PENDULUM) == (0,)
     tank = System("tank", (Variable("level", "%", 0.0, 1.0), Variable("inflow", "%/s", 0.0, 1.0)), ())
-    assert places_of(tank) == (0,)
+    assert position_entries(tank) == (0,)
 
 
-@pytest.mark.parametrize(("ticks", "stands"), [(1, True), (10, True), (11, False)])
+@pytest.mark.parametrize(("ticks", "stationary_for"), [(1, True), (10, True), (11, False)])
 def test_ticks_without_a_nominal_action_end_a_stand_only_where_they_last(ticks: int, stationary_for: bool) -> None:
     standing = DeadlockDetector((0,))
     for tick in range(220):
-        standing.measure((1.0,), PERIOD)
+        standing.update((1.0,), PERIOD)
         if tick % 40 >= ticks:
-            standing.promise((1.0,), (1.005,), (1.0,))
+            standing.expect((1.0,), (1.005,), (1.0,))
     assert (standing.seconds > 5.0) is stationary_for
     assert standing.reason("relaxed", ("wall",), False).startswith("margin" if stationary_for else "")
 
@@ -159,9 +160,9 @@ def test_ticks_without_a_nominal_action_end_a_stand_only_where_they_last(ticks: 
 def test_half_a_second_without_a_nominal_action_is_forgiven() -> None:
     for ticks, stationary_for in ((2, True), (3, False)):
         standing = DeadlockDetector((0,))
-        standing.promise((1.0,), (1.1,), (1.0,))
+        standing.expect((1.0,), (1.1,), (1.0,))
         for _ in range(1 + ticks):
-            standing.measure((1.0,), 0.25)
+            standing.update((1.0,), 0.25)
         assert (standing.seconds == 0.25 * (1 + ticks)) is stationary_for
 
 
@@ -169,9 +170,9 @@ def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
     """Where the least-violation action dies away, its last half second moves no one; after that nothing pushes."""
     standing = DeadlockDetector((0,))
     for tick in range(200):
-        standing.measure((1.0,), PERIOD)
-        standing.promise((1.0,), (1.005,), (1.0002 if tick < 12 else 1.0,))
-    assert standing.failed > 0.0
+        standing.update((1.0,), PERIOD)
+        standing.expect((1.0,), (1.005,), (1.0002 if tick < 12 else 1.0,))
+    assert standing.failed_displacement > 0.0
     for status in ("relaxed", "violated"):
         assert standing.reason(status, ("wall",), True).startswith("margin: wall")
     assert standing.reason("corrected", ("wall",), True).startswith("dead band")
@@ -181,13 +182,13 @@ def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
 
 def test_moving_in_a_tick_without_a_nominal_action_ends_a_stand_and_without_promised_motion_there_is_none() -> None:
     standing = stood(6.0, 0.005, 0.0)
-    standing.measure((1.0, 0.0, 0.0), PERIOD)
-    standing.measure((1.5, 0.0, 0.0), PERIOD)
+    standing.update((1.0, 0.0, 0.0), PERIOD)
+    standing.update((1.5, 0.0, 0.0), PERIOD)
     assert standing.seconds == 0.0
     standing = DeadlockDetector((0,))
-    standing.promise((1.0,), (1.0,), (1.0,))
+    standing.expect((1.0,), (1.0,), (1.0,))
     for _ in range(5):
-        standing.measure((1.0,), PERIOD)
+        standing.update((1.0,), PERIOD)
     assert standing.seconds == 0.0
 
 

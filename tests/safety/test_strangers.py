@@ -13,7 +13,7 @@ import pytest
 from safedpa.calibration.from_recordings import calibration_from_recordings
 from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.dynamics import PhysicsModel, load_model, parse_model
-from safedpa.dynamics.own import load_own
+from safedpa.dynamics.user_files import load_user_file
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
 from safedpa.robots.car.system import CAR
@@ -52,7 +52,7 @@ BOUNDS = {"action_low": (-1.0, -1.0), "action_high": (1.0, 1.0)}
 
 @pytest.fixture(scope="module")
 def strangers() -> dict[str, PhysicsModel]:
-    load_own(OWN)
+    load_user_file(OWN)
     return {
         name: parse_model(f'format = 1\nrobot = "{name}"\nperiod = 0.05\n\n[base]\nkind = "{kind}"\n')
         for name, kind in KINDS.items()
@@ -149,7 +149,7 @@ def test_many_at_once_are_refused_as_one_is() -> None:
 def test_the_cars_settings_are_refused_around_a_stranger(strangers: dict[str, PhysicsModel], name: str) -> None:
     with pytest.raises(InputError, match=f"made for the system 'car', the model is of '{name}'"):
         SafetyFilter.for_model(strangers[name], FilterSettings())
-    with pytest.raises(InputError, match=f"of the system '{name}', x, y"):
+    with pytest.raises(InputError, match=f"for the system '{name}', x, y"):
         SafetyFilterNode(strangers[name], FilterSettings())
 
 
@@ -168,7 +168,7 @@ def test_barriers_that_read_other_states_are_refused(
 
 
 def test_barriers_handed_in_with_a_decision_are_no_way_round(strangers: dict[str, PhysicsModel]) -> None:
-    """A drone on its way into an obstacle: its height was read as a heading, and it was waved through."""
+    """A drone flying into an obstacle: its height was read as a heading, and its action was passed on."""
     safe = SafetyFilter.for_model(strangers["drone"], FilterSettings(**BOUNDS))
     state = [0.5, 0.0, 1.5, 2.0, 0.0, 0.0]
     for barriers in (car_scene(), tuple(car_scene())):
@@ -180,7 +180,7 @@ def test_barriers_handed_in_with_a_decision_are_no_way_round(strangers: dict[str
         assert not verdict.known
 
 
-def test_functions_without_names_are_told_by_the_number_of_entries() -> None:
+def test_functions_without_names_are_recognised_by_the_number_of_entries() -> None:
     safe = SafetyFilter(lambda x: (x, np.zeros((len(x), 2))), car_scene(), FilterSettings(**BOUNDS))
     assert safe.decide(np.zeros(4), [0.0, 0.0]).status is not Status.fallback
     for entries in (3, 5, 6):
@@ -190,7 +190,7 @@ def test_functions_without_names_are_told_by_the_number_of_entries() -> None:
     assert safe.decide(np.zeros(4), [0.0, 0.0]).status is not Status.fallback
 
 
-def test_names_of_a_range_tell_the_states_and_each_barrier_says_what_it_reads() -> None:
+def test_names_of_a_range_are_those_of_the_states_and_each_barrier_names_what_it_reads() -> None:
     wide = Plausible(np.full(5, -9.0), np.full(5, 9.0), ("x", "y", "yaw", "speed", "hitch"))
     safe = SafetyFilter(lambda x: (x, np.zeros((5, 2))), car_scene(), FilterSettings(**BOUNDS), state_range=wide)
     assert safe.decide(np.zeros(5), [0.0, 0.0]).status is not Status.fallback
@@ -322,7 +322,7 @@ def test_a_misspelt_kind_of_margin_in_a_decision() -> None:
     safe = own()
     verdict = safe.decide([0.0], [1.0], epsilon={"clif": 0.9})
     assert verdict.status is Status.fallback
-    assert "margin epsilon for 'clif', which no barrier is: did you mean 'cliff'?" in verdict.reason
+    assert "margin epsilon for 'clif', a kind without barriers: did you mean 'cliff'?" in verdict.reason
     assert safe.decide([0.0], [0.5], epsilon={"cliff": 0.1, "obstacle": 0.1}).margin == 0.1
     later = own(barriers=None)
     scene = [FunctionBarrier(lambda x: 1.0 - x[0], kind="edge")]
@@ -331,6 +331,7 @@ def test_a_misspelt_kind_of_margin_in_a_decision() -> None:
     assert later.decide([0.0], [0.1], epsilon={"edge": 0.1}, barriers=far).status is Status.passed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("settings", ["car", "own"])
 def test_the_filters_own_process_refuses_a_stranger(
@@ -346,7 +347,7 @@ def test_the_filters_own_process_refuses_a_stranger(
     assert found.returncode == 2
     notice = [line for line in found.stderr.splitlines() if not line.startswith("margin: none was")]
     assert len(notice) == 1
-    assert f"of the system '{name}', x, y" in notice[0]
+    assert f"for the system '{name}', x, y" in notice[0]
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -366,7 +367,7 @@ def test_a_base_cannot_borrow_a_shipped_name(tmp_path: Path) -> None:
     path = tmp_path / "borrowed.py"
     path.write_text(text.replace("system = DRONE", "system = _made()").replace('"hover"', '"borrowed_hover"'))
     with pytest.raises(InputError, match=r"its system 'car' has the states x, y, z.* of that name x, y, yaw"):
-        load_own(path)
+        load_user_file(path)
 
 
 def test_a_users_car_with_the_same_states_and_actions_is_driven() -> None:
@@ -393,7 +394,7 @@ def test_barriers_that_are_made_of_others_read_what_these_read(strangers: dict[s
     model, drone = load_model("car"), strangers["drone"]
     obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, braking_of(FilterSettings()))
     rollout = RolloutBarrier(model, (0.0, 0.0), obstacles, 5, latent=model.latent)
-    assert rollout.reads == rollout.since(np.zeros(4)).reads == CAR.state_names
+    assert rollout.reads == rollout.starting_at(np.zeros(4)).reads == CAR.state_names
     assert RolloutBarrier(drone, (0.0, 0.0), lambda x: 1.0 - x[0], 5).reads == drone.system.state_names
     late = PendingActions(model, 2, (0.0, 0.0))
     assert late.barrier(obstacles).reads == CAR.state_names

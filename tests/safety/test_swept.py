@@ -23,8 +23,8 @@ def least(curve: Curve, path: list[np.ndarray], always: int = 0) -> tuple[float,
         return np.array([curve(float(x[0]))])
 
     found = minimum_along(h, path, always)
-    assert found.values[0] == pytest.approx(curve(float(chord_point(path, found.places[0])[0])), abs=1e-15)
-    return float(found.values[0]), found.places[0], len(asked)
+    assert found.values[0] == pytest.approx(curve(float(chord_point(path, found.points[0])[0])), abs=1e-15)
+    return float(found.values[0]), found.points[0], len(asked)
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.1, 1.0])
@@ -81,8 +81,8 @@ def test_each_value_has_a_place_of_its_own() -> None:
     path = [np.array([0.0]), np.array([1.0]), np.array([2.0])]
     found = minimum_along(lambda x: np.array([abs(x[0] - 0.4), 3.0 - x[0], abs(x[0] - 1.7) - 5.0]), path)
     np.testing.assert_allclose(found.values, [0.0, 1.0, -5.0], atol=1e-8)
-    assert [k for k, _ in found.places] == [0, 2, 1]
-    np.testing.assert_allclose([share for _, share in found.places], [0.4, 0.0, 0.7], atol=1e-7)
+    assert [k for k, _ in found.points] == [0, 2, 1]
+    np.testing.assert_allclose([share for _, share in found.points], [0.4, 0.0, 0.7], atol=1e-7)
     np.testing.assert_array_equal(found.size, [1.6, 3.0, 4.7])
     assert minimum_along(lambda x: np.array([0.0]), path).size[0] == 1.0, "never 0: it is divided by"
     assert minimum_along(lambda x: np.array([0.25]), path).size[0] == 0.25
@@ -154,6 +154,7 @@ def test_of_several_values_each_is_searched_where_it_may_be_less(states: int, as
 Values = NDArray[np.float64]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("disc", [0, 1, 2])
 def test_the_gradient_of_one_alone_is_that_of_its_values(disc: int) -> None:
     """With no other that is taken later on the way, with the chord to the start and without it."""
@@ -161,12 +162,12 @@ def test_the_gradient_of_one_alone_is_that_of_its_values(disc: int) -> None:
     whole = RolloutBarrier(affine, brake, lambda x: room(x)[disc], 40)
     for _ in range(20):
         x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
-        barriers: tuple[AbstractBarrier, ...] = (whole, whole.since(x - 0.02 * random.normal(size=4)))
+        barriers: tuple[AbstractBarrier, ...] = (whole, whole.starting_at(x - 0.02 * random.normal(size=4)))
         for barrier in barriers:
-            gradient = barrier.evaluate(x)[1]
+            gradient = barrier.h_and_grad(x)[1]
             agreed += np.abs(gradient - differences(barrier, x)).max() < 1e-6
             for entry in range(4):
-                along = barrier.along(x, 0.05 * np.eye(4)[:, [entry]])
+                along = barrier.lie_derivative(x, 0.05 * np.eye(4)[:, [entry]])
                 assert np.abs(along[:, 0] - 0.05 * gradient[:, entry]).max() < 1e-3
     assert agreed >= 36, "all but where the backup's limits make a kink"
 
@@ -185,8 +186,8 @@ def drifting(height: float, horizon: int, thin: bool = False) -> RolloutBarrier:
 def test_what_is_thin_is_seen_on_the_chord_to_the_start_though_nothing_changes_afterwards() -> None:
     barrier = drifting(0.0, 30, thin=True)
     state = np.array([1.0, 0.0])
-    assert barrier.values(state) == pytest.approx([0.99])
-    assert barrier.since(np.array([-1.0, -1.0])).values(state) == pytest.approx([-0.01], abs=1e-6)
+    assert barrier.h(state) == pytest.approx([0.99])
+    assert barrier.starting_at(np.array([-1.0, -1.0])).h(state) == pytest.approx([-0.01], abs=1e-6)
 
 
 @pytest.mark.parametrize("horizon", [1, 3, 7])
@@ -216,7 +217,7 @@ def test_a_nearby_state_that_rests_some_ticks_earlier_is_looked_at_where_it_rest
     barrier = RolloutBarrier(step, (0.0,), lambda x: 1.0 - x[0], 300)
     state = np.array([0.0, speed])
     assert len(barrier.path(state)) == 22, "and one tick at rest"
-    assert barrier.values(state) == pytest.approx([1.0 - (speed + speed**2 / brakes) / 2.0])
+    assert barrier.h(state) == pytest.approx([1.0 - (speed + speed**2 / brakes) / 2.0])
     change = 1000.0 * ticks * brakes  # a thousandth of what the actions change is looked at
-    (slope,) = barrier.along(state, np.array([[0.0], [change]]))[0]
+    (slope,) = barrier.lie_derivative(state, np.array([[0.0], [change]]))[0]
     assert slope / change == pytest.approx(-(0.5 + speed / brakes), rel=0.05)

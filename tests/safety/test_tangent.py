@@ -26,14 +26,14 @@ G = [[1.0, 0.0], [0.0, -4.0]]
 class Gradients:
     """Of h: one row of (states,) each."""
 
-    def __init__(self, *rows: list[float], steepest: list[float] | None = None) -> None:
-        self.rows, self._steepest = rows, steepest
+    def __init__(self, *rows: list[float], grad_bound: list[float] | None = None) -> None:
+        self.rows, self._grad_bound = rows, grad_bound
         self.asked: list[list[int]] = []
 
-    def steepest(self, state: Sequence[float]) -> list[float] | None:
-        return self._steepest
+    def grad_bound(self, state: Sequence[float]) -> list[float] | None:
+        return self._grad_bound
 
-    def along(
+    def lie_derivative_floats(
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
         self.asked.append(list(rows))
@@ -86,7 +86,7 @@ def test_what_actions_change_is_learned_and_never_less_than_known() -> None:
 
 def test_rows_that_no_action_breaks_are_not_even_asked_for() -> None:
     """No slope is steeper than (3, 1): 3 * 2 + 4 * 0.5 = 8, and a little for rounding."""
-    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [3.0, 0.0], steepest=[3.0, 1.0])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [3.0, 0.0], grad_bound=[3.0, 1.0])
     tangent, _ = drawn(barriers)
     A, b = tangent.at([8.0, 8.0 + 1e-6, 7.0], [0.0, 0.0], 0.0)
     assert A == [[3.0, -4.0], [3.0, 0.0]]
@@ -102,12 +102,12 @@ def test_rows_that_no_action_breaks_are_not_even_asked_for() -> None:
     ("residual", "near"), [(8.0, True), (8.0 * (1.0 + 0.9e-9), True), (8.0 * (1.0 + 1.1e-9), False)]
 )
 def test_rounding_leaves_no_row_out(residual: float, near: bool) -> None:
-    tangent, _ = drawn(Gradients([3.0, 1.0], steepest=[3.0, 1.0]))
+    tangent, _ = drawn(Gradients([3.0, 1.0], grad_bound=[3.0, 1.0]))
     assert bool(tangent.at([residual], [0.0, 0.0], 0.0)[0]) is near
 
 
 def test_all_asks_for_what_is_missing_only() -> None:
-    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [1.0, 0.0], steepest=[3.0, 1.0])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [1.0, 0.0], grad_bound=[3.0, 1.0])
     tangent, _ = drawn(barriers)
     tangent.at([9.0, 0.0, 9.0], [0.0, 0.0], 0.0)
     assert tangent.all(3) == [[3.0, -4.0], [0.0, -2.0], [1.0, 0.0]]
@@ -124,7 +124,7 @@ def test_slopes_that_are_no_numbers_are_refused(number: float) -> None:
 
 def test_one_slope_that_is_no_number_is_enough_but_the_largest_float_is_one() -> None:
     barriers = Gradients([3.0, 1.0])
-    barriers.along = lambda *_: [[float("nan"), 1.0]]  # type: ignore[method-assign]
+    barriers.lie_derivative_floats = lambda *_: [[float("nan"), 1.0]]  # type: ignore[method-assign]
     tangent, _ = drawn(barriers)
     with pytest.raises(InputError, match="gradient of h: got NaN or infinity"):
         tangent.at([-0.1], [0.0, 0.0], 0.0)
@@ -134,9 +134,9 @@ def test_one_slope_that_is_no_number_is_enough_but_the_largest_float_is_one() ->
     assert scales == [np.inf]
 
 
-def test_steepest_slopes_of_other_states_are_refused() -> None:
+def test_a_gradient_bound_of_other_states_is_refused() -> None:
     with pytest.raises(ValueError, match="the model has slopes of 2 states, the barriers of 3"):
-        drawn(Gradients([1.0, 0.0], steepest=[1.0, 1.0, 1.0]))
+        drawn(Gradients([1.0, 0.0], grad_bound=[1.0, 1.0, 1.0]))
 
 
 SIDES = ((0.0, 10.0, 10.0), (-1.0, 1.0, 2.0))
@@ -149,7 +149,7 @@ class Plane:
         self.room = room
         self.tried: list[tuple[float, ...]] = []
 
-    def outcome(self, action: Any) -> ActionCandidate:
+    def evaluate(self, action: Any) -> ActionCandidate:
         self.tried.append(tuple(action))
         found = outcome(action[0], self.room(action))
         found.action = tuple(action)
@@ -157,7 +157,7 @@ class Plane:
 
 
 def start(plane: Plane, *action: float) -> ActionCandidate:
-    found = plane.outcome(action)
+    found = plane.evaluate(action)
     plane.tried.clear()
     return found
 
@@ -166,7 +166,7 @@ def test_an_entry_on_a_plateau_comes_back_to_its_edge() -> None:
     """Kept from 3 on, however far beyond: from 9 back towards 0, to a thirty-second of the way."""
     plane = Plane(lambda a: min(a[0] - 3.0, 1.0))
     found = backtrack_towards(plane, SIDES, (0.0, 0.0), start(plane, 9.0, 0.0))
-    assert found.kept
+    assert found.is_feasible
     assert 3.0 <= found.action[0] <= 3.0 + 8.0 / 32.0
     assert found.action[1] == 0.0
     assert len(plane.tried) == 6
@@ -196,7 +196,7 @@ def test_a_nominal_action_is_approached_no_further_than_the_bounds_allow_and_wit
 def test_every_entry_has_its_turn_from_where_the_others_came_to() -> None:
     plane = Plane(lambda a: min(a[0] - 2.0, a[1] + 0.5, 1.0))
     found = backtrack_towards(plane, SIDES, (0.0, -1.0), start(plane, 9.0, 1.0))
-    assert found.kept
+    assert found.is_feasible
     assert found.action[0] == pytest.approx(2.0, abs=0.3)
     assert found.action[1] == pytest.approx(-0.5, abs=0.08)
 
@@ -233,7 +233,7 @@ def test_a_standing_car_finds_the_action_that_keeps_all_though_h_bends_there() -
 
 
 @pytest.mark.parametrize("number", [9514])
-def test_the_least_unsafe_action_is_looked_for_on_both_sides_of_a_standstill(number: int) -> None:
+def test_the_least_violation_action_is_searched_on_both_sides_of_zero_speed(number: int) -> None:
     _, (found,) = CarGrid().work(("car", 2050, number, number + 1))
     assert found.status == "relaxed"
     assert found.shortfall is not None

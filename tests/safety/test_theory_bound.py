@@ -151,7 +151,7 @@ def test_constants_that_are_none_are_refused(name: str, value: float) -> None:
 
 @given(seeds)
 @settings(max_examples=50, deadline=None)
-def test_a_scaled_gradient_tells_the_same_change_of_h(seed: int) -> None:
+def test_a_scaled_gradient_gives_the_same_change_of_h(seed: int) -> None:
     random = np.random.default_rng(seed)
     state, p, v = random.normal(size=4), random.normal(size=4), random.normal(size=4)
     scale = random.uniform(0.01, 2.0, 4)
@@ -178,7 +178,7 @@ def test_affine_parts_are_found_and_the_rest_is_the_remainder(seed: int, actions
     assert remainder.max() > 1e-6
 
 
-def test_actions_that_tell_nothing_apart_are_refused() -> None:
+def test_actions_that_cannot_separate_the_parts_are_refused() -> None:
     u = np.zeros((2, 6, 2))
     u[:, :, 0] = np.linspace(-1, 1, 6)
     with pytest.raises(InputError, match="all ways"):
@@ -230,7 +230,7 @@ def test_sampled_gradients_stay_below_the_largest(seed: int, rear: float, front:
             (-3, -3, -np.pi, chosen.barrier("speed_low")), (3, 3, np.pi, chosen.barrier("speed_high")), (2, 4)
         )
         for part in car_barriers(chosen, footprint, obstacles, (-4, 4, -4, 4)):
-            p = scaled_gradient(part.evaluate(after)[1], before, frame_of("car"), SCALE)
+            p = scaled_gradient(part.h_and_grad(after)[1], before, frame_of("car"), SCALE)
             assert np.abs(p).sum(axis=1).max() <= limits[part.kind] * (1 + 1e-9)
 
 
@@ -242,7 +242,7 @@ def test_the_formula_is_not_far_above_what_occurs() -> None:
     for _ in range(3000):
         state = random.uniform((-3, -3, -np.pi, 1.5), (3, 3, np.pi, chosen.barrier("speed_high")))
         for part in car_barriers(chosen, footprint, [(2.0, 0.0, 0.3)], (-4, 4, -4, 4)):
-            p = scaled_gradient(part.evaluate(state)[1], state, frame_of("car"), SCALE)
+            p = scaled_gradient(part.h_and_grad(state)[1], state, frame_of("car"), SCALE)
             largest[part.kind] = max(largest[part.kind], float(np.abs(p).sum(axis=1).max()))
     assert all(largest[kind] > 0.85 * limits[kind] for kind in limits)
 

@@ -19,11 +19,13 @@ from safedpa.records import McapRecorder
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.commands.experiments.theory import command as constants_command
+from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
 from safedpa_services.command_line.calibrate import command
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+
+COMMAND = ExperimentCommand(EXPERIMENTS["theory"])
 
 MODEL = load_model("car")
 
@@ -87,22 +89,22 @@ def test_with_enough_drives_the_margins_are_over_drives(tmp_path: Path) -> None:
     assert {f"drive.{kind}" for kind in found.epsilon} <= set(found.covered)
     assert "312 transitions of 8 drives" in result.output
     few = CliRunner().invoke(command, [str(path), "--out", str(out), "--coverage", "0.9"])
-    assert "too few drives to say anything about drives" in few.output
+    assert "too few drives for a margin of a whole drive" in few.output
     assert MarginCalibration.load(out).drives == 0
 
 
 def test_constants_of_a_model_without_networks_are_refused() -> None:
-    result = CliRunner().invoke(constants_command, ["car", "--simulator", "car_small"])
+    result = CliRunner().invoke(COMMAND, ["car", "--simulator", "car_small"])
     assert isinstance(result.exception, InputError)
     assert "no networks" in str(result.exception)
 
 
 def test_a_command_prints_the_constants(tmp_path: Path) -> None:
     arguments = ["car_simulated", "--states", "60", "--coverage", "0.9", "--out", str(tmp_path / "constants.json")]
-    result = CliRunner().invoke(constants_command, arguments)
+    result = CliRunner().invoke(COMMAND, arguments)
     assert result.exit_code == 0, result.output
     found = json.loads((tmp_path / "constants.json").read_text(encoding="utf-8"))
-    assert f"{found['constants']['f']['at_coverage']:8.4f}" in result.output
+    assert f"{found['constants']['f']['at_coverage']:.4f}" in result.output
     assert 0.5 < found["covered"]["conformal"] <= 1.0
 
 
@@ -135,12 +137,12 @@ def small_weights(entries: tuple[EnvironmentEntry, ...], seed: int = 0) -> Weigh
 
 
 def test_the_simulators_constants_cover_fresh_steps() -> None:
-    from safedpa_lab.experiments.theory import theory_experiment
+    from safedpa_lab.experiments.driving.theory import theory_experiment
     from safedpa_sim.training.configuration import load_configuration
-    from safedpa_sim.training.simulator import BatchedCars
+    from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
     configuration = load_configuration("car_small")
-    weights = small_weights(BatchedCars(configuration).entries)
+    weights = small_weights(BatchedSimulator(configuration).entries)
     result = theory_experiment(weights, configuration, 500, 0.95, seed=0)
     assert result["history_encoder"]
     assert result["covered"]["bound"] >= 0.95
@@ -154,7 +156,7 @@ def test_the_simulators_constants_cover_fresh_steps() -> None:
 
 
 def test_weights_of_another_environment_are_refused() -> None:
-    from safedpa_lab.experiments.theory_branches import simulated_branches
+    from safedpa_lab.experiments.driving.theory_branches import simulated_branches
     from safedpa_sim.training.configuration import load_configuration
 
     other = small_weights((EnvironmentEntry("payload.mass_ratio", 0.0, 1.0),))

@@ -147,7 +147,7 @@ def test_slopes_are_those_at_the_branches_own_states_and_latents() -> None:
     assert lipschitz_constants(networks, seen)["f"][1] == pytest.approx(largest, rel=0.05)
 
 
-def test_too_few_states_or_actions_that_do_not_tell_the_parts_apart_are_refused() -> None:
+def test_too_few_states_or_actions_that_do_not_separate_the_parts_are_refused() -> None:
     line = np.tile(np.linspace(-1.0, 1.0, 9)[None, :, None], (2, 1, 2))
     all_ways = np.random.default_rng(0).uniform(-1, 1, (2, 4, 2))
     for action in (line, all_ways[:, :3], np.concatenate([line[:1, :4], all_ways[:1]])):
@@ -227,6 +227,7 @@ def test_own_errors_are_the_disturbance() -> None:
     assert np.abs(errors).max(axis=0) == pytest.approx([0.01, 0.0, 0.02, 0.03], rel=0.05, abs=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sizes", [(0.01, 0.01, 0.0, 0.0), (0.0, 0.0, 0.03, 0.0), (0.0, 0.0, 0.0, 0.1)])
 def test_what_it_covers_in_norm_it_covers_in_h(sizes: tuple[float, ...]) -> None:
     """Disturbed in one kind of entry alone, so that a factor that is missing for it shows."""
@@ -284,12 +285,12 @@ CALIBRATION = MarginCalibration(
 
 
 def test_the_setting_chooses_the_margin_and_a_theorem_that_was_not_measured_is_not_replaced() -> None:
-    assert CALIBRATION.chosen("conformal") is CALIBRATION
-    assert CALIBRATION.chosen("theorem").epsilon == {"obstacle": 0.05, "field": 0.06}
-    assert CALIBRATION.chosen(0.04).epsilon == {"obstacle": 0.04, "field": 0.04}
+    assert CALIBRATION.select("conformal") is CALIBRATION
+    assert CALIBRATION.select("theorem").epsilon == {"obstacle": 0.05, "field": 0.06}
+    assert CALIBRATION.select(0.04).epsilon == {"obstacle": 0.04, "field": 0.04}
     for theorem in ({}, {"obstacle": 0.05}):
         with pytest.raises(InputError, match="safedpa calibrate"):
-            dataclasses.replace(CALIBRATION, theorem=theorem).chosen("theorem")
+            dataclasses.replace(CALIBRATION, theorem=theorem).select("theorem")
 
 
 def test_all_tables_are_kept_in_the_file(tmp_path: Path) -> None:
@@ -349,6 +350,7 @@ def driven(
     return now, then
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("h", [0.0, 0.01, 0.05, DEPTH])
 @pytest.mark.parametrize("error", [0.0, 0.01, EPSILON])
 def test_where_an_action_raises_h_by_the_error_h_stays_above_0_wherever_it_begins(h: float, error: float) -> None:

@@ -11,7 +11,6 @@ from safedpa.bus import ACTION, LATENT, NOMINAL, SURROUNDINGS, LatentMessage, No
 from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.robot import robot_like, robots
 from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.robots.car.dynamics.throttle import BrakingByThrottle, throttle_for
 from safedpa.runtime.node import SafetyFilterNode
@@ -19,6 +18,7 @@ from safedpa.runtime.scene import scene_of
 from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter
 from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed, prediction_of
 from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.systems.robots import robot_like, robots
 
 SETTINGS = settings_named("car_throttle")
 BRAKING = braking_of(SETTINGS)
@@ -68,7 +68,7 @@ def test_no_h_falls_under_it(name):
     state, lowest = (0.0, 0.2, 0.1, 1.8), []
     for tick in range(60):
         stack = scene.of(reported(state, tick))
-        lowest.append(min(stack.heights(state)[:-2]))  # room; the last two are the limits of the speed
+        lowest.append(min(stack.h_floats(state)[:-2]))  # room; the last two are the limits of the speed
         state = tuple(model.step(np.array(state), scene.backup(np.array(state))).tolist())
     assert np.diff(lowest).min() > -2e-4
     assert abs(state[3]) < 0.05
@@ -80,7 +80,7 @@ def test_with_friction_beyond_the_desired_braking_it_does_not_push():
     assert action[0] == pytest.approx((3.0 - 2.0) / 4.48, abs=1e-3)
 
 
-def test_a_state_that_tells_nothing_is_braked_from_the_last_that_did_and_no_further():
+def test_a_state_without_information_is_braked_from_the_last_that_had_some_and_no_further():
     model = model_with({})
     scene = scene_of(model, SETTINGS)
     assert scene.backup(None).tolist() == [0.0, 0.0]
@@ -178,7 +178,7 @@ def test_functions_are_known_by_their_arguments_and_actuators_that_remember_noth
     assert BackupRollout(halved, [1.0]).after(np.array([4.0]), np.array([1.0])) == [3.0]
     assert BackupRollout(lambda x, a: x + 2.0 * a, [1.0]).after(np.array([4.0]), np.array([1.0])) == [6.0]
     model = load_model("car").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.1)})
-    assert prediction_of(model).of_this_project
+    assert prediction_of(model).is_project_model
 
 
 @pytest.mark.parametrize("model", [halved, load_model("car")])
@@ -246,7 +246,7 @@ def test_a_users_model_may_say_in_any_way_that_nothing_is_remembered(memory: Any
 
 @pytest.mark.parametrize("memory", [(0.0,), (None, (1.0,)), (np.zeros(1),), ({"steer": 0.1},)], ids=str)
 def test_a_users_model_whose_actuators_remember_is_refused(memory: Any) -> None:
-    with pytest.raises(InputError, match=r"^model: got one of 'car' whose actuators remember"):
+    with pytest.raises(InputError, match=r"^model: got one of 'car' with actuator memory"):
         prediction_of(Own(memory))
 
 

@@ -14,7 +14,7 @@ from safedpa.dynamics import load_model
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers.body import body_of, hitch_of, steepest
+from safedpa.robots.car.barriers.body import body_of, grad_bound, hitch_of
 from safedpa.robots.car.barriers.obstacles import (
     FieldBarrier,
     ObstacleBarrier,
@@ -26,7 +26,7 @@ from safedpa.robots.car.barriers.obstacles import (
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.scenes.perceived import CarScene
-from safedpa.robots.pendulum.pendulum_scene import PendulumScene
+from safedpa.robots.pendulum.scene import PendulumScene
 from safedpa.runtime import scene as scenes
 from safedpa.runtime.scene import AbstractScene, DeclaredScene, scene_of
 from safedpa.safety import Barriers, CorridorBarrier, FilterSettings, FunctionBarrier
@@ -83,15 +83,15 @@ def test_both_roads_to_h_agree_and_slopes_are_those_of_finite_differences() -> N
         state, load, parts = scene(draw)
         quick, reference = make_barrier_set(parts), Barriers(parts)
         assert isinstance(quick, CompiledBarrierSet)
-        assert np.array(quick.heights(state.tolist())) == pytest.approx(reference.values(state), abs=1e-12)
-        assert np.concatenate([part.evaluate(state)[0] for part in parts]) == pytest.approx(reference.values(state))
-        slopes = np.array(quick.slopes(state.tolist(), range(len(quick.names))))
-        assert slopes == pytest.approx(reference.gradient(state), abs=1e-12)
-        steepest = quick.steepest(state.tolist())
-        assert steepest is not None
-        assert (np.abs(slopes) <= np.array(steepest) + 1e-12).all()
+        assert np.array(quick.h_floats(state.tolist())) == pytest.approx(reference.h(state), abs=1e-12)
+        assert np.concatenate([part.h_and_grad(state)[0] for part in parts]) == pytest.approx(reference.h(state))
+        slopes = np.array(quick.grad_h_floats(state.tolist(), range(len(quick.names))))
+        assert slopes == pytest.approx(reference.grad_h(state), abs=1e-12)
+        grad_bound = quick.grad_bound(state.tolist())
+        assert grad_bound is not None
+        assert (np.abs(slopes) <= np.array(grad_bound) + 1e-12).all()
         nudges = 1e-6 * np.eye(4)
-        measured = np.array([(reference.values(state + n) - reference.values(state - n)) / 2e-6 for n in nudges]).T
+        measured = np.array([(reference.h(state + n) - reference.h(state - n)) / 2e-6 for n in nudges]).T
         kinks = np.abs(measured - slopes).max(1) > 1e-4
         assert kinks.sum() <= 2, "a nudge may cross from one nearest point to another"
         grown += growth(load, state[0], state[1], state[3]) > 0.0
@@ -103,13 +103,13 @@ def test_braking_straight_lowers_no_h_of_an_obstacle_while_it_reverses() -> None
     for _ in range(100):
         state, _, parts = scene(draw)
         state[3] = -abs(state[3]) / 3.0
-        before = Barriers(parts).values(state)[:5]
+        before = Barriers(parts).h(state)[:5]
         for _ in range(20):  # the weakest brake that is promised, in small steps
             for _ in range(50):
                 size = abs(state[3])
                 state[:2] += state[3] * np.array([math.cos(state[2]), math.sin(state[2])]) * period / 50
                 state[3] += min(BRAKING.gain * size, BRAKING.deceleration) * period / 50
-            after = Barriers(parts).values(state)[:5]
+            after = Barriers(parts).h(state)[:5]
             assert (before - after).max() < 1e-5, "but for the size of the steps"
             before = after
 
@@ -161,7 +161,7 @@ def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
     for tick, x in enumerate(places):
         found = reports.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
         assert not isinstance(found, str)
-        room.append(found.heights((float(x), 0.0, 0.0, 0.0))[0])
+        room.append(found.h_floats((float(x), 0.0, 0.0, 0.0))[0])
     assert room[9] == pytest.approx(1.0 - 0.2 - FOOTPRINT[2] - SETTINGS.barrier("clearance"))
     assert room[-1] == pytest.approx(1.0 - 0.2 - TOWED[2] - SETTINGS.barrier("clearance")), (
         "0.7 m back: its whole reach"
@@ -179,7 +179,7 @@ def test_a_way_counts_from_the_first_state_on_and_over_half_a_second_without_one
     way.follow(message(22, 0.0, values=(1.1, 0.0, 0.0), towed=()))
     assert way.way == pytest.approx(0.8), "place and heading are enough"
     way.follow(message(23, 1.1, towed=(), distance_reversed=0.0))
-    assert way.way == 0.0, "told by the robot"
+    assert way.way == 0.0, "reported by the robot"
 
 
 def test_lengths_at_their_limits() -> None:
@@ -208,7 +208,7 @@ def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() 
     new.follow(message(60, 1.5, distance_reversed=old.way))
     unknowing.follow(message(60, 1.5))
     assert new.way == old.way
-    assert unknowing.way == TOWED[1], "who is told nothing has to take it for folded up"
+    assert unknowing.way == TOWED[1], "without a report it must be assumed to be folded up"
     new.follow(message(61, 1.5, distance_reversed=7.0))
     assert new.way == TOWED[1], "more than this is not remembered"
     new.follow(message(62, 1.6, distance_reversed=math.nan))
@@ -263,8 +263,8 @@ def test_barriers_of_a_load_that_was_moved_on_are_those_of_a_new_stack(field: tu
     differ = 0
     for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 1.0), (40, 4)):
         for part, wanted, former in zip(found, new, old, strict=True):
-            np.testing.assert_array_equal(part.values(state), wanted.values(state))
-            differ += not np.array_equal(wanted.values(state), former.values(state))
+            np.testing.assert_array_equal(part.h(state), wanted.h(state))
+            differ += not np.array_equal(wanted.h(state), former.h(state))
     assert differ > 10
 
 
@@ -281,16 +281,16 @@ def test_a_load_that_has_not_folded_claims_no_room() -> None:
             ),
         )
         for alone, with_load in pairs:
-            np.testing.assert_allclose(with_load.values(state), alone.values(state), rtol=0.0, atol=1e-12)
+            np.testing.assert_allclose(with_load.h(state), alone.h(state), rtol=0.0, atol=1e-12)
 
 
 def test_no_slope_exceeds_the_stated_bound_and_unread_states_have_slope_zero() -> None:
     braking, random = braking_of(DEFAULTS), np.random.default_rng(3)
     for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 2.0), (60, 4)):
         part = ObstacleBarrier([(*random.uniform(-1.0, 1.0, 2), 0.1)], BODY, braking)
-        reported = steepest(Given([*state.tolist(), 7.0], part.shared, (), part.form), FLOATS)
+        reported = grad_bound(Given([*state.tolist(), 7.0], part.shared, (), part.form), FLOATS)
         assert reported[4:] == [0.0]
-        _, gradient = part.evaluate(state)
+        _, gradient = part.h_and_grad(state)
         assert (np.abs(gradient[0]) <= np.array(reported[:4]) + 1e-9).all()
         assert hypot(*gradient[0, :2]) <= 1.0 + 1e-9
 
@@ -347,7 +347,7 @@ def test_an_invalid_scene_is_described_every_time(other: dict[str, Any], message
 def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
     answer = CarScene(FilterSettings()).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
     assert isinstance(answer, str)
-    assert "a robot that drives between obstacles" in answer
+    assert "a robot with obstacles" in answer
 
 
 def test_the_settings_of_the_pendulum() -> None:
@@ -363,10 +363,10 @@ def test_the_settings_of_the_pendulum() -> None:
             PENDULUM.with_barriers(corridor_seconds=wrong)
 
 
-def declared(barriers: Any, stationary_for: bool = True) -> DeclaredScene:
+def declared(barriers: Any, can_stop: bool = True) -> DeclaredScene:
     robot: Any = SimpleNamespace(
         name="toy",
-        stationary_for=stationary_for,
+        can_stop=can_stop,
         barriers=barriers,
         backup=lambda state, _model, _settings: np.array([state[0]]),
     )
@@ -380,17 +380,17 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
         latents.append(latent)
         return [FunctionBarrier(lambda x: 1.0 - x[0])]
 
-    scene = declared(barriers, stationary_for=False)
+    scene = declared(barriers, can_stop=False)
     scene.learn(np.array([2.0]))
     found = scene.of(state())
     assert not isinstance(found, str)
-    assert found.heights((0.25, 0.0)) == pytest.approx([0.75])
+    assert found.h_floats((0.25, 0.0)) == pytest.approx([0.75])
     assert latents[0].tolist() == [2.0]
     assert scene.backup is not None
     assert scene.backup(np.array([3.0, 0.0])).tolist() == [3.0]
     assert scene.backup(None).tolist() == PENDULUM.resting_action.tolist(), "where it is, no one knows"
-    assert (scene.stationary_for, declared(barriers).stationary_for) == (False, True)
-    assert (AbstractScene.stationary_for, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
+    assert (scene.can_stop, declared(barriers).can_stop) == (False, True)
+    assert (AbstractScene.can_stop, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
 
 
 def test_whatever_a_declared_robot_raises_or_however_many_obstacles_it_has_a_sentence_says_so() -> None:
@@ -409,7 +409,7 @@ def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(mon
     model, own = load_model("pendulum"), scene_of(load_model("pendulum"), PENDULUM)
     assert not isinstance(own, DeclaredScene)
     for scene in (own, None):
-        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, stationary_for=True, name="any", backup=None)
+        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, can_stop=True, name="any", backup=None)
         monkeypatch.setattr(scenes, "robot_like", lambda _, robot=robot: robot)
         found = scene_of(model, PENDULUM)
         assert found is own if scene is own else isinstance(found, DeclaredScene)

@@ -32,7 +32,7 @@ def at(latent: float) -> Barriers:
 
 def seen(watch: OnlineMarginMonitor, clip: ErrorClip = NO_CLIP) -> float | None:
     """The error that was observed last; None where nothing came near."""
-    errors = clip.errors("function", np.array([watch.seen["function"]]))
+    errors = clip.errors("function", np.array([watch.samples["function"]]))
     return float(errors[0]) if len(errors) else None
 
 
@@ -49,7 +49,7 @@ def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
     watch.observe([0.29], at(0.15))
     assert seen(watch) == pytest.approx(0.01)
     watch.observe([0.29], at(0.15))
-    assert watch.seen == {}, "nothing was predicted"
+    assert watch.samples == {}, "nothing was predicted"
 
 
 @pytest.mark.parametrize("learns", [True, False])
@@ -113,7 +113,7 @@ def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
     for _ in range(20):
         watch.expect([1.0, 1.0])
         watch.observe([1.0, 0.0], kinds(function=0.0, other=0.0))
-    assert watch.seen["other"] == HSample(1.0, 0.0)
+    assert watch.samples["other"] == HSample(1.0, 0.0)
     assert watch.epsilon == {"function": 0.01}
 
 
@@ -131,8 +131,8 @@ def test_past_a_dead_time_the_prediction_is_compared_at_both_states() -> None:
     """h = x - latent; of the state before as of this one the h hoped for is that of the barriers of then."""
     watch = OnlineMarginMonitor(CALIBRATION)
     watch.expect([0.9], at(0.1))
-    watch.observe([0.5], at(0.2), late=DelayedPrediction(hoped_before=(0.8,), before=(0.7,), hoped=(0.6,)))
-    assert watch.seen["function"] == pytest.approx(HSample(0.5, 0.3, 0.7, 0.5))
+    watch.observe([0.5], at(0.2), late=DelayedPrediction(predicted_prev=(0.8,), measured_prev=(0.7,), predicted=(0.6,)))
+    assert watch.samples["function"] == pytest.approx(HSample(0.5, 0.3, 0.7, 0.5))
 
 
 @pytest.mark.parametrize("place", range(3))
@@ -143,12 +143,12 @@ def test_an_h_that_is_no_number_leaves_no_error_wherever_it_stands(place: int) -
     measured[place] = nan
     watch.expect([1.0, 1.0, 1.0])
     watch.observe(measured, three)
-    assert np.isnan(watch.seen["function"].measured)
-    assert watch.seen["function"].hoped == 1.0
+    assert np.isnan(watch.samples["function"].measured)
+    assert watch.samples["function"].predicted == 1.0
     assert watch.coverage == -1.0
     watch.expect([1.0, 1.0, 1.0])
     watch.observe([np.inf, 0.5, -np.inf], three)
-    assert watch.seen["function"].measured == -np.inf, "the sum is no number, and each of them is one"
+    assert watch.samples["function"].measured == -np.inf, "the sum is no number, and each of them is one"
 
 
 def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
@@ -181,32 +181,32 @@ def test_the_least_of_a_kind_counts() -> None:
     assert seen(watch) == 0.0
 
 
-def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
+def test_the_clip_level_is_never_below_the_boundary_layer_of_the_margin_in_force() -> None:
     clip = ErrorClip.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
-    assert clip.of("function", 0.01) == pytest.approx(0.5)
-    assert clip.of("function", 0.3) == pytest.approx(1.5)
-    assert clip.of("other", 0.3) == np.inf
-    assert NO_CLIP.of("function", 0.3) == np.inf
+    assert clip.level("function", 0.01) == pytest.approx(0.5)
+    assert clip.level("function", 0.3) == pytest.approx(1.5)
+    assert clip.level("other", 0.3) == np.inf
+    assert NO_CLIP.level("function", 0.3) == np.inf
     heights = np.array([HSample(0.6, 0.7), HSample(0.6, 0.4), HSample(0.3, 0.4)])
     assert clip.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
     assert NO_CLIP.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
     late = HSample(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
     assert clip.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
     assert NO_CLIP.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
-    assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling no one is near"
+    assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the clip level the boundary is far away"
     assert ErrorClip.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
-def test_the_settings_leave_room_for_ten_layers_and_a_margin_that_just_fits_keeps_its_ceiling() -> None:
+def test_the_clip_level_is_ten_boundary_layers_and_a_margin_that_just_fits_keeps_it() -> None:
     """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
     clip = ErrorClip.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
     assert clip.error("a", HSample(2.1, 2.1), 0.0) is None
     assert clip.error("a", HSample(2.1, 1.9), 0.0) == pytest.approx(0.1)
     assert clip.error("b", HSample(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
     low = ErrorClip(0.25, {"a": 0.5})
-    assert low.fitting("a", lambda _: 0.125) == (0.125, low)
-    assert low.fitting("a", lambda _: 0.126) == (0.126, ErrorClip(0.25, {"a": 1.0}))
-    assert low.fitting("b", lambda _: 7.0) == (7.0, low), "without a ceiling every margin fits"
+    assert low.fit_margin("a", lambda _: 0.125) == (0.125, low)
+    assert low.fit_margin("a", lambda _: 0.126) == (0.126, ErrorClip(0.25, {"a": 1.0}))
+    assert low.fit_margin("b", lambda _: 7.0) == (7.0, low), "without a ceiling every margin fits"
 
 
 @given(
@@ -225,10 +225,10 @@ def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(
     rows = Barriers((FunctionBarrier(lambda x: x, names=tuple(map(str, range(count)))),))
     clip = ErrorClip(eta, {"function": 0.4})
     watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), clip)
-    top = clip.of("function", epsilon)
+    top = clip.level("function", epsilon)
     watch.expect(hoped, rows)
     watch.observe(measured[:count], rows)
-    error = clip.errors("function", np.array([watch.seen["function"]]), epsilon).sum()  # none or one
+    error = clip.errors("function", np.array([watch.samples["function"]]), epsilon).sum()  # none or one
     if error <= epsilon:
         assert min(*measured[:count], top) >= (1.0 - eta) * min(*h, top) - 1e-9
 
@@ -252,10 +252,10 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
     own, calm, wind = fingerprint(model), (0.0, 0.0), (0.0, 0.5)
     rooms: dict[Any, float] = {}
     for latent in (calm, wind):
-        scene = RobotSession.begun(CalibratedModel(model, own, uncalibrated(settings, own)), settings).scene
+        scene = RobotSession.create(CalibratedModel(model, own, uncalibrated(settings, own)), settings).scene
         scene.learn(np.array(latent))  # type: ignore[union-attr]
         stack: Any = scene.of(point_state(4))
-        rooms[latent] = min(stack.heights(point_state(4).values))
+        rooms[latent] = min(stack.h_floats(point_state(4).values))
     fall = rooms[calm] - rooms[wind]
     assert fall > 0.003
     found = {}

@@ -15,8 +15,8 @@ from safedpa.safety.deadlock.escape import DeadlockEscape, TickContext
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.solver.qp import QuadraticProgram
 from safedpa.safety.verdict import resting_verdict
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(0.0,), eta=0.5)
 LAYER = 0.2
@@ -50,7 +50,7 @@ def verdict(status: Status = Status.relaxed, nominal: float = -1.0) -> Verdict:
 def led(out: DeadlockEscape, heights: HValues, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
     """The verdict after so many ticks of standing."""
     for tick in range(ticks):
-        found = out.instead_of(verdict(), here(tick, heights, **known), stood)  # type: ignore[arg-type]
+        found = out.replace_verdict(verdict(), here(tick, heights, **known), stood)  # type: ignore[arg-type]
     return found
 
 
@@ -72,7 +72,7 @@ def test_a_manoeuvre_that_raises_h_later_is_held() -> None:
 def test_it_is_judged_again_in_every_tick_and_ends_where_its_predictions_do() -> None:
     out = way_out()
     led(out, dips, ticks=1)
-    taken = [out.instead_of(verdict(), here(tick, dips, now=tick), 0.0).action[0] for tick in range(1, 20)]
+    taken = [out.replace_verdict(verdict(), here(tick, dips, now=tick), 0.0).action[0] for tick in range(1, 20)]
     assert taken == [1.0] * 14 + [0.0] * 5, "for 1.5 s at most"
 
 
@@ -83,19 +83,19 @@ def test_it_is_judged_again_in_every_tick_and_ends_where_its_predictions_do() ->
         lambda action, ticks: [0.19 - 0.001 * ticks],  # it leads nowhere any more
     ],
 )
-def test_it_ends_where_the_measured_state_tells_otherwise(changed: HValues) -> None:
+def test_it_ends_if_the_measured_state_contradicts_the_prediction(changed: HValues) -> None:
     out = way_out()
     led(out, dips, ticks=1)
-    assert out.instead_of(verdict(), here(1, dips, now=1), 1.0).action[0] == 1.0
-    assert out.instead_of(verdict(), here(2, changed, now=2), 0.0).action[0] == 0.0
-    assert out.instead_of(verdict(), here(3, dips, now=3), 0.0).action[0] == 0.0, "and is not taken up again"
+    assert out.replace_verdict(verdict(), here(1, dips, now=1), 1.0).action[0] == 1.0
+    assert out.replace_verdict(verdict(), here(2, changed, now=2), 0.0).action[0] == 0.0
+    assert out.replace_verdict(verdict(), here(3, dips, now=3), 0.0).action[0] == 0.0, "and is not taken up again"
 
 
 @pytest.mark.parametrize("tick", [0, 2])
 def test_it_ends_where_a_tick_is_missing(tick: int) -> None:
     out = way_out()
     led(out, dips, ticks=1)
-    assert out.instead_of(verdict(), here(tick, dips, now=1), 0.0).action[0] == 0.0
+    assert out.replace_verdict(verdict(), here(tick, dips, now=1), 0.0).action[0] == 0.0
 
 
 def test_nothing_is_taken_that_leads_through_less_than_half_of_the_layer() -> None:
@@ -139,20 +139,20 @@ def test_a_correction_is_replaced_only_by_what_keeps_every_condition() -> None:
 
     for then, kept in ((rises, True), (dips, False)):
         out = way_out()
-        assert not out.wanted(Status.corrected)
+        assert not out.may_replace(Status.corrected)
         led(out, rises, ticks=1)
-        assert out.wanted(Status.corrected)
+        assert out.may_replace(Status.corrected)
         now = here(1, then, now=1)
-        found = out.instead_of(verdict(Status.corrected), now, 1.0)
+        found = out.replace_verdict(verdict(Status.corrected), now, 1.0)
         assert (found.action[0] != 0.0) == kept
         assert found.status is Status.corrected
-        assert out.wanted(Status.corrected) is kept
+        assert out.may_replace(Status.corrected) is kept
 
 
 def test_neither_passed_nor_violated_is_replaced() -> None:
     out = way_out()
     led(out, dips, ticks=1)
-    assert not any(out.wanted(status) for status in Status if status not in (Status.relaxed, Status.corrected))
+    assert not any(out.may_replace(status) for status in Status if status not in (Status.relaxed, Status.corrected))
 
 
 def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a_tick() -> None:
@@ -168,7 +168,7 @@ def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a
     counts = []
     for tick in range(10):
         now = TickContext(tick, PERIOD, [0.19], [0.1], lambda action: iter([[0.189]]), fails)
-        assert out.instead_of(still, now, 0.5) is still
+        assert out.replace_verdict(still, now, 0.5) is still
         counts.append(len(asked))
     assert counts == list(range(8, 88, 8))
     first, second = ({round(action[index], 6) for action in asked} for index in range(2))
@@ -193,7 +193,7 @@ def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks:
     wanted = replace(verdict(), nominal=np.zeros(2))
     for tick in range(ticks):
         counts.append(0)
-        found = out.instead_of(wanted, TickContext(tick, period, [0.19], [0.1], ahead, lambda _: False), 1.0)
+        found = out.replace_verdict(wanted, TickContext(tick, period, [0.19], [0.1], ahead, lambda _: False), 1.0)
         assert ("leads out" in found.reason) is (tick == ticks - 1)
     assert 240 <= max(counts[:-1]) <= 239 * 2 + 1, "and the nominal action"
 
@@ -207,7 +207,7 @@ def test_what_has_no_height_is_no_way_out(from_tick: int) -> None:
 
     assert led(way_out(), unknown).action[0] == 0.0
     raises = verdict(nominal=1.0)
-    found = way_out().instead_of(
+    found = way_out().replace_verdict(
         raises, here(0, lambda action, ticks: [0.19 + 0.01 * ticks, *unknown(action, 9)[1:]]), 0.0
     )
     assert found is raises
@@ -221,7 +221,7 @@ def test_what_was_found_some_ticks_ago_is_judged_once_more() -> None:
         for tick in range(10):
             rise = 0.3 if tick < 9 else last
             known = TickContext(tick, PERIOD, [0.19], [0.1], lambda _, h=rise: iter([[0.189], [h]]), lambda _: False)  # type: ignore[misc]
-            found = out.instead_of(replace(verdict(), nominal=np.zeros(2)), known, 1.0)
+            found = out.replace_verdict(replace(verdict(), nominal=np.zeros(2)), known, 1.0)
         assert ("leads out" in found.reason) is taken
 
 
@@ -234,7 +234,7 @@ def test_exactly_out_of_the_layer_in_one_tick_is_enough() -> None:
     assert "held for 0.1 s" in found.reason
     tool = way_out()
     assert led(tool, lambda action, ticks: [[0.1985, 0.19849, 0.2][min(ticks, 2)]], ticks=1).action[0] != 0.0
-    assert "leads out" in tool.instead_of(verdict(), here(1, lambda _, ticks: [0.2], now=1), 0.0).reason
+    assert "leads out" in tool.replace_verdict(verdict(), here(1, lambda _, ticks: [0.2], now=1), 0.0).reason
 
 
 def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_a_margin_has_none() -> None:
@@ -245,7 +245,7 @@ def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_
     tool, plain = way_out(), [0.1, 0.0]
     for tick in range(2):
         now = here(tick, lambda action, ticks: [*dips(action, ticks), 0.15], margins=plain, now=tick)
-        assert tool.instead_of(verdict(), now, 1.0).h_next == pytest.approx(0.15), "the least of both"
+        assert tool.replace_verdict(verdict(), now, 1.0).h_next == pytest.approx(0.15), "the least of both"
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_the_nominal_action_is_taken_where_it_raises_what_is_short(
     now: tuple[float, ...], then: tuple[float, ...], taken: bool
 ) -> None:
     place = here(0, lambda _, ticks: list(now if ticks == 0 else then))
-    found = way_out().instead_of(verdict(nominal=-3.0), place, 0.0)
+    found = way_out().replace_verdict(verdict(nominal=-3.0), place, 0.0)
     assert bool(found.action[0] == -1.0) is taken, "within its bounds"
     if taken:
         assert "raises every h" in found.reason
@@ -284,7 +284,7 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
     model, settings = load_model("car"), settings_named("car")
     own = fingerprint(model)
     calibration = replace(uncalibrated(settings, own), epsilon={"obstacle": 0.0283, "field": 0.0054, "speed": 0.025})
-    memory = RobotSession.begun(CalibratedModel(model, own, calibration), settings)
+    memory = RobotSession.create(CalibratedModel(model, own, calibration), settings)
     state = CarRobot(Scene.random(1, "box"), PERIOD / 2).state_message()
     state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), distance_reversed=0.0, until_action=until_action)
     latent = np.array([0.8, 1.09])
@@ -294,7 +294,7 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
         memory.decision = None
         assert found.h_next >= 0.04
         after = model.step(np.array(state.values), found.action, latent)
-        memory.standing.promise(state.values, (state.values[0] + 0.01, *state.values[1:]), tuple(after))
+        memory.deadlock_detector.expect(state.values, (state.values[0] + 0.01, *state.values[1:]), tuple(after))
         ways.append(float(np.hypot(after[0] + 1.276, after[1] - 2.0412)))
         later = state.robot_time + state.period
         state = replace(state, tick=state.tick + 1, robot_time=later, values=tuple(after.tolist()))
@@ -307,4 +307,4 @@ def next_verdict(memory: RobotSession, state: StateMessage, latent: np.ndarray) 
     memory.observe_state(state)
     known = {"memory": memory.pending, "barriers": memory.barriers, "epsilon": memory.margin.epsilon}
     found = memory.filter.decide(state.values, (-0.6, 0.34), latent, **known, time=state.robot_time)
-    return memory.out_of_the_layer(state, found, latent)
+    return memory.escape_boundary_layer(state, found, latent)

@@ -14,8 +14,8 @@ from safedpa.perception.occlusion import OcclusionMap
 from safedpa.perception.occupancy_grid import CELL, Grid, dilate, disc_offsets, erode
 from safedpa.perception.scan import ScanRays
 from safedpa.perception.settings import PerceptionSettings
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, StepsOut, Walks
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
@@ -121,21 +121,21 @@ def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
     outline = Outline(scene.obstacles, (), (FIELD,))
     walked = 0.0
     for _ in range(600):
-        before = [person.place for person in people]
+        before = [person.position for person in people]
         robot.advance()
         for person, (x, y) in zip(people, before, strict=True):
-            way = hypot(person.place[0] - x, person.place[1] - y)
+            way = hypot(person.position[0] - x, person.position[1] - y)
             walked += way
             assert way <= 1.5 * 0.05 + 1e-9
-            assert clearance_at(outline, *person.place) > person.radius - 0.02
+            assert clearance_at(outline, *person.position) > person.radius - 0.02
     assert walked > 4 * 30.0 * 0.3
 
 
 def test_a_person_steps_out_when_the_robot_is_near_and_a_collision_has_the_speed_of_the_car() -> None:
     far, near = StepsOut((3.5, 2.5), (3.5, -2.5), 1.5, 0.5), StepsOut((-2.0, 2.0), (-2.0, -2.0), 1.5, 10.0)
     driven(Laser(EXACT), 20, (far, near))
-    assert far.place == (3.5, 2.5)
-    assert near.place[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
+    assert far.position == (3.5, 2.5)
+    assert near.position[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
     scene = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0))
     robot = CarRobot(
         scene, sensor_inputs=SimulatedSensors((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),))

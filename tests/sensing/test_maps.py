@@ -94,8 +94,8 @@ def test_a_pixel_that_ends_at_a_border_closes_that_cell_alone_and_darkness_is_as
 
 
 def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path: Path, car_state: None) -> None:
-    from safedpa_sim.robots.core import CarRobot
-    from safedpa_sim.robots.scene import Scene
+    from safedpa_sim.robots.car.robot import CarRobot
+    from safedpa_sim.robots.car.scene import Scene
     from safedpa_sim.sensing import Laser, LaserSettings
     from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
@@ -173,7 +173,7 @@ def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     path = written(tmp_path, np.array([[0]]))
     (tmp_path / "room.pgm").unlink()
     os.mkfifo(tmp_path / "room.pgm")
-    with pytest.raises(InputError, match=r"room\.yaml: .*room\.pgm: is no ordinary file"):
+    with pytest.raises(InputError, match=r"room\.yaml: .*room\.pgm: is not a regular file"):
         read_map(path)
 
 

@@ -19,8 +19,8 @@ from safedpa.perception.surroundings import cover_with_fewer_discs
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.runtime.scene import scene_of
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
@@ -226,7 +226,7 @@ def test_obstacles_of_a_robot_with_sources_are_not_dropped_in_silence() -> None:
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     verdict = asked(node, state, surroundings(state))
     assert verdict.status == "fallback"
-    assert "next to sources" in verdict.sentence
+    assert "next to sensor sources" in verdict.sentence
 
 
 def test_a_mover_ahead_of_a_stationary_car_counts_though_a_wall_is_nearer() -> None:
@@ -347,7 +347,7 @@ def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_c
         message = step(node, state_of(tick + 1))
         assert message.ages == (-1.0,)
     assert message.problems == (
-        f"the source laser tells scans from {ahead - PERIOD + 0.01:.2f} s ahead of the robot's clock",
+        f"the source laser sends scans {ahead - PERIOD + 0.01:.2f} s ahead of the robot's clock",
     )
 
 

@@ -16,8 +16,8 @@ from safedpa.perception.obstacle_tracker import ObstacleTracker
 from safedpa.perception.occlusion import OcclusionMap
 from safedpa.perception.occupancy_grid import Grid, dilate, erode, shift_cells
 from safedpa.perception.scan import ScanRays
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
@@ -121,14 +121,15 @@ def test_a_walking_person_is_among_the_movers() -> None:
             node.hear("r", scan)
         message = node.step("r", state, {})[SURROUNDINGS]
         assert isinstance(message, SurroundingsMessage)
-        way = np.array(person.place) - state.values[:2]
+        way = np.array(person.position) - state.values[:2]
         blocked = cast(OUTLINE, *state.values[:2], np.array([np.arctan2(way[1], way[0])]))[0] < np.hypot(*way)
         in_sight = 0 if blocked else in_sight + 1
         if state.robot_time > 1.0:
             walked += 1
             reported = message.movers if in_sight > 10 else message.movers + message.hidden  # gone behind the box
             nearest = min(
-                (hypot(x - person.place[0], y - person.place[1]) - radius for x, y, radius, *_ in reported), default=9.0
+                (hypot(x - person.position[0], y - person.position[1]) - radius for x, y, radius, *_ in reported),
+                default=9.0,
             )
             assert nearest < person.radius, f"at {state.robot_time} s"
         robot.advance()
@@ -153,6 +154,7 @@ def room_to_all(places: np.ndarray) -> np.ndarray:
     return clearances_at(OUTLINE, places)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.2)])
 def test_a_hidden_person_comes_out_through_a_reported_disc(action: tuple[float, float]) -> None:
     """A person stands behind the box and is never seen: every path from there to the robot meets a reported disc."""
@@ -266,7 +268,7 @@ def test_cells_move_with_the_robot() -> None:
     place = np.array([[0.53, -0.28]])
     i, j, _ = grid.cells(place)
     cells[i, j] = True
-    way = grid.way_to(0.75, -0.4, 2)
+    way = grid.shift_to(0.75, -0.4, 2)
     assert way != (0, 0)
     grid.move(way)
     cells = shift_cells(cells, way, False)
@@ -323,7 +325,7 @@ def blinded(scan: ScanMessage, state: StateMessage) -> ScanMessage:
 @pytest.mark.parametrize(
     ("change", "notice"),
     [
-        (lambda scan, state: None, "nothing was heard"),
+        (lambda scan, state: None, "no scan was received"),
         (frozen_after(2.0), "frozen"),
         (mirrored, "contradicts"),
         (turned, "contradicts"),

@@ -13,8 +13,8 @@ from safedpa.perception.overrides import SensorOverrides
 from safedpa.perception.settings import parse_perception
 from safedpa_services.command_line import sense
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
@@ -225,7 +225,7 @@ def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
     node.forget(name)
     assert "switched off" in stepped(node, robot, name).problems[0], "neither a fault nor silence brings it back"
     again = node.switches.answer(name, switch("source laser=on"))
-    assert again.sentence.endswith("on, until another order or perception's end, since it keeps no file of orders")
+    assert again.sentence.endswith("on, until another order or the end of perception, which has no file for orders")
     assert "was off" in again.sentence
     assert [stepped(node, robot, name).problems for _ in range(6)][-1] == ()
     events = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith("{")]
@@ -389,7 +389,7 @@ def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
     found = SensorOverrides(parse_perception(""), tmp_path / "missing" / "senses.json")
     found.in_force("r1", ("laser",), 0)
     notice = order(found, "source laser=off")
-    assert "until another order or perception's end: " in notice
+    assert "until another order or the end of perception: " in notice
     assert "cannot be written (No such file or directory)" in notice
     assert found.in_force("r1", ("laser",), 1).off == {"laser"}, "it holds all the same"
     assert switches(tmp_path / "senses.json").lost != "", "a folder is no file of orders"

@@ -32,10 +32,10 @@ from safedpa.safety.barriers.stack import CompiledBarrierSet
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.loads import load_named
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.robots.car.loads import load_named
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.world import CarWorld
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import box
@@ -74,9 +74,9 @@ def test_for_static_objects_the_barrier_asks_no_more_than_the_obstacle_barrier()
     exact = ObstacleBarrier(np.column_stack([places, np.full(20, 0.2)]), BODY, BRAKING)
     sensed = barrier([(x, y, 0.2, 0.0) for x, y in places.tolist()])
     for state in states(200, 2):
-        assert (sensed.values(state) >= exact.values(state) - 1e-9).all()
+        assert (sensed.h(state) >= exact.h(state) - 1e-9).all()
         state[3] = 0.0
-        np.testing.assert_allclose(sensed.values(state), exact.values(state), atol=1e-12)
+        np.testing.assert_allclose(sensed.h(state), exact.h(state), atol=1e-12)
 
 
 def braked(speed: float, seconds: float) -> float:
@@ -92,7 +92,7 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TrailerE
         if towed is not None:
             state[:3] = draw.uniform(-0.01, 0.01, 3)  # the distance backwards is given for this place
         discs = np.column_stack([draw.uniform(-4, 4, (30, 2)), np.full(30, 0.1), draw.uniform(0.0, 1.5, 30)])
-        before = barrier(discs, towed=towed).values(state)
+        before = barrier(discs, towed=towed).h(state)
         x, y, yaw, speed = state.tolist()
         for _ in range(40):
             speed = braked(speed, 0.00125)
@@ -101,9 +101,9 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TrailerE
         stood = discs.copy()
         way = np.array((x, y)) - discs[:, :2]
         stood[:, :2] += 0.05 * discs[:, 3:] * way / np.hypot(*way.T)[:, np.newaxis]
-        later = barrier(stood, towed=towed).values(after)
+        later = barrier(stood, towed=towed).h(after)
         assert abs(speed) < IS_STATIONARY or (later >= before - 5e-3).all()  # who stands may be touched
-        hoped = barrier(discs, towed=towed, period=0.05).values(after)
+        hoped = barrier(discs, towed=towed, period=0.05).h(after)
         assert (hoped <= later + 5e-3).all()
 
 
@@ -166,14 +166,14 @@ def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
 
 def test_its_slopes_are_those_of_its_values_and_within_their_bound() -> None:
     sensed = barrier([(1.0, 0.5, 0.2, 1.5), (-1.0, 1.0, 0.1, 0.0), (0.3, -1.2, 0.3, 0.7)])
-    bound = np.array(CompiledBarrierSet([sensed]).steepest([0.0, 0.0, 0.0, 2.0]))
+    bound = np.array(CompiledBarrierSet([sensed]).grad_bound([0.0, 0.0, 0.0, 2.0]))
     for state in states(50, 6):
-        _, gradient = sensed.evaluate(state)
+        _, gradient = sensed.h_and_grad(state)
         assert (np.abs(gradient) <= bound + 1e-9).all()
         for entry in range(4):
             nudge = np.zeros(4)
             nudge[entry] = 1e-6
-            slope = (sensed.values(state + nudge) - sensed.values(state - nudge)) / 2e-6
+            slope = (sensed.h(state + nudge) - sensed.h(state - nudge)) / 2e-6
             assert np.abs(slope - gradient[:, entry]).max() < 1e-4
 
 
@@ -187,8 +187,8 @@ def test_no_slope_exceeds_the_bound_however_the_car_brakes(against: float, decel
     sensed = MovingObstacleBarrier(discs, [False] * 60, BODY, Braking(deceleration, gain), counter)
     stack = CompiledBarrierSet([sensed])
     for state in states(100, 8):
-        bound = np.array(stack.steepest(state.tolist()))
-        assert (np.abs(stack.gradient(state)) <= bound + 1e-9).all()
+        bound = np.array(stack.grad_bound(state.tolist()))
+        assert (np.abs(stack.grad_h(state)) <= bound + 1e-9).all()
 
 
 def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
@@ -244,7 +244,7 @@ def test_what_moves_needs_more_room_than_what_is_at_rest_and_what_hides_behind_t
 def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_brakes() -> None:
     verdict = decided(surroundings(state_of(), movers=((1.0, 0.3, 0.1, 0.0, 0.0, 1.5),)))
     assert verdict.status == "stopped"
-    assert "mover 0 may be at the robot before it stands" in verdict.sentence
+    assert "mover 0 may reach the robot before it stops" in verdict.sentence
     assert verdict.action == (-0.6, 0.0), "as hard as it can"
 
 
@@ -294,6 +294,7 @@ def of_some_kind(discs: np.ndarray, towed: TrailerEnvelope | None) -> list[Obsta
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("late", [0, 1, 4])
 @pytest.mark.parametrize("name", ["car", "car_measured", "car_learned"])
 def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late: int) -> None:
@@ -310,13 +311,13 @@ def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late
         reported = replace(state_of(), values=tuple(state.tolist()))
         for barrier in of_some_kind(np.column_stack([places, np.full(60, 0.1)]), towed):
             far = irrelevance_distance(barrier, reported, SETTINGS.eta, 0.1, 0.05 * late, quick)
-            rows = barrier.values(state) >= far
+            rows = barrier.h(state) >= far
             left_out += int(rows.sum())
             for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
                 begin = state
                 for _ in range(late):
                     begin = model.step(begin, np.array(draw.choice(((2.0, 0.34), (-0.6, -0.34)))), latent)
-                before, after = barrier.values(begin), barrier.values(model.step(begin, np.array(action), latent))
+                before, after = barrier.h(begin), barrier.h(model.step(begin, np.array(action), latent))
                 wanted = np.full(60, 0.2) if barrier.at_once else (1.0 - SETTINGS.eta) * before + 0.2
                 assert (after[rows] >= wanted[rows]).all()
     assert left_out > 100
@@ -341,14 +342,14 @@ def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(c
             discs, [True] * 60, reported.footprint, braking_of(SETTINGS), counter, clearance, 0.05
         )
         for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
-            after = every.values(model.step(state, np.array(action)))
+            after = every.h(model.step(state, np.array(action)))
             assert (after[rows] >= 0.03).all()
     assert left_out > 100
 
 
 def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_tick() -> None:
     """Five times the car is 0.3 m nearer than was predicted: then the margin is several times as wide."""
-    robot = RobotSession.begun(CalibratedModel(MODEL, fingerprint(MODEL), margin_for(MODEL)), SETTINGS)
+    robot = RobotSession.create(CalibratedModel(MODEL, fingerprint(MODEL), margin_for(MODEL)), SETTINGS)
     places = tuple((0.7 + 0.05 * k, 0.0, 0.1) for k in range(60))
     movers, widths = tuple((*place, 0.0, 0.0, 0.0) for place in places), []
     for tick in range(8):
@@ -357,7 +358,7 @@ def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_t
         seen = surroundings(state, points=places, movers=movers)
         robot.observe_state(state)
         robot.margin.expect((-0.3, 0.0, 0.0, 0.0))
-        robot.see(state, seen)
+        robot.observe_surroundings(state, seen)
         assert not isinstance(robot.barriers, str)
         wanted = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, seen, None, robot.margin.epsilon)
         assert robot.barriers.names == wanted.barriers.names
@@ -398,6 +399,7 @@ def driven(scene: Scene, people: tuple[Person, ...], seconds: float, seed: int =
     return robot
 
 
+@pytest.mark.long
 def test_with_the_laser_alone_it_reaches_a_goal_and_touches_nothing() -> None:
     scene = Scene(0, None, (-4.0, 4.0, -3.0, 3.0), ((0.0, 1.5, 0.3),), (-3.0, 0.0, 0.0), ((2.5, 0.0), (-2.5, 0.0)))
     robot = driven(scene, (), 20.0)
@@ -405,6 +407,7 @@ def test_with_the_laser_alone_it_reaches_a_goal_and_touches_nothing() -> None:
     assert not robot.collisions
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_car_stops_for_a_person_who_steps_out_from_behind_a_box(seed: int) -> None:
     draw = np.random.default_rng(seed)

@@ -19,24 +19,33 @@ from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.commands.experiments.sensing_margins import command
-from safedpa_lab.experiments import sensing, sensing_margins
-from safedpa_lab.experiments.misjudging import Misjudges
-from safedpa_lab.experiments.sensing import GUARDS, LOADS, POLICIES, Drive, run_drive, sensing_experiment
-from safedpa_lab.experiments.sensing_curves import CURVES, curves_experiment, curves_page, draw_curves
-from safedpa_lab.experiments.sensing_margins import SensedDrive, margins_of_sensing, order
-from safedpa_lab.experiments.sensing_page import page_of
-from safedpa_lab.experiments.sensing_reported import ReportsEverything
-from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
-from safedpa_lab.experiments.sensing_scores import NEAR, Score, Scores
-from safedpa_lab.experiments.ways_around import WaysAround
+from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
+from safedpa_lab.experiments.sensing import experiment as sensing
+from safedpa_lab.experiments.sensing import margins as sensing_margins
+from safedpa_lab.experiments.sensing.curves import CURVES, curves_experiment, curves_page, draw_curves
+from safedpa_lab.experiments.sensing.experiment import (
+    GUARDS,
+    LOADS,
+    POLICIES,
+    Drive,
+    page_of,
+    run_drive,
+    sensing_experiment,
+)
+from safedpa_lab.experiments.sensing.margins import SensedDrive, margins_of_sensing, order
+from safedpa_lab.experiments.sensing.perfect_sensing import ReportsEverything
+from safedpa_lab.experiments.sensing.policies import Misjudges, WaysAround
+from safedpa_lab.experiments.sensing.scenes import SCENES, scene_and_people
+from safedpa_lab.experiments.sensing.scores import NEAR, Score, Scores
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.contacts import Collision
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, clearance_at
+
+COMMAND = ExperimentCommand(EXPERIMENTS["sensing-margins"])
 
 
 def test_a_drive_repeats_people_are_seen_by_sensing_alone_and_perfect_knowledge_drives_farther() -> None:
@@ -52,13 +61,14 @@ def test_a_filter_that_assumes_slower_people_drives_faster() -> None:
     assert quick > slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize("kind", SCENES)
 def test_start_and_goals_of_a_scene_are_free_and_the_same_again(kind: str, load: str) -> None:
     scene, people = scene_and_people(kind, 1002, load)
     again, others = scene_and_people(kind, 1002, load)
     assert scene == again
-    assert [one.place for one in people] == [one.place for one in others]
+    assert [one.position for one in people] == [one.position for one in others]
     solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
     for x, y in (scene.start[:2], *scene.fixed_goals):
         assert clearance_at(solid, x, y) > scene.footprint[2]
@@ -79,7 +89,7 @@ def test_a_room_has_a_door_that_the_car_fits_through() -> None:
 def test_scenes_that_do_not_exist_are_refused_and_so_are_their_margins() -> None:
     with pytest.raises(InputError, match=r"scene 'room'.*rooms"):
         scene_and_people("room", 1, "none")
-    refused = CliRunner().invoke(command, ["--scene", "room"])
+    refused = CliRunner().invoke(COMMAND, ["--scene", "room"])
     assert isinstance(refused.exception, InputError)
 
 
@@ -89,7 +99,7 @@ def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
     state = robot.state_message()
     reported = ReportsEverything(scene, people).step("r1", state, {})[SURROUNDINGS]
     assert isinstance(reported, SurroundingsMessage)
-    assert [one[:2] for one in reported.movers] == [one.place for one in people]
+    assert [one[:2] for one in reported.movers] == [one.position for one in people]
     points = np.array(reported.points)
     solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
     x, y, _ = scene.start
@@ -124,9 +134,10 @@ def test_people_who_walk_into_a_stationary_car_are_counted_separately(monkeypatc
 @pytest.mark.long
 def test_knowing_all_but_hidden_people_the_car_drives_no_farther_than_knowing_all() -> None:
     way = {
-        guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("reported", "told-but-hiding")
+        guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"]
+        for guard in ("reported", "reported-but-hiding")
     }
-    assert way["reported"] > way["told-but-hiding"] > 0.0
+    assert way["reported"] > way["reported-but-hiding"] > 0.0
 
 
 @pytest.mark.long
@@ -236,6 +247,7 @@ def test_the_usual_value_is_part_of_each_curve() -> None:
     assert all(getattr(usual, name) in values for name, values in CURVES.items())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in CURVES.items() for value in values])
 def test_every_value_of_every_curve_can_be_driven(name: str, value: float) -> None:
     changed: dict[str, Any] = {name: value}
@@ -372,14 +384,14 @@ def test_the_command_in_small_writes_a_page_and_drives_nothing_twice(tmp_path: P
     asked = ["--drives", "2", "--fresh", "1", "--seconds", "0.6", "--coverage", "0.6", "--processes", "1"]
     asked += ["--record", str(tmp_path / "drives.jsonl"), "--json"]
     page, out = tmp_path / "page.md", tmp_path / "result.json"
-    done = CliRunner().invoke(command, [*asked, "--out", str(out), "--page", str(page)])
+    done = CliRunner().invoke(COMMAND, [*asked, "--out", str(out), "--page", str(page)])
     assert done.exit_code == 0, done.output
     result = json.loads(done.output)
     assert {row["kind"] for row in result["rows"]} == {"obstacle", "mover", "hidden", "model", "stood"}
     assert "| the model alone |" in page.read_text(encoding="utf-8")
     assert json.loads(out.read_text(encoding="utf-8"))["rows"] == result["rows"]
     lines = (tmp_path / "drives.jsonl").read_text(encoding="utf-8")
-    assert json.loads(CliRunner().invoke(command, asked).output) == result
+    assert json.loads(CliRunner().invoke(COMMAND, asked).output) == result
     assert (tmp_path / "drives.jsonl").read_text(encoding="utf-8") == lines
 
 

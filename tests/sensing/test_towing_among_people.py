@@ -21,13 +21,13 @@ from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.experiments.sensing_peers import NoFilter
+from safedpa_lab.experiments.sensing.peers import NoFilter
 from safedpa_sim.closed_loop import drive, drive_together
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.footprint import footprint, towed_reach
-from safedpa_sim.robots.loads import LOADS, load_named
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.shared_field import SharedField
+from safedpa_sim.robots.car.footprint import footprint, towed_reach
+from safedpa_sim.robots.car.loads import LOADS, load_named
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point
@@ -52,7 +52,7 @@ class GoesTo(Person):
     def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
         del robot, outline
         target = self._towards if 1.0 < time < self._leaves else self._from
-        x, y = target[0] - self.place[0], target[1] - self.place[1]
+        x, y = target[0] - self.position[0], target[1] - self.position[1]
         far = hypot(x, y)
         speed = min(self._pace, far / 0.05)
         return (speed * x / far, speed * y / far) if far > 1e-6 else (0.0, 0.0)
@@ -109,7 +109,7 @@ def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_t
             assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
-def test_a_car_continues_after_a_person_left_its_load_and_nobody_far_is_taken_to_be_at_it() -> None:
+def test_a_car_continues_after_a_person_left_its_load_and_a_far_person_is_not_assumed_at_it() -> None:
     known = LOADS["box"]
     place = (-0.08 - known.length, known.side / 2 + PERSON + 0.02)
     reported = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
@@ -137,7 +137,7 @@ def test_h_of_a_person_who_may_touch_the_load_is_below_0_however_little_was_driv
     for room, below in ((-0.01, True), (0.01, False)):
         far = reach + PERSON + room
         discs = [(-0.08 + far * np.cos(a), far * np.sin(a), PERSON, 1.5) for a in angle if np.cos(a) < 0.0]
-        h = barrier(load, discs, False, way).values(np.zeros(4))
+        h = barrier(load, discs, False, way).h(np.zeros(4))
         assert ((h < 0.0) == below).all()
 
 
@@ -147,12 +147,13 @@ def test_the_shadow_of_the_load_holds_no_car_that_drives_away_from_it(load: str)
     _, _, reach = towed_reach(load_named(load))
     shadow = [(-0.08 - reach - 0.1, across, 0.27, 1.5) for across in (-0.3, 0.0, 0.3)]
     for speed in (0.0, -1e-9, 0.3, 1.0):
-        assert (barrier(load, shadow, True).values(np.array((0.0, 0.0, 0.0, speed))) > 0.1).all()
-    assert (barrier(load, shadow, True).values(np.array((0.0, 0.0, 0.0, -0.1))) < 0.0).all()
-    seen = barrier(load, shadow, False).values(np.array((0.0, 0.0, 0.0, 0.3)))
+        assert (barrier(load, shadow, True).h(np.array((0.0, 0.0, 0.0, speed))) > 0.1).all()
+    assert (barrier(load, shadow, True).h(np.array((0.0, 0.0, 0.0, -0.1))) < 0.0).all()
+    seen = barrier(load, shadow, False).h(np.array((0.0, 0.0, 0.0, 0.3)))
     assert (seen < 0.0).all(), "who is seen there may come"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", list(LOADS))
 def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) -> None:
     """Unseen room behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
@@ -188,7 +189,7 @@ class Pushes(Person):
 
     def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
         del time, robot, outline
-        x, y = self._towards[0] - self.place[0], self._towards[1] - self.place[1]
+        x, y = self._towards[0] - self.position[0], self._towards[1] - self.position[1]
         return 1.5 * x / hypot(x, y), 1.5 * y / hypot(x, y)
 
 
@@ -250,6 +251,7 @@ def met(apart: float, *, filtered: bool, seconds: float = 4.0) -> SharedField:
     return field
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("apart", [2.5, 5.0])
 def test_head_on_they_touch_without_the_filter_and_with_it_do_not(apart: float) -> None:
     (touch,) = met(apart, filtered=False).touches[:1]

@@ -22,8 +22,8 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
@@ -153,7 +153,7 @@ def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_ma
         hiding.look(0.0, ~no_one, nothing, nothing, nothing)
         hiding.wait(0.2)
         assert bool(hiding.reached(0.2)[outside].any()) is not marked
-        assert bool(hiding.ways_out[away < 1.2].any()) is not marked
+        assert bool(hiding.exits[away < 1.2].any()) is not marked
     seen_through = OcclusionMap(grid.size, 0.2, 1.5)
     seen_through.unoccupied = no_one
     seen_through.look(0.0, np.ones_like(no_one), nothing, nothing, nothing)
@@ -324,7 +324,7 @@ def test_what_only_a_source_sees_that_is_off_is_hidden_and_its_silence_is_nothin
 
 def test_without_any_source_the_filter_brakes() -> None:
     message = reported(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))
-    assert message.problems == ("no source is listened to: laser switched off",)
+    assert message.problems == ("all sources are switched off: laser",)
     assert message.ages == (-1.0,)
     model = load_model("car")
     node = PerceptionNode(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))

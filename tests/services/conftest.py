@@ -1,4 +1,4 @@
-"""A clock that tests move, in place of the one of the standard library."""
+"""A clock that tests set, instead of the one of the standard library."""
 
 import time
 
@@ -6,7 +6,7 @@ import pytest
 
 
 class Clock:
-    """``now`` [s], counted from ``begin``, goes on while something sleeps, and when a test says so."""
+    """A clock at ``begin + now`` [s], which advances with ``sleep`` and when a test sets ``now``."""
 
     begin = 1000.0
 

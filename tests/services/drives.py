@@ -1,4 +1,4 @@
-"""Drives in real processes, by the command line in this process, which has imported what it needs."""
+"""Drives in real processes, started by the command line in this process, whose modules are already imported."""
 
 import io
 import json
@@ -8,7 +8,7 @@ from safedpa_services.command_line import safedpa
 
 
 def run(*phrase):
-    """The document that a command prints."""
+    """Returns the JSON document that a command prints."""
     notice = io.StringIO()
     with redirect_stdout(notice):
         assert safedpa.run([*phrase, "--json"]) == 0
@@ -17,5 +17,5 @@ def run(*phrase):
 
 
 def drive(folder, *options):
-    """The summary of a drive in lockstep."""
+    """Returns the summary of a drive in lockstep."""
     return run("up", "--headless", "--lockstep", "--out", str(folder), *options)

@@ -1,4 +1,4 @@
-"""Messages of a robot's loop with fields that tests leave alone."""
+"""Messages of a control loop with default fields."""
 
 from typing import Any
 
@@ -8,27 +8,27 @@ STAMP: dict[str, Any] = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time
 
 
 def state_of(*values, **fields):
-    """A state of the car unless ``values`` are another robot's."""
+    """Returns a state; without ``values`` that of a car."""
     usual = STAMP | {"applied": (0.0, 0.0), "applied_by": "filter", "period": 0.05, "lockstep": False}
     usual |= {"goal": (1.0, 1.0), "obstacles": (), "field": (-4.0, 4.0, -4.0, 4.0), "footprint": (0.1, 0.3, 0.2)}
     return StateMessage(values=values or (0.0, 0.0, 0.0, 1.0), **{**usual, **fields})
 
 
 def verdict_of(status, **fields):
-    """A verdict without anything to tell."""
+    """Returns a verdict with default fields."""
     usual = STAMP | {"sentence": "", "action": (0.0, 0.0), "nominal": (), "slack": 0.0, "active": (), "h_now": 1.0}
     usual |= {"h_next": 1.0, "margin": 0.0, "solver": "", "microseconds": 1.0}
     return VerdictMessage(status=status, **{**usual, **fields})
 
 
 def health_of(service, **fields):
-    """A heartbeat of a service that runs in process 4711."""
+    """Returns a heartbeat of a service in process 4711."""
     usual = STAMP | {"pid": 4711, "state": "running", "detail": "", "steps": 1, "stale": 0, "refused": 0}
     return HealthMessage(service=service, latencies=(), **{**usual, **fields})
 
 
 def finding_of(stage, **fields):
-    """What the diagnosis tells of a car whose yaw is off."""
+    """Returns a finding about a car with an error of its yaw."""
     usual = STAMP | {"model": "aaaaaaaa", "sentence": f"it is {stage}", "number": 1, "error": 0.3, "band": 0.06}
     usual |= {"evidence": 1.0, "threshold": 13.8, "coverage": 1.0, "where": "yaw"}
     return FindingMessage(stage=stage, **{**usual, **fields})

@@ -1,4 +1,4 @@
-"""``--json``: every command that does one thing has it, and what it prints then is one document."""
+"""``--json``: every command that ends by itself has it, and prints one JSON document."""
 
 import importlib
 import json
@@ -26,10 +26,10 @@ def test_lines_become_one_document(tmp_path: Path, capsys: pytest.CaptureFixture
     assert safedpa.run(["certificates", str(folder), "--robot", "r1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["retained"] == first["made"]
     assert safedpa.run(["certificates", str(folder), "--robot", "r1"]) == 0
-    assert "robot.r1: there already" in capsys.readouterr().out
+    assert "robot.r1: exists already" in capsys.readouterr().out
 
 
-def test_an_error_is_a_line_and_no_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_prints_one_line_and_no_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["screenshot", "nothing.rrd", "--out", str(tmp_path / "p.png"), "--json"]) == 2
     notice = capsys.readouterr()
     assert notice.out == ""

@@ -1,4 +1,4 @@
-"""What other commands ask of a drive is all that ``safedpa up`` asks: no option of it is forgotten."""
+"""Other commands that start a drive set all options that ``safedpa up`` has."""
 
 import signal
 import subprocess
@@ -11,21 +11,21 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from safedpa.robot import robots
+from safedpa.systems.robots import robots
 from safedpa_services.command_line import demo, serve
-from safedpa_services.command_line.up import planned
+from safedpa_services.command_line.up import make_plan
 from safedpa_services.supervisor.plan import Plan
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
 
 class EnoughError(Exception):
-    """In place of a drive."""
+    """Raised instead of starting a drive."""
 
 
 @pytest.fixture
 def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
-    """Those that would have been driven."""
+    """The plans that would have been driven."""
     seen: list[Plan] = []
 
     def drives(plan: Plan, *_: Any) -> None:
@@ -34,17 +34,17 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
 
     @contextmanager
     def plans(options: dict[str, Any], own: Any) -> Iterator[Plan]:
-        with planned(options, own) as plan:
+        with make_plan(options, own) as plan:
             drives(plan)
             yield plan
 
-    monkeypatch.setattr(demo, "driven", drives)
-    monkeypatch.setattr(serve, "planned", plans)
+    monkeypatch.setattr(demo, "run_plan", drives)
+    monkeypatch.setattr(serve, "make_plan", plans)
     return seen
 
 
 def begun(command: Any, *phrase: str) -> None:
-    """Runs a command up to where it would drive."""
+    """Runs a command up to the start of the drive."""
     assert isinstance(CliRunner().invoke(command, list(phrase)).exception, EnoughError)
 
 
@@ -72,6 +72,7 @@ def test_the_example_of_the_pages_is_served(plans: list[Plan], tmp_path: Path) -
     assert (plan.robot, plan.name, plan.rate, plan.diagnosis) == ("differential_drive", "turtlebot", 20.0, False)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 def test_the_demonstration_drives(tmp_path: Path) -> None:
@@ -83,7 +84,7 @@ def test_the_demonstration_drives(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=120.0)
     assert "its steering is bent" in notice[0]
-    assert "still learning what is usual" in notice[1]
+    assert "still learning the usual error" in notice[1]
     assert out.startswith("Drove for ")
     assert "0 collisions" in out
     assert error.startswith("safedpa: demo: drove for ")

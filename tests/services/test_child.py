@@ -1,4 +1,4 @@
-"""One supervised process: how it is started, told to begin, restarted and ended."""
+"""One supervised process: start, begin, restart and end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safedpa_services.supervisor.child import Child
 
 
 class Process:
-    """What ``subprocess.Popen`` returns, with nothing behind it; ``all`` in the order of their start."""
+    """Stands for the result of ``subprocess.Popen``; ``all`` lists the instances in the order of their start."""
 
     all: list[Process]
 
@@ -37,7 +37,7 @@ class Process:
 
 @pytest.fixture
 def started(monkeypatch):
-    """The processes that were started since; none of them is real."""
+    """The simulated processes that were started."""
     monkeypatch.setattr(Process, "all", [], raising=False)
     monkeypatch.setattr(subprocess, "Popen", Process)
     yield Process.all
@@ -49,20 +49,20 @@ def child_of(folder, **fields):
     return Child("policy", "module", ("--rate", "20"), folder / "policy.log", **fields)
 
 
-def test_a_waiting_process_is_started_waiting_until_it_was_asked_to_begin(started, tmp_path):
-    """What is started in its place later begins at once; ``begun`` tells whether it may drive."""
+def test_a_process_that_waits_is_started_with_the_option_to_wait_until_begin_is_called(started, tmp_path):
+    """A restarted process begins at once; ``has_begun`` says whether it may drive."""
     child = child_of(tmp_path, waits=True)
-    assert not child.begun
+    assert not child.has_begun
     child.start()
-    assert not child.begun
+    assert not child.has_begun
     child.begin()
-    assert child.begun
+    assert child.has_begun
     child.start()
     assert ["--await-word" in process.command for process in started] == [True, False]
     plain = child_of(tmp_path)
-    assert not plain.begun
+    assert not plain.has_begun
     plain.begin()
-    assert plain.begun
+    assert plain.has_begun
     assert "--await-word" not in started[-1].command
 
 
@@ -78,7 +78,7 @@ def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the
     assert process.options["start_new_session"], "Ctrl-C reaches the supervisor alone"
 
 
-def test_a_process_starts_without_a_log_where_none_can_be_written(started, tmp_path):
+def test_a_process_starts_without_a_log_if_none_can_be_written(started, tmp_path):
     (tmp_path / "file").write_text("no folder")
     Child("policy", "module", (), tmp_path / "file" / "policy.log").start()
     assert len(started) == 1
@@ -86,7 +86,7 @@ def test_a_process_starts_without_a_log_where_none_can_be_written(started, tmp_p
 
 @pytest.mark.parametrize(("code", "running"), [(None, True), (0, False), (-9, False)])
 def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(started, code, running, tmp_path, monkeypatch):
-    """The number of a process that has ended may belong to another one by now; a second request ends it at once."""
+    """The id of an ended process may belong to another one; a second signal would skip the orderly shutdown."""
     killed: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "killpg", lambda group, number: killed.append((group, number)))
     child = child_of(tmp_path)
@@ -121,14 +121,14 @@ def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(started, 
 @pytest.mark.parametrize(
     ("log", "phrase"),
     [
-        (None, "it said nothing"),
-        ("", "it said nothing"),
+        (None, "it wrote no message"),
+        ("", "it wrote no message"),
         ("first\nsafedpa-policy: no such model\n\n", "no such model"),
         ('no such model\n{"level": "warning"}\n', "no such model"),
-        ('{"level": "warning"}\n', "it said nothing"),
+        ('{"level": "warning"}\n', "it wrote no message"),
     ],
 )
-def test_the_last_words_are_the_last_line_for_a_person(log, phrase, tmp_path):
+def test_the_last_text_is_the_last_line_of_the_log_that_is_not_json(log, phrase, tmp_path):
     child = child_of(tmp_path)
     if log is not None:
         child.log.write_text(log)
@@ -171,7 +171,7 @@ def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn, 
 
 
 def state_of_process(pid):
-    """``R``, ``S`` ... of a process, empty where there is none."""
+    """Returns the state ``R``, ``S`` ... of a process; empty if it does not exist."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:

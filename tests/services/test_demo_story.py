@@ -1,4 +1,4 @@
-"""The demonstration: its story is told, accepted when sure, and measured; each way to fail has its sentence."""
+"""``safedpa demo``: narration, automatic acceptance, measurement, and a sentence for each failure."""
 
 import json
 import threading
@@ -12,16 +12,16 @@ from tests.services.messages import finding_of, state_of, verdict_of
 
 from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa.errors import SafedpaError
-from safedpa_lab.commands.experiments.demo import judged
+from safedpa_lab.experiments.diagnosis.demo import judged
 from safedpa_services.command_line import demo
-from safedpa_services.supervisor.story import DemoNarrator, UnreportedStop
-from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_services.supervisor.demo_narrator import DemoNarrator, UnreportedStop
+from safedpa_services.supervisor.run_monitor import RunMonitor
 
 OLD, NEW = "aaaaaaaa", "bbbbbbbb"
 
 
 class AtOnce:
-    """A thread that has done its work when it has started."""
+    """A thread that runs its target in ``start``."""
 
     def __init__(self, *, target, daemon):
         self._target = target
@@ -47,13 +47,13 @@ def entry(error, *, group=(), decision="rejected"):
 
 
 def report(error=0.02, group=()):
-    """Of a search; the error was 0.4 before."""
+    """Returns the report of a search; the error was 0.4 before."""
     return json.dumps({"stages": [{"heldout_error": 0.4}], "candidates": [entry(error, group=group)]})
 
 
 @dataclass
 class Drive:
-    """A story, and a diagnosis that is played."""
+    """A narrator with a simulated diagnosis."""
 
     accepts: bool = True
     model: str = OLD
@@ -81,7 +81,7 @@ class Drive:
         )  # fmt: skip
 
     def report(self, t, stage, error=0.3, *, number=1, text="", model=""):
-        """A state at ``t`` [s] and m, and a finding."""
+        """Publishes a state at ``t`` [s] and a finding."""
         self.watch.state = state_of(t, 0.0, 0.0, 1.0, robot_time=t)
         self.watch.finding = finding_of(
             stage, robot_time=t, model=model or self.model, error=error, number=number, report=text
@@ -89,7 +89,7 @@ class Drive:
         self.story.look(self.watch)
 
     def find(self, text):
-        """Up to the first candidates."""
+        """Runs up to the first candidates."""
         self.report(1.0, "learning", 0.01, number=0)
         self.report(29.0, "raised")
         self.report(50.0, "candidates", text=text)
@@ -100,7 +100,7 @@ class Drive:
 
 
 def test_a_finding_is_reported_accepted_and_its_effect_measured():
-    """The error counts from 10 s after the change of the model on, and the story is over 20 s after it."""
+    """The error counts from 10 s after the change of the model, and the demo is over 20 s after it."""
     drive = Drive()
     drive.report(2.0, "searching", 0.9, number=0)  # neither is a finding yet
     drive.report(3.0, "watching", 0.9)
@@ -120,7 +120,7 @@ def test_a_finding_is_reported_accepted_and_its_effect_measured():
     assert reported["fall"] == pytest.approx(0.9)
     assert reported["way_after"] == pytest.approx(20.0)
     assert drive.story.models == ["model aaaaaaaa", "model bbbbbbbb"]
-    assert drive.reported("--yes: drag is accepted; it promises 95 % less error") == 1
+    assert drive.reported("--yes: accepting drag, which promises 95 % less error") == 1
     assert drive.reported("where: yaw") == 1
     assert [drive.reported(f"it is {stage}") for stage in ("raised", "candidates")] == [1, 1]
 
@@ -132,7 +132,7 @@ def test_a_finding_is_reported_accepted_and_its_effect_measured():
 def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_at_the_second_search(
     error, group, accepted_after
 ):
-    """Of an error of 0.4 before: 0.16 is the most that may be left on unseen data."""
+    """From an error of 0.4, at most 0.16 may remain on unseen data."""
     drive, accepted = Drive(), None
     for search in (1, 2, 3):
         drive.report(10.0 * search, "candidates", text=report(error + 1e-6 * search, group))  # of other data each time
@@ -143,12 +143,12 @@ def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_
     assert bool(drive.reported("one more search")) is (accepted_after != 1)
 
 
-def test_a_search_that_is_reported_again_is_no_second_one():
+def test_a_repeated_search_report_counts_once():
     drive = Drive()
     for t in (10.0, 20.0, 30.0):
         drive.report(t, "candidates", text=report(0.1, ("tow",)))
     assert "accept" not in drive.asked
-    assert drive.reported("cannot be told from tow yet") == 1
+    assert drive.reported("cannot be distinguished from tow yet") == 1
 
 
 def test_the_promise_is_that_of_the_accepted_entry():
@@ -156,7 +156,7 @@ def test_the_promise_is_that_of_the_accepted_entry():
     entries = [entry(0.05, group=("x",)), entry(0.1, decision="accepted")]
     document = {"stages": [{"heldout_error": 0.4}], "candidates": entries}
     drive = Drive().find(json.dumps(document))
-    assert drive.reported("it promises 75 % less error") == 1
+    assert drive.reported("which promises 75 % less error") == 1
     drive = Drive(candidates=("tow",)).find(json.dumps(document))
     assert drive.reported("tow promises 0 % less error") == 1
     drive = Drive().find(report(None))
@@ -164,7 +164,7 @@ def test_the_promise_is_that_of_the_accepted_entry():
 
 
 @pytest.mark.parametrize(("pending", "candidates"), [("take", ("drag",)), ("", ("tow",)), ("", ())])
-def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(pending, candidates):
+def test_nothing_is_accepted_during_a_change_or_after_it_stopped_being_a_candidate(pending, candidates):
     drive = Drive(takes=False).find(report())
     assert drive.asked.count("accept") == 1
     drive.pending, drive.candidates = pending, candidates
@@ -185,7 +185,7 @@ def test_a_refused_acceptance_is_reported_and_tried_again_after_five_seconds():
     assert drive.reported("the filter refused it") == 2
 
 
-def test_without_yes_the_person_is_asked_and_nothing_is_accepted():
+def test_without_yes_the_user_is_asked_and_nothing_is_accepted():
     drive = Drive(accepts=False).find(report())
     assert drive.reported("your turn: accept drag") == 1
     assert "accept" not in drive.asked
@@ -200,10 +200,8 @@ def test_without_yes_the_person_is_asked_and_nothing_is_accepted():
         (OLD, "", "so be it", 0),
     ],
 )
-def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_nothing(
-    model, pending, sentence, reported
-):
-    """Not during a change, and not where its finding is still to come: a second click would change it twice."""
+def test_another_click_is_requested_once_and_only_if_the_first_one_changed_nothing(model, pending, sentence, reported):
+    """Not during a change and not before its finding: a second click would change the model twice."""
     drive = Drive(accepts=False).find(report())
     drive.model, drive.pending, drive.sentence = model, pending, sentence
     for t in (60.0, 66.0, 72.0):
@@ -219,34 +217,34 @@ def test_a_diagnosis_that_does_not_answer_within_seconds_is_reported(monkeypatch
     drive, waited = Drive(), list[float]()
     monkeypatch.setattr(drive.story.bus, "request", lambda _robot, _request, seconds: waited.append(seconds))
     drive.report(1.0, "learning", number=0)
-    assert drive.reported("the diagnosis did not answer in time; it is asked again") == 1
+    assert drive.reported("the diagnosis did not answer in time; trying again") == 1
     assert 1.0 <= waited[0] <= 4.0
     assert drive.story.models == []
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_the_way_counts_from_the_change_of_the_model_on(late):
-    """From the first place that is known then."""
+def test_the_distance_counts_from_the_change_of_the_model_on(late):
+    """Counted from the first position after the change."""
     drive = Drive()
     for t, x, model in ((0.0, 1.0, OLD), (1.0, 5.0, NEW), (2.0, 7.0, NEW), (3.0, 8.0, NEW), (4.0, 6.0, NEW)):
         drive.watch.state = None if late and t < 2.0 else state_of(x, 0.0, 0.0, 1.0, robot_time=t)
         drive.watch.finding = finding_of("watching", robot_time=t, model=model, number=0)
         drive.story.look(drive.watch)
-    assert drive.story.reported.way_after == pytest.approx(3.0 if late else 5.0)
+    assert drive.story.summary.way_after == pytest.approx(3.0 if late else 5.0)
 
 
-def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
-    """A robot that has moved by less than 0.1 m stands."""
+def test_a_stop_without_a_reported_reason_is_counted_and_an_explained_one_is_not():
+    """A robot that moved by less than 0.1 m counts as stationary."""
     seen = UnreportedStop()
     for t in range(30):
         x = 0.04 * (t % 2) if t < 8 else 0.2
-        seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), notice=t >= 15)
-    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=37.0), notice=False)
+        seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), has_reason=t >= 15)
+    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=37.0), has_reason=False)
     assert seen.longest == 7.0
 
 
-@pytest.mark.parametrize(("standstill", "unsaid"), [(None, 9.0), ("", 9.0), ("the wall is near", 0.0)])
-def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(stationary_reason, unsaid):
+@pytest.mark.parametrize(("stationary_reason", "unsaid"), [(None, 9.0), ("", 9.0), ("the wall is near", 0.0)])
+def test_a_stop_is_explained_by_a_verdict_that_names_its_reason(stationary_reason, unsaid):
     drive = Drive()
     drive.watch.verdict = (
         None if stationary_reason is None else verdict_of("corrected", stationary_reason=stationary_reason)
@@ -257,7 +255,7 @@ def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(stationary_reas
     assert drive.story.document()["longest_stand_unsaid"] == unsaid
 
 
-def test_each_step_of_a_demonstration_is_judged_by_itself():
+def test_each_step_of_a_demonstration_is_judged_separately():
     good = {
         "changed": 25.0, "raised": 29.0, "taken": 55.0, "fall": 0.9, "way_after": 12.0, "longest_stand_unsaid": 2.0,
         "failure": "", "seed": 1, "recording": "x", "report": "y", "picture": "",
@@ -282,7 +280,7 @@ SUMMARY = {"robot_seconds": 61.0, "goals_reached": 4, "collisions": 0, "standsti
 
 @pytest.fixture
 def demonstrated(monkeypatch, tmp_path):
-    """demonstrated(...): the document of the command, its error, and when its drive ended, which is played."""
+    """demonstrated(...): the document of the command, its error, and when its simulated drive ended."""
 
     def run(*phrase, seconds=300, after=0.03, takes=True, started=True):
         ended = [0.0]
@@ -305,8 +303,8 @@ def demonstrated(monkeypatch, tmp_path):
                     turn()
             return {**SUMMARY, "changed": None if takes else 25.0}
 
-        monkeypatch.setattr(demo, "driven", driven)
-        monkeypatch.setattr("safedpa_services.workbench.pictures.browser_at_hand", lambda: "chromium")
+        monkeypatch.setattr(demo, "run_plan", driven)
+        monkeypatch.setattr("safedpa_services.workbench.screenshots.find_browser", lambda: "chromium")
         options = ["--yes", "--no-browser", "--json", "--seed", "1", "--out", str(tmp_path), *phrase]
         result = CliRunner().invoke(demo.command, options)
         document = json.loads(result.stdout) if result.stdout else {}
@@ -320,7 +318,7 @@ def demonstrated(monkeypatch, tmp_path):
     [
         ({}, "", 71.0),
         ({"takes": False}, "drove for 61 s, and the model was not changed", 151.0),
-        ({"seconds": 58}, "ended before the error with the corrected model could be told", 57.0),
+        ({"seconds": 58}, "ended before the error of the corrected model was measured", 57.0),
         ({"after": 0.297}, "the error fell by 1 %, wanted 60 %", 71.0),
     ],
 )
@@ -342,18 +340,16 @@ def test_a_demonstration_without_a_drive_has_nothing_to_report(demonstrated):
 
 
 @pytest.mark.parametrize("trouble", ["", "page.png: no picture could be made"])
-def test_a_picture_is_named_where_it_was_taken_and_a_failed_one_is_the_failure(
-    demonstrated, trouble, tmp_path, monkeypatch
-):
+def test_the_result_names_the_picture_or_reports_why_it_failed(demonstrated, trouble, tmp_path, monkeypatch):
     photographed: list[Path] = []
 
-    def photograph(address, path):
+    def take_screenshot(address, path):
         assert address.startswith("http://127.0.0.1:")
         photographed.append(path)
         if trouble:
             raise SafedpaError(trouble)
 
-    monkeypatch.setattr("safedpa_services.workbench.pictures.photograph", photograph)
+    monkeypatch.setattr("safedpa_services.workbench.screenshots.take_screenshot", take_screenshot)
     monkeypatch.setattr("safedpa_services.supervisor.screen.answers", lambda _: False)
     picture = tmp_path / "page.png"
     document, error, _ = demonstrated("--picture", str(picture))

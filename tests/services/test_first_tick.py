@@ -1,4 +1,4 @@
-"""The first tick of a robot is as quick as any other: all that a filter needs is loaded before it says it is ready."""
+"""The first tick is as fast as any other: a filter imports everything before it reports that it is ready."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ _FIRST_TICK = """
 import argparse, sys
 from safedpa.bus import LATENT, NOMINAL, LatentMessage, StateMessage, NominalMessage
 from safedpa.dynamics import fingerprint, load_model
-from safedpa_services.nodes import add_filter_options, safety_filter
+from safedpa_services.service_factories import add_filter_options, safety_filter
 parser = argparse.ArgumentParser()
 parser.add_argument("--model")
 add_filter_options(parser)
@@ -39,9 +39,10 @@ print(node.newest("r1") is state, sorted(set(sys.modules) - loaded))
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("robot", "tows"), [("car", ""), ("car", "tows"), ("pendulum", "")])
 def test_the_first_decision_loads_nothing(robot: str, tows: str) -> None:
-    """What is loaded then makes the action late: the rows of the car's barriers alone take as long as a tick."""
+    """Importing during the tick delays the action: the car's barriers alone take as long as a tick."""
     done = subprocess.run(
         [sys.executable, "-c", _FIRST_TICK, robot, tows], capture_output=True, text=True, check=False, timeout=60
     )

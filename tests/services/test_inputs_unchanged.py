@@ -1,4 +1,4 @@
-"""Whatever a command reads is the same afterwards, byte for byte, and nothing but its own new files is there."""
+"""Commands do not change their input files, and write only their own new files."""
 
 import hashlib
 import subprocess
@@ -51,7 +51,7 @@ def inputs(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    """Which files are read and written depends on no effect of the library; many take time."""
+    """Reduces the library of effects, which saves time; the files do not depend on it."""
     names = ("quadratic_drag", "rolling_resistance")
     for module in (
         "safedpa.diagnosis.diagnose",
@@ -70,7 +70,7 @@ def sums(folder, names):
     [pytest.param(*each, marks=pytest.mark.long) if each[0].startswith(LONG) else each for each in COMMANDS],
     ids=[line for line, _ in COMMANDS],
 )
-def test_what_was_given_stays_as_it_was(line, made, inputs, tmp_path, monkeypatch, capsys):
+def test_input_files_are_not_changed(line, made, inputs, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, data in inputs.items():
         Path(name).write_bytes(data)

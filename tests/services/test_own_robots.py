@@ -1,4 +1,4 @@
-"""Robots of one's own, each a folder outside the package: checked, driven by nodes and processes, diagnosed."""
+"""Robots of the user's own, outside the package: checked, driven by nodes and by processes, diagnosed."""
 
 import json
 import os
@@ -13,15 +13,15 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.check_robot import check_robot
-from safedpa.dynamics import load_model, load_own
+from safedpa.dynamics import load_model, load_user_file
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.robot import robot_named, robots
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FunctionBarrier
 from safedpa.safety.defaults import settings_named
 from safedpa.stand_in import world_number
 from safedpa.systems import systems
+from safedpa.systems.robots import robot_named, robots
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
@@ -37,8 +37,8 @@ FILES = {name: EXAMPLES / name / f"{name}.py" for name in WORLDS}
 
 @pytest.fixture(scope="module", params=sorted(WORLDS))
 def name(request: pytest.FixtureRequest) -> str:
-    """Of a robot that is known from here on."""
-    load_own(FILES[request.param])
+    """Returns the name of a robot, which is registered from now on."""
+    load_user_file(FILES[request.param])
     return str(request.param)
 
 
@@ -49,6 +49,7 @@ def test_nothing_is_wrong_with_it(name: str) -> None:
     assert {"system", "model", "settings", "barriers", "filter", "controllers", "draw"} <= {one.part for one in found}
 
 
+@pytest.mark.long
 def test_it_reaches_goals_and_touches_nothing_in_a_world_that_no_model_knows(name: str) -> None:
     robot, model = robot_named(name), load_model(str(robot_named(name).model))
     simulated = StandInRobot(robot, 1.0 / robot.rate, 1, WORLDS[name])
@@ -68,7 +69,7 @@ def test_settings_of_another_robot_are_refused(name: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_up_drives_it_and_its_recording_tells_what_is_hidden(
+def test_up_drives_it_and_its_recording_contains_the_hidden_parameters(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file, out = FILES[name], tmp_path / "runs"
@@ -114,8 +115,8 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_l
         ("    rate = 20.0", "    rate = 20.0\n    def __init__(self, port): pass", "failed with TypeError"),
         ("class Pull", "raise SystemExit(0)\nclass Pull", "could not be run: SystemExit"),
         ("(0.003, 0.003, 0.005)", "None", "measurement_deviation: got None, wanted one number for each"),
-        ("(0.003, 0.003, 0.005)", "(0.0, 0.003, 0.005)", "measurement_deviation: got (0.0, 0.003, 0.005), wanted more"),
-        ("(0.003, 0.003, 0.005)", "(0.1, float('nan'), 0.1)", "wanted more than 0 for each of x, y, yaw"),
+        ("(0.003, 0.003, 0.005)", "(0.0, 0.003, 0.005)", "measurement_deviation: got (0.0, 0.003, 0.005), wanted a"),
+        ("(0.003, 0.003, 0.005)", "(0.1, float('nan'), 0.1)", "wanted a positive number for each of x, y, yaw"),
         pytest.param(
             "return Frame((",
             "return 3\n        return Frame((",
@@ -156,7 +157,7 @@ def test_a_mistake_of_any_sort_is_reported_in_a_line(
     try:
         assert safedpa.run(["check", str(file)]) == 2
     finally:
-        load_own(FILES["cleaner"])
+        load_user_file(FILES["cleaner"])
     reported = capsys.readouterr()
     lines = [line for line in (reported.out + reported.err).splitlines() if notice in line]
     assert len(lines) == 1
@@ -188,7 +189,7 @@ def _of_another_robot(*_: object) -> list[FunctionBarrier]:
 def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
     broken: Callable[..., Any], notice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load_own(FILES["drone"])
+    load_user_file(FILES["drone"])
     robot, model = robot_named("drone"), load_model(str(robot_named("drone").model))
     monkeypatch.setattr(type(robot), "barriers", broken)
     simulated = StandInRobot(robot, 0.04, 1)
@@ -200,22 +201,22 @@ def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
     assert [one for one in check_robot(robot) if not one.ends_well]
 
 
-def test_the_newest_file_says_what_a_name_is(tmp_path: Path) -> None:
+def test_the_newest_file_defines_what_a_name_refers_to(tmp_path: Path) -> None:
     """A system alone, then a robot of that name, the same file twice, and the system again."""
     alone = tmp_path / "alone.py"
     alone.write_text(STRANGER, encoding="utf-8")
-    load_own(alone)
+    load_user_file(alone)
     for _ in range(2):
-        load_own(FILES["drone"])
+        load_user_file(FILES["drone"])
         assert robots()["drone"].system is systems()["drone"]
         assert systems()["drone"].state_names == ("x", "y", "vx", "vy")
-    load_own(alone)
+    load_user_file(alone)
     assert "drone" not in robots()
     assert systems()["drone"].state_names == ("height",)
 
 
-def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
-    load_own(FILES["drone"])
+def test_an_unknown_parameter_of_a_simulation_is_refused_by_name() -> None:
+    load_user_file(FILES["drone"])
     with pytest.raises(InputError, match="does not take --world rain=2"):
         StandInRobot(robot_named("drone"), 0.04, 0, {"rain": 2.0})
     for wrong in ("wind", "wind=", "wind=nan", "wind=inf", "=1", "wi nd=1"):
@@ -223,6 +224,7 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
             world_number(wrong)
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("value", "notice"),
@@ -235,14 +237,15 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
 def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_sentence(
     value: str, notice: str, tmp_path: Path
 ) -> None:
-    """A process looks once for what is installed."""
+    """A process looks for installed robots once."""
     info = tmp_path / "stranger-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n", encoding="utf-8")
     (info / "entry_points.txt").write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
     source = FILES["drone"].read_text(encoding="utf-8").replace('"drone"', '"glider"')
     (tmp_path / "stranger_glider.py").write_text(source + "\n\nROBOT = Drone()\n", encoding="utf-8")
-    asked = "from safedpa.robot import robots\ntry: print(robots()['glider'].rate)\nexcept Exception as e: print(e)"
+    asked = "from safedpa.systems.robots import robots\ntry: print(robots()['glider'].rate)\n"
+    asked += "except Exception as e: print(e)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True)
     assert notice in done.stdout

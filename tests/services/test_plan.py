@@ -1,4 +1,4 @@
-"""Which processes a loop consists of, which of them it cannot do without, and what a drive ends with."""
+"""The processes of a loop, which of them are essential, and how a drive ends."""
 
 import json
 import subprocess
@@ -23,12 +23,12 @@ INSIDE, DOOR = "tls/127.0.0.1:7450", "tls/0.0.0.0:7447"
 
 @pytest.fixture
 def planned(monkeypatch, tmp_path):
-    """planned(*options): the plan that ``safedpa up`` makes of its options; nothing is started."""
+    """planned(*options): the plan that ``safedpa up`` makes from its options; nothing is started."""
 
     def run(*options):
         seen = []
         with monkeypatch.context() as patch:
-            patch.setattr(up, "driven", lambda plan, *_: seen.append(plan) or {})
+            patch.setattr(up, "run_plan", lambda plan, *_: seen.append(plan) or {"recording_error": None})
             result = CliRunner().invoke(up.command, ["--json", "--out", str(tmp_path), *options])
         assert result.exception is None, result.output
         return seen[0]
@@ -154,30 +154,30 @@ def card_of(role):
 
 
 @pytest.fixture
-def wallet():
-    """Shows for each role its name, and hands out its card."""
-    return SimpleNamespace(shown=lambda role: (("--role", role), card_of(role)), identity=card_of, cards={})
+def certificates():
+    """Returns the options and the credentials of each role."""
+    return SimpleNamespace(options_of=lambda role: (("--role", role), card_of(role)), identity=card_of, credentials={})
 
 
 @pytest.mark.parametrize("door", ["", DOOR])
-def test_the_router_listens_at_the_door_and_all_others_connect_on_this_machine_with_their_own_cards(
-    planned, door, wallet
+def test_the_router_listens_at_its_endpoint_and_all_others_connect_locally_with_their_own_credentials(
+    planned, door, certificates
 ):
-    plan = replace(planned(), wallet=wallet, endpoint=INSIDE, door=door)
+    plan = replace(planned(), certificates=certificates, endpoint=INSIDE, listen=door)
     children = named(plan)
     assert next(iter(children)) == "router", "it starts first and ends last"
     assert after(children.pop("router").arguments, "--listen") == (door or INSIDE)
     for name, child in children.items():
         assert after(child.arguments, "--connect") == INSIDE
-        assert (after(child.arguments, "--role"), child.card) == (name, card_of(name))
-    assert plan.robot_process().card == card_of(f"robot.{plan.name}")
+        assert (after(child.arguments, "--role"), child.credentials) == (name, card_of(name))
+    assert plan.robot_process().credentials == card_of(f"robot.{plan.name}")
 
 
-def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_place_of_a_plain_one(planned, wallet):
+def test_the_supervisor_joins_a_secured_loop_as_operator_and_listens_in_a_plain_one(planned, certificates):
     plan = replace(planned(), endpoint="tcp/127.0.0.1:7450")
     plain = plan.own_session()
     assert (plain.mode, plain.listen, plain.connect, plain.certificates) == ("peer", (plan.endpoint,), (), None)
-    secured = replace(plan, endpoint=INSIDE, wallet=wallet).own_session()
+    secured = replace(plan, endpoint=INSIDE, certificates=certificates).own_session()
     assert (secured.mode, secured.listen, secured.connect) == ("client", (), (INSIDE,))
     assert secured.certificates == card_of("operator")
     assert "router" not in named(plan)
@@ -196,32 +196,32 @@ def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_plac
         (0, False, True, "130"),
     ],
 )
-def test_a_drive_ends_with_its_summary_its_robots_last_words_or_the_status_of_an_interrupt(
+def test_a_drive_ends_with_its_summary_its_robots_last_log_line_or_the_status_of_an_interrupt(
     code, begun, hurried, error, monkeypatch, tmp_path, capsys
 ):
-    """A second signal is reported as a shell does it: 128 and the number of the signal, 2."""
+    """A second signal gives the exit code of shells: 128 plus the signal's number, 2."""
     ended = SimpleNamespace(run=lambda: code)
     monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
     monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", lambda *_: ended)
     (tmp_path / "robot.json").write_text('{"ticks": 7}')
-    robot = SimpleNamespace(begun=begun, last_text=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
+    robot = SimpleNamespace(has_begun=begun, last_text=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
     plan = SimpleNamespace(
-        services=list, robot_process=lambda: robot, wallet=None, own_session=lambda: None, fleet="f", names=("r1",),
-        recording=tmp_path / "drive.mcap", summary=tmp_path / "robot.json", other_summaries={},
+        services=list, robot_process=lambda: robot, certificates=None, own_session=lambda: None, fleet="f",
+        names=("r1",), recording=tmp_path / "drive.mcap", summary=tmp_path / "robot.json", other_summaries={},
     )  # fmt: skip
     drive = (plan, SimpleNamespace(hurried=hurried), lambda *_: nullcontext(lambda: None))
     if error is None:
-        found = up.driven(*drive)
+        found = up.run_plan(*drive)
         assert found["ticks"] == 7
         assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2}]
     elif error == "130":
         with pytest.raises(click.exceptions.Exit) as raised:
-            up.driven(*drive)
+            up.run_plan(*drive)
         assert raised.value.exit_code == 130
         assert "drive.mcap" in capsys.readouterr().err
     else:
         with pytest.raises(SafedpaError, match=error):
-            up.driven(*drive)
+            up.run_plan(*drive)
 
 
 @pytest.mark.long

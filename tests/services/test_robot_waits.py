@@ -1,4 +1,4 @@
-"""A robot gets ready while its services start, and does nothing before it is asked to begin."""
+"""A robot prepares itself while its services start, and does nothing before it is asked to begin."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ def work(options, stop):
     ready = options.folder / "ready"
     ready.write_text(ready.read_text() + "again" if ready.exists() else "once")
     if options.await_word:
-        stop.await_word()
+        stop.wait_for_start()
     if stop():
         return 0
     (options.folder / "began").touch()
@@ -51,7 +51,7 @@ def wait_for(there: Callable[[], bool]) -> None:
 
 
 def is_ready(folder: Path, times: str) -> Callable[[], bool]:
-    """Whether it has written so: the file is there a moment before its words are."""
+    """Returns whether it has reported that it is ready; the file exists a moment before its contents."""
     return lambda: (folder / "ready").exists() and (folder / "ready").read_text() == times
 
 
@@ -59,10 +59,10 @@ def test_a_robot_does_nothing_before_it_is_asked_to_begin(robot: Child, tmp_path
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     time.sleep(0.3)
-    assert not robot.begun
+    assert not robot.has_begun
     assert not (tmp_path / "began").exists()
     robot.begin()
-    assert robot.begun
+    assert robot.has_begun
     wait_for((tmp_path / "began").exists)
 
 
@@ -70,7 +70,7 @@ def test_a_restarted_robot_does_not_wait_once_the_first_had_begun(robot: Child, 
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     robot.kill()
-    robot.begin()  # no process hears it
+    robot.begin()  # no process is running
     assert not (tmp_path / "began").exists()
     wait_for(robot.restart_if_due)
     wait_for((tmp_path / "began").exists)
@@ -89,5 +89,5 @@ def test_a_robot_asked_to_end_while_it_waits_ends_without_having_begun(robot: Ch
 def test_the_end_of_the_process_ends_the_waiting() -> None:
     stop = StopSignal()
     stop.set("the supervisor is gone")
-    stop.await_word()
+    stop.wait_for_start()
     assert stop()

@@ -1,4 +1,4 @@
-"""What a person sees of a running loop: the view on a terminal, lines in a pipe, warnings."""
+"""What the user sees of a running loop: the view on a terminal, lines in a pipe, warnings."""
 
 import io
 import json
@@ -11,10 +11,10 @@ import pytest
 from tests.services.messages import finding_of, health_of, state_of, verdict_of
 
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport
+from safedpa_services.supervisor.log_warnings import LogWarnings
+from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_services.supervisor.screen import screen
 from safedpa_services.supervisor.view import render_view
-from safedpa_services.supervisor.warnings import Warnings
-from safedpa_services.supervisor.watch import RunMonitor
 from safedpa_services.terminal import terminal
 
 PAGE = "http://127.0.0.1:8080/live?token=t"
@@ -26,13 +26,13 @@ def watch():
 
 
 def child_of(folder, code=None, *, heartbeat=True, restarts=0):
-    """What the view reads of a child."""
+    """Returns a child with the attributes that the view reads."""
     log = folder / "policy.log"
     return SimpleNamespace(name="policy", pid=4711, restarts=restarts, exit_code=code, heartbeat=heartbeat, log=log)
 
 
 def drawn(watch, child):
-    """The view's lines."""
+    """Returns the lines of the view."""
     console = terminal(file=io.StringIO(), width=200)
     console.print(render_view(watch, [], child, ["a hint"], ["a warning"]))
     return console.file.getvalue().splitlines()
@@ -52,8 +52,8 @@ def drawn(watch, child):
         (None, None, True, "starting"),
     ],
 )
-def test_the_table_tells_of_each_process_whether_it_lives(watch, clock, silent, code, heartbeat, shown, tmp_path):
-    """There are four heartbeats a second: a second of silence is shown."""
+def test_the_table_shows_whether_each_process_is_alive(watch, clock, silent, code, heartbeat, shown, tmp_path):
+    """With four heartbeats per second, a second of silence is shown."""
     if silent is not None:
         watch.health["policy"] = (
             health_of("policy", steps=31, stale=5, refused=3, step_microseconds=42.0),
@@ -66,7 +66,7 @@ def test_the_table_tells_of_each_process_whether_it_lives(watch, clock, silent, 
     assert row[3:] == (["2"] if silent is None else ["31", "5", "3", "42", "us", "2"])
 
 
-def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch, tmp_path):
+def test_the_headline_waits_for_the_robot_and_then_shows_its_state(watch, tmp_path):
     assert drawn(watch, child_of(tmp_path))[0] == "waiting for the robot"
     watch.state = state_of(1.0, 2.0, 0.0, -0.75, robot_time=1.0, goals_reached=3, collisions=2)
     assert drawn(watch, child_of(tmp_path))[0].rstrip() == "    1.0 s  -0.75 m/s  goals 3  collisions 2"
@@ -78,13 +78,13 @@ def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch, tmp_path):
     assert "+0.50  goals" in drawn(watch, child_of(tmp_path))[0]
 
 
-def test_a_standstill_is_explained_and_a_finding_is_shown(watch, tmp_path):
+def test_the_reason_of_a_stop_and_a_finding_are_shown(watch, tmp_path):
     watch.verdict = verdict_of("corrected")
     assert not [line for line in drawn(watch, child_of(tmp_path)) if "stands for" in line]
     watch.verdict = verdict_of("corrected", stationary_for=7.0, stationary_reason="the wall is near")
     watch.finding = finding_of("raised")
     lines = [line.rstrip() for line in drawn(watch, child_of(tmp_path))]
-    assert "stands for 7 s, the wall is near" in lines
+    assert "stationary for 7 s, the wall is near" in lines
     assert "model aaaaaaaa  raised: it is raised" in lines
     assert lines[-2:] == ["a hint", "a warning"]
 
@@ -100,7 +100,7 @@ class Terminal(io.StringIO):
 
 
 def test_a_terminal_is_redrawn_four_times_a_second(watch, clock, tmp_path, monkeypatch):
-    """However often the loop turns."""
+    """Independent of how often the loop runs."""
     clock.now = 50.0
     out = Terminal()
     monkeypatch.setattr(sys, "stderr", out)
@@ -132,7 +132,7 @@ def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(watch, tm
 def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_time_from_the_loop(
     watch, clock, tmp_path, monkeypatch, capsys
 ):
-    """It is asked four times a second, for a twentieth of a second at most, and not again once it answered."""
+    """The address is probed four times a second, for at most 0.05 s, and not again after it answered."""
     asked: list[float] = []
 
     def connected(address, seconds):
@@ -167,7 +167,7 @@ def test_a_warning_is_shown_within_half_a_second_and_its_like_five_seconds_later
         with child.log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(event) + "\n")
 
-    shown = Warnings((child,), tmp_path, lambda line: reported.append((clock.now - 100.0, line)))
+    shown = LogWarnings((child,), tmp_path, lambda line: reported.append((clock.now - 100.0, line)))
     for turn in range(240):
         clock.now = 100.0 + 0.05 * turn
         warn("flood")

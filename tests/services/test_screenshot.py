@@ -1,4 +1,4 @@
-"""Pictures without a screen: why one could not be made is a sentence that says what to do."""
+"""Pictures without a screen: a failure is reported by a sentence that says what to do."""
 
 import io
 import subprocess
@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from safedpa.errors import SafedpaError
 from safedpa_services.command_line import screenshot
-from safedpa_services.workbench import pictures
+from safedpa_services.workbench import screenshots
 
 LATER = 2.0
 """s that pass where the command sleeps."""
@@ -50,7 +50,7 @@ def photographed(tmp_path, monkeypatch):
     [
         ("echo noise; echo 'no suitable graphics adapter found'; echo more noise; exit 1", "apt-get install mesa"),
         ("echo 'Failed to create a render context: no adapter'; exit 1", "apt-get install mesa"),
-        ("echo noise; exit 1", "drive.rrd: no picture could be made ("),
+        ("echo noise; exit 1", "drive.rrd: cannot be rendered ("),
     ],
 )
 def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(photographed, script, notice):
@@ -62,13 +62,13 @@ def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_rep
 
 def test_a_viewer_that_does_nothing_is_given_up_within_a_minute(photographed):
     error, took = photographed("exec sleep 600")
-    assert "no picture could be made" in error
+    assert "cannot be rendered" in error
     assert 10.0 <= took <= 60.0
 
 
 @pytest.mark.parametrize("notice", ["", "Traceback\n"])
 def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(notice, tmp_path, monkeypatch):
-    """It has reported the reason itself."""
+    """The server has reported the reason itself."""
     pytest.importorskip("playwright")
     done: list[str] = []
 
@@ -79,7 +79,7 @@ def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ende
         )
 
     monkeypatch.setattr(subprocess, "Popen", started)
-    monkeypatch.setattr(pictures, "browser_at_hand", lambda: "chromium")
+    monkeypatch.setattr(screenshots, "find_browser", lambda: "chromium")
     with pytest.raises(SafedpaError, match="could not be served"):
-        list(pictures.take_pictures(["car", "run.csv"], tmp_path / "pictures", live=False))
+        list(screenshots.take_screenshots(["car", "run.csv"], tmp_path / "pictures", live=False))
     assert done == ["workbench", "terminate", "wait"]

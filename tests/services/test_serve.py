@@ -1,4 +1,4 @@
-"""``safedpa serve`` says when the robot begins to drive and when it brakes by itself: once each time."""
+"""``safedpa serve`` reports when the robot begins to drive and when the gateway brakes it, once per change."""
 
 import signal
 
@@ -14,7 +14,7 @@ SILENT, DRIVES, BRAKES = None, "", "brakes: no action for 12 ticks"
 
 @pytest.fixture
 def served(monkeypatch, tmp_path):
-    """served(details): the lines of a drive in which the robot told these details in turn; nothing is started."""
+    """served(details): the printed lines of a drive whose robot reported these details in turn; nothing is started."""
     broker = MemoryBroker()
     robot = Bus(MemoryTransport(broker), "fleet")
 

@@ -1,4 +1,4 @@
-"""What ships fits together."""
+"""Shipped models, settings and margins fit together."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,8 +32,8 @@ def test_the_shipped_margin_belongs_to_the_shipped_car() -> None:
         ("pendulum_learned", ()),
     ],
 )
-def test_shipped_robots_have_margins_of_their_longer_steps_beside_their_own(name: str, hertz: tuple[int, ...]) -> None:
-    """Each from its own file, with the same kinds; what is asked for by name comes alone. Networks know one rate."""
+def test_shipped_robots_have_margins_for_longer_steps_besides_their_own(name: str, hertz: tuple[int, ...]) -> None:
+    """Each margin has its own file, with the same kinds; a named one is loaded alone. Networks have one rate."""
     model = load_model(name)
     margin = margin_for(model)
     assert margin is not None
@@ -49,13 +49,13 @@ def test_shipped_robots_have_margins_of_their_longer_steps_beside_their_own(name
         counted = [share for kind, share in one.covered.items() if kind.startswith("conformal.")]
         assert len(counted) == len(one.epsilon)
         assert min(counted) >= one.coverage, "of the steps of fresh drives; what covered less does not ship"
-        assert margin.over(one.period, model.period)[1] == 1.0, "so the filter promises it"
+        assert margin.for_period(one.period, model.period)[1] == 1.0, "so the filter promises it"
 
 
 def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """In whatever order the files stand; what covers more than is promised may stand in."""
+    """Independent of the order of the files; a margin with a larger coverage may replace one with a smaller."""
     model = load_model("car")
     own = replace(MarginCalibration({"obstacle": 0.01}, 0.9, 100, "2026-11-28", fingerprint(model)), period=0.05)
     reported = {"a": (0.1, 0.8), "b": (0.05, 0.9), "c": (0.4, 0.99), "d": (0.2, 0.9)}
@@ -88,7 +88,7 @@ def test_unknown_names_list_what_ships() -> None:
 def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_ships(
     tmp_path: Path, ending: str
 ) -> None:
-    """A user who names a folder means a file of his own there, and not another one of the same name."""
+    """A path with a folder means a file of the user, not a shipped one of the same name."""
     stem = "car_10_hz"
     assert margin_for(load_model("car"), f"{stem}{ending}") is not None
     for asked, name in ((settings_named, "car"), (lambda source: margin_for(load_model("car"), source), stem)):

@@ -1,4 +1,4 @@
-"""How the supervisor starts, watches and ends the processes of a loop; processes and clock are simulated."""
+"""How the supervisor starts, monitors and ends the processes of a loop; processes and clock are simulated."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -14,14 +14,14 @@ BAD_INPUT, FAILED, KILLED = 2, 1, -9
 
 @dataclass
 class Process:
-    """A child that ends at ``ends_at`` with ``code``; ``done`` lists what happened to it, shared by all of a loop."""
+    """A child that ends at ``ends_at`` with ``code``; ``done``, shared by all, lists what happened to it."""
 
     clock: Any
     done: list[tuple[str, Any]]
     name: str
     essential: bool = True
     waits: bool = False
-    begun: bool = False
+    has_begun: bool = False
     restarts: int = 0
     ends_at: float = inf
     code: int = 0
@@ -38,7 +38,7 @@ class Process:
         self.done.append((self.name, "started"))
 
     def begin(self):
-        self.pid, self.begun, self.begun_at = 7, True, self.clock.now
+        self.pid, self.has_begun, self.begun_at = 7, True, self.clock.now
 
     def restart_if_due(self):
         self.done.append((self.name, "restarted"))
@@ -63,7 +63,7 @@ class Process:
 
 @dataclass
 class Watch:
-    """Hears services at moments, robots that stop at a moment; time goes on while it listens."""
+    """A monitor with given times of heartbeats and stops; the clock advances while it listens."""
 
     clock: Any
     heard_at: dict[str, float] = field(default_factory=dict)
@@ -88,13 +88,13 @@ class Watch:
         self.orders.append(self.clock.now)
         return self.takes_orders
 
-    def stationary_for(self):
+    def has_obeyed_stop(self):
         return self.clock.now >= self.is_stationary_at
 
 
 @dataclass
 class Loop:
-    """A supervisor over simulated processes; stopped and hurried at moments."""
+    """A supervisor of simulated processes, stopped and hurried at given times."""
 
     clock: Any
     stopped_at: float = 1.0
@@ -144,7 +144,7 @@ def loop(clock):
     ("essential", "restarts", "longest"), [(True, 0, 120.0), (True, 1, 30.0), (True, 2, 30.0), (False, 0, None)]
 )
 def test_a_start_is_given_up_when_an_essential_service_stays_silent(loop, essential, restarts, longest):
-    """One that still starts has two minutes, one that died meanwhile half a minute."""
+    """A starting service has two minutes, one that died meanwhile half a minute."""
     made = loop(stopped_at=500.0)
     made.add("robot", ends_at=200.0)
     made.add("policy", heard_at=inf, essential=essential, restarts=restarts)
@@ -161,7 +161,7 @@ def test_a_start_is_given_up_when_an_essential_service_stays_silent(loop, essent
 
 @pytest.mark.parametrize("waits", [True, False])
 def test_all_robots_begin_once_every_essential_service_is_heard(loop, waits):
-    """Those that can wait are started with the services, to get ready meanwhile."""
+    """Robots that can wait are started with the services, to prepare meanwhile."""
     made = loop(stopped_at=3.0)
     robots = [made.add("robot", waits=waits), made.add("robot 2", waits=waits)]
     made.add("policy", heard_at=1.0)
@@ -212,10 +212,10 @@ def test_a_service_that_runs_already_is_not_started_twice(loop):
 def test_a_dead_service_is_restarted_unless_it_refused_its_input_before_any_robot_drove(
     loop, code, drives, essential, outcome, second
 ):
-    """Which of several robots drives makes no difference."""
+    """It does not matter which of several robots drives."""
     made = loop(stopped_at=2.0)
-    made.add("robot", begun=drives and not second, waits=True, heard_at=inf)
-    made.add("robot 2", begun=drives and second, waits=True)
+    made.add("robot", has_begun=drives and not second, waits=True, heard_at=inf)
+    made.add("robot 2", has_begun=drives and second, waits=True)
     made.add("policy", heard_at=1.0, essential=essential, ends_at=0.0, code=code)
     made.add("adaptation", heard_at=1.0)
     if outcome == "the start fails":
@@ -298,7 +298,7 @@ def test_other_robots_have_five_seconds_after_the_first_ones_end(loop, other_end
 def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
     loop, is_stationary_at, takes_orders, hurried_at, robot_ends_at, braked_for
 ):
-    """Five seconds to a standstill, eight for the robot's process, six for a service; none of it in a hurry."""
+    """Five seconds for braking, eight for the robot's process, six for a service; no time after a second signal."""
     made = loop(stopped_at=1.0, hurried_at=hurried_at)
     made.add("router")
     made.add("recorder")

@@ -1,4 +1,4 @@
-"""How long a user, an operator or a service waits before something is given up; by a clock that the tests move."""
+"""Timeouts of commands and services, with a clock that the tests set."""
 
 import json
 import sys
@@ -17,7 +17,7 @@ from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBro
 from safedpa.bus.messages.requests import ORDER
 from safedpa.bus.monitor import FleetOverview
 from safedpa.errors import BusError, InputError, SafedpaError
-from safedpa_services import serving
+from safedpa_services import service_main
 from safedpa_services.command_line import change_requests, stop_orders
 from safedpa_services.command_line.bus_options import request_answer
 from safedpa_services.metrics.exporter import FleetCollector
@@ -90,7 +90,7 @@ def test_a_change_is_waited_for_two_minutes_and_a_silent_diagnosis_for_ten_secon
     assert clock.now == pytest.approx(ends_at, abs=2.2)
 
 
-def test_a_change_that_came_to_nothing_is_an_error_and_a_refused_one_a_bad_input(ask):
+def test_a_dropped_change_is_an_error_and_a_refused_one_a_bad_input(ask):
     with pytest.raises(SafedpaError, match="dropped: the filter"):
         ask(inf, 2.0, Answer(ok=True, sentence="dropped: the filter cannot", fingerprint="a" * 8, change=4))
     with pytest.raises(InputError, match="no candidate"):
@@ -126,10 +126,10 @@ def test_an_order_is_answered_within_seconds_or_fails():
 @pytest.mark.parametrize(
     ("robot", "status", "is_stationary_at", "speed", "does", "ends_at"),
     [
-        ("r1", "stopped", 2.0, 0.5, "stands", 2.0),
-        ("", "stopped", 0.0, 0.5, "stands", 0.5),
-        ("r1", "stopped", inf, 0.01, "stands", 0.5),
-        ("r1", "passed", inf, 0.01, "stands", 0.5),
+        ("r1", "stopped", 2.0, 0.5, "is stationary", 2.0),
+        ("", "stopped", 0.0, 0.5, "is stationary", 0.5),
+        ("r1", "stopped", inf, 0.01, "is stationary", 0.5),
+        ("r1", "passed", inf, 0.01, "is stationary", 0.5),
         ("r1", "stopped", inf, 0.5, "still brakes, +0.50 m/s", 6.0),
         ("", "stopped", inf, -0.1, "still brakes, -0.10 m/s", 6.0),
         ("r1", "passed", inf, 0.5, "still drives, +0.50 m/s", 6.0),
@@ -155,7 +155,7 @@ def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
     loop.answer_requests(answer, kinds=(ORDER,))
     monkeypatch.setattr("safedpa.bus.monitor.FleetOverview", lambda bus, name: Overview(bus, name, clock))
     monkeypatch.setattr(stop_orders, "bus_of", lambda _: Bus(MemoryTransport(broker), "f"))
-    obeys = does == "stands"
+    obeys = does == "is stationary"
     with nullcontext() if obeys else pytest.raises(SafedpaError, match="r1 did not obey within the time"):
         stop_orders.give_order("stop", robot, OPTIONS)
     assert json.loads(capsys.readouterr().out) == {"sentence": "so be it", "robots": {"r1": does}}
@@ -185,7 +185,7 @@ def test_metrics_call_a_robot_down_after_a_second_and_a_half_and_drop_a_process_
 
 @pytest.fixture
 def waits(clock, monkeypatch):
-    """Events that nothing sets are waited for by the clock that tests move."""
+    """Waiting for an event that is never set advances the tests' clock."""
 
     class Event(threading.Event):
         def wait(self, timeout=None):
@@ -207,7 +207,7 @@ def test_a_router_beats_several_times_a_second(clock, waits):
     assert all(0.1 <= later - earlier <= 0.5 for earlier, later in pairwise(beats))
 
 
-def test_a_router_whose_work_stands_still_is_ended_after_seconds(clock, waits):
+def test_a_hanging_router_is_ended_after_seconds(clock, waits):
     ended: list[float] = []
     gone = threading.Event()
 
@@ -220,18 +220,18 @@ def test_a_router_whose_work_stands_still_is_ended_after_seconds(clock, waits):
     assert 3.0 <= ended[0] <= 10.0
 
 
-def test_a_service_gives_way_to_the_networks_thread_within_a_millisecond(monkeypatch):
-    """Which stamps what arrives; Python's own 5 ms are long."""
+def test_a_service_yields_to_the_network_thread_within_a_millisecond(monkeypatch):
+    """The network thread stamps arrivals; Python's default of 5 ms would delay it."""
 
     def joins(_):
         raise BusError("the tests have no network")
 
     before = sys.getswitchinterval()
-    monkeypatch.setattr(serving, "ZenohTransport", joins)
-    monkeypatch.setattr(serving, "transport_settings_from_options", lambda _: None)
+    monkeypatch.setattr(service_main, "ZenohTransport", joins)
+    monkeypatch.setattr(service_main, "transport_settings_from_options", lambda _: None)
     try:
         with pytest.raises(BusError):
-            serving.serve([], Namespace(), lambda: True)
+            service_main.serve([], Namespace(), lambda: True)
         assert sys.getswitchinterval() <= 0.001
     finally:
         sys.setswitchinterval(before)

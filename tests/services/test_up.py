@@ -1,4 +1,4 @@
-"""The whole loop as a person starts it: real processes, real Zenoh sessions."""
+"""The whole loop as the user starts it: real processes, real Zenoh sessions."""
 
 import json
 import os
@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
 SERVICES = ("adaptation", "policy", "safety_filter", "recorder")
 PATIENCE = 120.0
-"""s; nothing is waited for that long but on a busy machine."""
+"""s; only a busy machine takes this long."""
 
 
 def up(folder: Path, *options: str) -> tuple[dict[str, Any], str]:
@@ -44,6 +44,7 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
+@pytest.mark.long
 def test_lockstep_repeats_bit_for_bit_and_is_safe(tmp_path: Path) -> None:
     options = ("--robot", "car", "--load", "box", "--seconds", "20", "--lockstep", "--seed", "1")
     first, _ = up(tmp_path, *options)
@@ -106,20 +107,20 @@ def wait_for(there: Callable[[], bool], otherwise: str) -> None:
 
 
 def driven(folder: Path) -> int:
-    """Periods in which the filter had all that it needs, as recorded so far; its process starts long before."""
+    """Returns the number of recorded periods in which the filter had all inputs."""
     recordings = folder.glob("*/recording*.mcap")
     messages = (message for path in recordings if path.stat().st_size for _, _, message in read_messages(path))
     return sum(isinstance(message, VerdictMessage) and message.status != "fallback" for message in messages)
 
 
 def drives_on(folder: Path) -> None:
-    """Returns when a second of driving more than now is recorded."""
+    """Returns when another second of driving has been recorded."""
     before = driven(folder)
     wait_for(lambda: driven(folder) >= before + 20, "the robot does not drive")
 
 
 def killed(folder: Path, module: str) -> None:
-    """Kills the process of a module; returns when another one stands in its place, and all drive on with it."""
+    """Kills the process of a module; returns when it was restarted and the robot drives."""
     before = pid_of(folder, module)
     os.kill(before, signal.SIGKILL)
     wait_for(lambda: pid_of(folder, module) != before, f"{module} did not come back")
@@ -127,8 +128,8 @@ def killed(folder: Path, module: str) -> None:
 
 
 @pytest.mark.long
-def test_a_killed_service_comes_back_and_nothing_is_hit(tmp_path: Path) -> None:
-    """Each of them in turn, in one drive."""
+def test_a_killed_service_is_restarted_and_nothing_is_hit(tmp_path: Path) -> None:
+    """Each service in turn, in one drive."""
     with driving(tmp_path, 0.0) as process:
         drives_on(tmp_path)
         for service in SERVICES:

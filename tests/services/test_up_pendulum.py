@@ -1,4 +1,4 @@
-"""The pendulum's loop as a person starts it, and what compare and diagnose make of its recording."""
+"""The pendulum's loop as the user starts it, and compare and diagnose with its recording."""
 
 import pytest
 from tests.services.drives import drive, run
@@ -10,7 +10,7 @@ from safedpa.effects import effect
 @pytest.mark.processes
 @pytest.mark.long
 def test_the_pendulum_is_safe_and_its_recording_compares_and_is_diagnosed(tmp_path, monkeypatch):
-    """With a library of two effects: the rest takes time."""
+    """With a library of two effects, to save time."""
     two = [effect("pendulum", name) for name in ("coulomb_friction", "viscous_friction")]
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: two)
     swing = ("--robot", "pendulum", "--wind", "4", "--wind-direction", "135", "--seed", "1", "--seconds", "6")

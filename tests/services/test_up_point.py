@@ -1,9 +1,10 @@
-"""The point robot's loop as a person starts it: goals among hazards in a force that no model knows."""
+"""The point robot's loop as the user starts it: goals among hazards, with a force that no model knows."""
 
 import pytest
 from tests.services.drives import drive
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_the_point_robot_reaches_goals_and_enters_no_hazard(tmp_path):
     wind = ("--robot", "point", "--force", "0.008", "--wind-direction", "135", "--seed", "3")

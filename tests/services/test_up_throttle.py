@@ -1,4 +1,4 @@
-"""A model whose action is a throttle, driven: the whole loop, in real processes, by the command that a person types."""
+"""A model whose action is a throttle drives: the whole loop, in real processes, by the user's command."""
 
 import shlex
 
@@ -8,9 +8,9 @@ from tests.services.drives import drive, run
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_column_map, load_run
-from safedpa_services.driving import drive_command
-from safedpa_services.workbench import jobs
-from safedpa_services.workbench.session_files import save_model_files
+from safedpa_services.model_deployment import drive_command
+from safedpa_services.workbench.session import jobs
+from safedpa_services.workbench.session.files import save_model_files
 
 pytestmark = [pytest.mark.long, pytest.mark.processes, pytest.mark.slow]
 
@@ -21,12 +21,12 @@ UNFILTERED_SECONDS = "10"
 
 
 def quiet(_share):
-    """Progress that is not shown."""
+    """Ignores progress."""
 
 
 @pytest.fixture(scope="module")
 def driven_once(tmp_path_factory):
-    """The first drive: it is repeated, and diagnosed together with others."""
+    """The first drive, which is repeated, and diagnosed together with others."""
     return drive(tmp_path_factory.mktemp("once"), "--model", "dart_car", "--seconds", SECONDS, "--seed", "3")
 
 
@@ -43,8 +43,8 @@ def test_a_car_with_a_throttle_is_safe_and_repeats_bit_for_bit(driven_once, tmp_
     assert unfiltered["collisions"] > 0
 
 
-def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once, tmp_path):
-    """Dead zone, back-EMF, friction and a bent steering curve: the plain model has none of them, the stand-in has."""
+def test_hidden_effects_of_the_motor_are_diagnosed_from_its_drives(driven_once, tmp_path):
+    """The simulation has a dead zone, back-EMF, friction and a bent steering curve; the plain model has not."""
     further = drive(tmp_path / "drives", "--model", "dart_car", "--seconds", SECONDS, "--seed", "4")
     recordings = [each["recording"] for each in (driven_once, further)]
     report = run("diagnose", "dart_car", *recordings, "--out", str(tmp_path / "found"))
@@ -59,9 +59,9 @@ def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once, tmp_p
 
 
 def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
-    """Logs of the real car, what is missing added as the workbench does, saved; then the command that Save tells.
+    """Adds the missing effect to a model from logs of the real car, as the workbench does; saves it and drives.
 
-    It is added by name, so that only the effects that come nearest are tried with it.
+    The effect is added by name, so that only the nearest effects are tried with it.
     """
     names = ("turning_drag", "viscous_drag", "rolling_resistance", "drive_dead_zone")
     nearest = [effect("car", name) for name in names]
@@ -71,11 +71,11 @@ def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
         pytest.skip(f"no car logs in {data_folder}")
     given = load_model("dart_car")
     runs = [load_run(path, given.system, load_column_map("dart_car_columns")) for path in logs]
-    before = jobs.opened(given, runs, 1.0, quiet)[-1]
+    before = jobs.first_versions(given, runs, 1.0, quiet)[-1]
     found = jobs.search(before.step, runs, 1.0, quiet)
     version = jobs.add_candidate(
         before.step, found.proposal, "turning_drag", runs, 1.0, quiet
-    )  # what all four logs name
+    )  # the effect of all four logs
     assert version.error < 0.8 * before.error
     notice = save_model_files(version.step, runs, given, tmp_path / "out", quiet)
     command = shlex.split(notice[notice.index("safedpa up") :])

@@ -1,4 +1,4 @@
-"""How long a page waits for the files of Rerun's viewer; network, process and clock are simulated."""
+"""Timeouts for the files of Rerun's viewer; network, process and clock are simulated."""
 
 import io
 import subprocess
@@ -49,7 +49,7 @@ def fetched(clock, monkeypatch):
 
 @pytest.mark.parametrize(("seconds", "since"), [(0.01, 0.0), (5.0, 0.0), (0.01, 12.0), (10.0, 12.0)])
 def test_a_program_that_takes_its_time_is_waited_for(fetched, seconds, since):
-    """It is 30 MB, unpacked on a machine that is busy."""
+    """It has 30 MB, unpacked on a busy machine."""
     assert fetched(seconds, since) == b"viewer"
 
 
@@ -59,6 +59,6 @@ def test_a_program_that_takes_its_time_is_waited_for(fetched, seconds, since):
 def test_a_program_that_does_not_answer_is_given_up_within_a_minute_and_one_that_ended_at_once(
     fetched, clock, seconds, since, code, longest
 ):
-    with pytest.raises(SafedpaError, match="did not serve its viewer"):
+    with pytest.raises(SafedpaError, match="did not serve the viewer"):
         fetched(seconds, since, code)
     assert clock.now <= longest

@@ -1,4 +1,4 @@
-"""Wrong inputs at the command line: one line each, the cure in it, exit code 2; nothing that was given changes."""
+"""Wrong inputs on the command line: one line that says what to do, exit code 2, no input file changes."""
 
 import hashlib
 import shutil
@@ -39,13 +39,13 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("compare car foreign.csv", "name a column map"),
     ("compare car text.csv", "correct or remove the line"),
     ("compare car drive.csv --columns dart_car_colums", "did you mean 'dart_car_columns'?"),
-    ("compare car drive.csv --columns map.toml", "'car' say in quotes"),
+    ("compare car drive.csv --columns map.toml", "such as 'car' in quotes"),
     ("compare car drive.csv --columns unit.toml", "unknown unit 'metre'"),
-    ("compare car drive.csv --horizon -1", "choose 1, say"),
+    ("compare car drive.csv --horizon -1", "such as 1"),
     ("compare car drive.csv --horizon soon", "'safedpa compare --help'"),
     ("compare car drive.csv --horizn 1", "Did you mean '--horizon'?"),
     ("compare car", "'safedpa compare --help'"),
-    ("compare car drive.csv --out drive.csv", "choose another place with --out"),
+    ("compare car drive.csv --out drive.csv", "choose another path with --out"),
     ("compare pendulum drive.csv", "name a column map"),
     ("compare car drive.csv --effects nothing.py", "wanted one that defines effects"),
     ("diagnose car", "wanted recordings of a robot"),
@@ -53,10 +53,10 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("add car rolling_resistence drive.csv --out m.toml", "did you mean 'rolling_resistance'?"),
     ("add car viscous_friction drive.csv --out m.toml", "belongs to robot 'pendulum'"),
     ("add car rolling_resistance drive.csv", "'safedpa add --help'"),
-    ("add car rolling_resistance drive.csv --out nowhere/m.toml", "choose another place with --out"),
-    ("predict car drive.csv --horizon 1 --out drive.csv", "or say --force"),
+    ("add car rolling_resistance drive.csv --out nowhere/m.toml", "choose another path with --out"),
+    ("predict car drive.csv --horizon 1 --out drive.csv", "or use --force"),
     ("effects --robot cra", "did you mean 'car'?"),
-    ("demo --headless", "wanted --yes"),
+    ("demo --headless", "add --yes"),
     ("demo --picture nowhere/p.png", "create it"),
     ("workbench --session drive.csv", "wanted the session.json"),
     ("workbench --session nothing.json", "wanted the session.json"),
@@ -92,16 +92,16 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("up --robots 2 --secure", "--robots: got more than 1 with --secure"),
     ("up --rate 0", "wanted 1 to 500"),
     ("up --rate 501", "wanted 1 to 500"),
-    ("up --model car_learned --rate 19", "--rate: got 19 ticks per second, the model's networks were trained for 20"),
-    ("up --model car_learned --rate 40", "--rate: got 40 ticks per second, the model's networks were trained for 20"),
-    ("up --model dart_car --change hitch", "--change: got 'hitch' for a car with throttle, steer, whose stand-in has"),
+    ("up --model car_learned --rate 19", "--rate: got 19 ticks per second, wanted those of the model's training, 20"),
+    ("up --model car_learned --rate 40", "--rate: got 40 ticks per second, wanted those of the model's training, 20"),
+    ("up --model dart_car --change hitch", "--change: got 'hitch' for a car with throttle, steer, which has"),
     ("up --model dart_car --settings car", "--settings car: settings: got bounds of -0.6 to 2 1 for throttle"),
     ("up --model dart_car --controller planner", "controller 'planner' of a car"),
     ("up --model dart_car --robot pendulum", "wanted a pendulum with torque"),
     ("up --seconds -3", "wanted 0 (until Ctrl-C) or more"),
     ("up --model cra", "did you mean 'car'?"),
     ("up --model dfki_pendulum", "wanted a car with target_speed, steer or throttle, steer"),
-    ("up --model dart_car --load chair", "--load: got 'chair' for a car with throttle, steer, whose stand-in has none"),
+    ("up --model dart_car --load chair", "--load: got 'chair' for a car with throttle, steer, which has none"),
     ("up --settings crar", "did you mean 'car'?"),
     ("up --margin carr", "did you mean 'car'?"),
     ("up --seed -1", "wanted 0 or more"),
@@ -109,30 +109,30 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("status --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
     ("stop --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
     ("workbench --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
-    ("workbench car drive.csv --horizon nan", "choose 1, say"),
+    ("workbench car drive.csv --horizon nan", "such as 1"),
     ("workbench car nosuch.csv", "nosuch.csv: no such file; "),
     ("workbench cra drive.csv", "did you mean 'car'"),
     ("certificates keys --days nan", "wanted more than 0"),
     ("compare car run", "name the recording in it: run/recording.mcap"),
-    ("up --name a/b", "wanted letters, digits"),
+    ("up --name a/b", "use letters, digits"),
     ("up --secure --listen tcp/0.0.0.0:7447", "docs/security.md"),
     ("calibrate nothing.mcap --out m.toml", "wanted a recording"),
     ("export drive.csv --format csv --out o.csv", "wanted a recording of the bus"),
     ("replay nothing.mcap", "no such file"),
     ("screenshot nothing.rrd --out p.png", "wanted a recording that the dashboard wrote"),
-    ("export run/recording.mcap --format csv --out run/recording.mcap", "choose another place with --out"),
-    ("export run/recording.mcap --format ros2 --out run/recording.mcap", "choose another place with --out"),
-    ("calibrate run/recording.mcap --out run/recording.mcap", "choose another place with --out"),
-    ("calibrate run/recording.mcap --out nowhere/m.toml", "choose another place with --out"),
+    ("export run/recording.mcap --format csv --out run/recording.mcap", "choose another path with --out"),
+    ("export run/recording.mcap --format ros2 --out run/recording.mcap", "choose another path with --out"),
+    ("calibrate run/recording.mcap --out run/recording.mcap", "choose another path with --out"),
+    ("calibrate run/recording.mcap --out nowhere/m.toml", "choose another path with --out"),
     ("screenshot drive.csv --out p.png", "wanted one that the dashboard wrote"),
     ("experiment safety --seeds 1 --seconds nan", "wanted more than 0"),
     ("experiment controllers --seeds 1 --seconds inf", "wanted more than 0"),
     *((f"experiment {name} --seconds inf", "more than 0") for name in EXPERIMENTS),
     ("replay run --eta 0.1 --out drive.csv/ticks.csv", "drive.csv"),
-    ("replay run --out run/again.mcap", "would be read with it"),
-    ("replay run/recording.mcap --out run/recording.mcap", "would be read with it"),
+    ("replay run --out run/again.mcap", "would count as a recording"),
+    ("replay run/recording.mcap --out run/recording.mcap", "would count as a recording"),
     ("train cra", "did you mean 'car'?"),
-    ("train pendulum --small", "--small: ships for car, point"),
+    ("train pendulum --small", "available for car, point"),
     ("experiment faults --small --only kill", "leave --small out"),
     ("experiment bad-data text.csv --out bad", "wanted a number in every cell"),
     ("experiment bad-data empty.csv --out bad", "wanted the native ones of a car"),
@@ -152,7 +152,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(("line", "cure"), WRONG, ids=[line for line, _ in WRONG])
-def test_a_wrong_input_is_answered_by_one_line_with_its_cure(
+def test_a_wrong_input_is_answered_by_one_line_that_says_what_to_do(
     line: str, cure: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
@@ -174,7 +174,7 @@ def test_without_arguments_it_says_what_to_do_first(capsys: pytest.CaptureFixtur
     assert max(map(len, notice.splitlines())) <= 120
 
 
-def test_the_options_of_up_stand_under_headings_and_none_is_lost(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_options_of_up_are_grouped_under_headings_and_none_is_lost(capsys: pytest.CaptureFixture[str]) -> None:
     from safedpa_services.command_line.up import GROUPS, command
 
     assert safedpa.run(["up", "--help"]) == 0
@@ -197,7 +197,7 @@ def test_the_options_of_up_stand_under_headings_and_none_is_lost(capsys: pytest.
         (["up", "--model"], "car_l", {"car_learned"}),
     ],
 )
-def test_the_tab_key_knows_commands_models_effects_and_robots(phrase: list[str], begun: str, wanted: set[str]) -> None:
+def test_completion_knows_commands_models_effects_and_robots(phrase: list[str], begun: str, wanted: set[str]) -> None:
     from click.shell_completion import ShellComplete
 
     given, last = (phrase[:-1], phrase[-1]) if not begun else (phrase, begun)

@@ -1,4 +1,4 @@
-"""What tests of the training share: networks that were never trained."""
+"""Fixtures of the training tests: untrained networks."""
 
 from collections.abc import Callable
 
@@ -10,19 +10,19 @@ from safedpa_sim.training.configuration import Configuration
 
 @pytest.fixture(scope="session")
 def untrained() -> Callable[[Configuration], Weights]:
-    """Makes networks for a car's configuration: mu gives some z for every environment."""
+    """Returns a factory of untrained networks for a car's configuration."""
     return _untrained
 
 
 def _untrained(configuration: Configuration) -> Weights:
     import torch
 
-    from safedpa_sim.training.networks import AffineNetworks, AffineSizes
-    from safedpa_sim.training.simulator import BatchedCars
-    from safedpa_sim.training.transitions import scales
-    from safedpa_sim.training.weights_export import export_weights
+    from safedpa_sim.training.data.transitions import scales
+    from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+    from safedpa_sim.training.export.weights import export_weights
+    from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes
 
-    cars, zeros = BatchedCars(configuration), torch.zeros(configuration.latents)
+    cars, zeros = BatchedSimulator(configuration), torch.zeros(configuration.latents)
     vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

@@ -1,4 +1,4 @@
-"""Many driving cars: scenes that can be driven, solid things that stop, rewards that lead to the goal."""
+"""The car's policy task: solvable scenes, solid obstacles, and rewards for reaching the goal."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,11 +10,11 @@ from safedpa.networks import Weights
 from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.defaults import settings_named
-from safedpa_sim.training.car_task import EPISODE_TICKS, CarShelter, DrivingTask, Rewards
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.vector_environment import PracticeEnvironment
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.environments.car_scenes import MOST_OBSTACLES, draw_scenes
+from safedpa_sim.training.environments.car_task import EPISODE_TICKS, DrivingTask, Rewards, TrainingFilter
+from safedpa_sim.training.environments.vector_environment import VectorEnvironment
 
 CARS = 64
 
@@ -30,14 +30,14 @@ def weights(configuration: Configuration, untrained: Callable[[Configuration], W
 
 
 def straight(driving: DrivingTask, speed: float) -> np.ndarray:
-    """Chosen actions that ask for a speed [m/s] straight ahead."""
+    """Returns actions for a speed [m/s] straight ahead."""
     chosen = np.zeros((driving.count, 2), dtype=np.float32)
     chosen[:, 0] = (speed - 0.7) / 1.3
     return chosen
 
 
 def room(driving: DrivingTask) -> np.ndarray:
-    """m from each car to the nearest obstacle or wall, negative within it."""
+    """Returns the distance [m] from each car to the nearest obstacle or wall, negative inside."""
     (x, y, yaw), scene = driving.state.T[:3], driving.scene
     rear, front, radius = scene.footprint.T
     ahead = np.exp(1j * yaw)
@@ -68,7 +68,7 @@ def test_scenes_leave_passages_and_free_starts_and_goals() -> None:
         assert np.hypot(*(pool.goal[index] - pool.start[index, :2])) >= 2.0 - 1e-4
 
 
-def test_many_ways_are_obstructed_and_every_footprint_occurs() -> None:
+def test_many_routes_are_obstructed_and_every_footprint_occurs() -> None:
     pool = draw_scenes(np.random.default_rng(4), 400)
     way = pool.goal - pool.start[:, :2]
     length = np.hypot(way[:, 0], way[:, 1])[:, np.newaxis]
@@ -81,7 +81,7 @@ def test_many_ways_are_obstructed_and_every_footprint_occurs() -> None:
     assert pool.footprint[:, 2].max() == pytest.approx(0.45)
 
 
-def test_the_same_seed_drives_the_same(configuration: Configuration, weights: Weights) -> None:
+def test_the_same_seed_gives_the_same_drives(configuration: Configuration, weights: Weights) -> None:
     ends = []
     for _ in range(2):
         driving = DrivingTask(configuration, weights, 8, 5)
@@ -92,8 +92,8 @@ def test_the_same_seed_drives_the_same(configuration: Configuration, weights: We
     assert not np.array_equal(ends[0], DrivingTask(configuration, weights, 8, 6).state)
 
 
-def test_nothing_solid_is_driven_through(configuration: Configuration, weights: Weights) -> None:
-    driving = DrivingTask(configuration, weights, CARS, 1, sheltered=False)
+def test_cars_do_not_drive_through_obstacles_or_walls(configuration: Configuration, weights: Weights) -> None:
+    driving = DrivingTask(configuration, weights, CARS, 1, with_filter=False)
     touched = np.zeros(CARS, dtype=bool)
     random = np.random.default_rng(2)
     for _ in range(150):
@@ -106,28 +106,28 @@ def test_nothing_solid_is_driven_through(configuration: Configuration, weights: 
 
 def test_the_filter_keeps_straight_drives_from_contact(configuration: Configuration, weights: Weights) -> None:
     contacts = {}
-    for sheltered in (True, False):
-        driving = DrivingTask(configuration, weights, CARS, 3, sheltered=sheltered, calm=True)
-        contacts[sheltered] = sum(int(driving.advance(straight(driving, 2.0)).began.sum()) for _ in range(100))
+    for with_filter in (True, False):
+        driving = DrivingTask(configuration, weights, CARS, 3, with_filter=with_filter, calm=True)
+        contacts[with_filter] = sum(int(driving.advance(straight(driving, 2.0)).began.sum()) for _ in range(100))
     assert contacts[False] > CARS / 2
     assert contacts[True] <= 0.4 * contacts[False], (
         "what is left: heavy loads that brake worse than the filter reckons with"
     )
 
 
-def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monkeypatch) -> None:
-    """Each car gets what ``SafetyFilter`` would give it, with a margin of eta times what the car keeps."""
+def test_training_uses_the_batched_safety_filter(configuration, weights, monkeypatch) -> None:
+    """Each car gets the action of ``SafetyFilter`` with a margin of eta times the retained distance."""
     asked_of: list[tuple[np.ndarray, ...]] = []
-    decide = CarShelter.decide
+    decide = TrainingFilter.decide
 
-    def watched(self: CarShelter, *given: Any) -> np.ndarray:
+    def watched(self: TrainingFilter, *given: Any) -> np.ndarray:
         asked_of.append(given)
         return decide(self, *given)
 
-    monkeypatch.setattr(CarShelter, "decide", watched)
+    monkeypatch.setattr(TrainingFilter, "decide", watched)
     driving = DrivingTask(configuration, weights, CARS, 7)
     chosen = settings_named("car").with_barriers(clearance=0.0)
-    alone, corrected = SafetyFilter.for_model(BatchedCars(configuration).model, chosen), 0
+    alone, corrected = SafetyFilter.for_model(BatchedSimulator(configuration).model, chosen), 0
     for _ in range(60):
         before, nominal, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
         driving.advance(nominal)
@@ -150,7 +150,7 @@ def test_progress_is_rewarded_and_contact_costs_the_given_penalty(configuration,
     rewards = {}
     for penalty in (0.0, 7.0):
         driving = DrivingTask(
-            configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), sheltered=False, calm=True
+            configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), with_filter=False, calm=True
         )
         moves = [driving.advance(straight(driving, 2.0)) for _ in range(60)]
         rewards[penalty] = sum(move.reward for move in moves), sum(move.began for move in moves)
@@ -174,7 +174,7 @@ def test_a_car_within_the_goals_radius_has_reached_it(configuration: Configurati
     assert (moved.reward[2:] < 1.0).all()
 
 
-def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configuration, weights: Weights) -> None:
+def test_environments_change_during_drives_unless_calm(configuration: Configuration, weights: Weights) -> None:
     changed = {}
     for calm in (True, False):
         driving = DrivingTask(configuration, weights, CARS, 4, calm=calm)
@@ -188,10 +188,10 @@ def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configu
     assert 2 <= changed[False] <= 30
 
 
-def test_as_an_environment_it_restarts_and_reports_the_last_observation(configuration, weights) -> None:
+def test_the_vector_environment_restarts_and_reports_the_last_observation(configuration, weights) -> None:
     driving = DrivingTask(configuration, weights, 4, 2)
     length = driving.observation().shape[1]
-    environment = PracticeEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
+    environment = VectorEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
     np.testing.assert_allclose(environment.reset(), driving.observation() / 2.0)
     driving.scene.goal[0] = driving.state[0, :2] + 0.05
     driving.tick[1] = EPISODE_TICKS - 1

@@ -1,4 +1,4 @@
-"""The exported networks compute what those in numpy and in torch do."""
+"""The exported ONNX networks agree with those in NumPy and torch."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -14,8 +14,8 @@ from safedpa.networks import HistoryEncoder, LearnedNetworks, Weights, save_weig
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.robots.car.observation import observation_length
 from safedpa_services.command_line.export import command
-from safedpa_sim.training.networks import Dense, affine_networks, history_network
-from safedpa_sim.training.onnx_export import NETWORKS, export_onnx
+from safedpa_sim.training.export.onnx import NETWORKS, export_onnx
+from safedpa_sim.training.networks.modules import Dense, affine_networks, history_network
 
 DRAW = np.random.default_rng(4)
 LATENTS = 4
@@ -24,7 +24,7 @@ AGREE = 1e-5
 
 @pytest.fixture(scope="module")
 def weights(random_car_weights):
-    """With a policy, and a narrow range of latents, whose ends are reached."""
+    """Returns weights with a policy and a narrow latent range, whose bounds are reached."""
     observations = observation_length(LATENTS)
     tensors = {
         "latent_low": np.full(LATENTS, -0.1),
@@ -102,20 +102,20 @@ def test_policy_agrees(weights, run):
     np.testing.assert_allclose(action, weights["action_middle"] + weights["action_scale"] * chosen, atol=AGREE)
 
 
-def test_one_robot_or_many(run):
+def test_exported_networks_accept_one_robot_or_many(run):
     many = run("f", state=STATES, latent=LATENT)
     one = run("f", state=STATES[:1], latent=LATENT[:1])
     np.testing.assert_allclose(one, many[:1], atol=AGREE)
 
 
-def test_only_what_the_weights_hold_is_written(weights, tmp_path: Path):
+def test_only_networks_in_the_weights_are_written(weights, tmp_path: Path):
     retained = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(("phi.", "policy."))}
     written = export_onnx(Weights(retained, weights.description), tmp_path)
     assert [path.name for path in written] == ["mu.onnx", "f.onnx", "g.onnx"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.onnx", "g.onnx", "mu.onnx"]
 
 
-def test_the_command_writes_them(weights, tmp_path: Path):
+def test_the_command_writes_onnx_files(weights, tmp_path: Path):
     save_weights(weights, tmp_path / "car.safetensors")
     call = CliRunner().invoke(command, [str(tmp_path / "car.safetensors"), "--onnx", str(tmp_path / "onnx")])
     assert call.exit_code == 0, call.output
@@ -125,4 +125,4 @@ def test_the_command_writes_them(weights, tmp_path: Path):
 def test_the_command_refuses_options_of_a_recording(tmp_path: Path):
     call = CliRunner().invoke(command, ["car.safetensors", "--onnx", str(tmp_path), "--format", "csv"])
     assert isinstance(call.exception, InputError)
-    assert "leave --format" in str(call.exception)
+    assert "got it together with --format" in str(call.exception)

@@ -1,4 +1,4 @@
-"""The car in the paper's world: no load in what is randomised, no footprint in what is seen, no filter before it."""
+"""The car in the paper's world: no randomised loads, no footprint in the observation, no filter in training."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,16 +14,17 @@ from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy.learned import LearnedPolicy
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.footprint import footprint
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.training import car_task, stages
-from safedpa_sim.training.car_task import DrivingTask, evaluate, practice
-from safedpa_sim.training.configuration import Configuration, Practising, load_configuration, parse_configuration
+from safedpa_sim.robots.car.footprint import footprint
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.training import stages
+from safedpa_sim.training.configuration import Configuration, PracticeSettings, load_configuration, parse_configuration
 from safedpa_sim.training.configuration import configurations as shipped
-from safedpa_sim.training.phase_1b import PolicyCheckpoint, train_policy
-from safedpa_sim.training.scenes import draw_scenes
-from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.environments import car_task
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.environments.car_scenes import draw_scenes
+from safedpa_sim.training.environments.car_task import DrivingTask, evaluate, make_environment
+from safedpa_sim.training.phases.phase_1b import PolicyCheckpoint, train_policy
 from safedpa_sim.training.stages import stages_of
 
 BODY = np.array(footprint(None), dtype=np.float32)
@@ -43,7 +44,7 @@ def weights(small: Configuration, untrained: Callable[[Configuration], Weights])
 
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """1 s a drive in place of 15: what an evaluation makes of a training is looked at here, no figure of it."""
+    """Shortens drives to 1 s: these tests check how evaluations are used, not their figures."""
     monkeypatch.setattr(car_task, "EPISODE_TICKS", 20)
 
 
@@ -53,10 +54,10 @@ def taught(small: Configuration, weights: Weights, brief: None, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["car_paper", "car_paper_small"])
-def test_a_force_is_all_that_is_randomised_and_nothing_of_loads_or_the_filter_is_practised_with(name: str) -> None:
+def test_only_a_force_is_randomised_and_training_has_no_loads_and_no_filter(name: str) -> None:
     configuration = load_configuration(name)
     assert configuration.environment.keys() == {"constant_force.ax", "constant_force.ay"}
-    assert {entry.path for entry in BatchedCars(configuration).entries} == set(configuration.environment)
+    assert {entry.path for entry in BatchedSimulator(configuration).entries} == set(configuration.environment)
     reported = configuration.practice
     assert (reported.shelter, reported.loads, reported.footprint, reported.near, reported.contact) == (
         False,
@@ -69,7 +70,7 @@ def test_a_force_is_all_that_is_randomised_and_nothing_of_loads_or_the_filter_is
     assert len(reported.penalties) > 1
 
 
-def test_both_configurations_are_the_same_but_for_their_sizes() -> None:
+def test_both_configurations_differ_only_in_their_sizes() -> None:
     large, small = (load_configuration(name) for name in ("car_paper", "car_paper_small"))
     grid = small.practice.penalties
     assert set(grid) <= set(large.practice.penalties)
@@ -89,18 +90,18 @@ def test_scenes_are_for_the_car_alone(small: Configuration, weights: Weights) ->
     np.testing.assert_array_equal(driving.scene.footprint, np.broadcast_to(BODY, (8, 3)))
 
 
-def test_no_filter_stands_before_an_action_in_any_phase(small, weights, monkeypatch) -> None:
+def test_no_phase_uses_the_filter(small, weights, monkeypatch) -> None:
     def refused(*_: Any) -> Any:
         raise AssertionError("a stand-in of the filter was asked")
 
-    monkeypatch.setattr(car_task.CarShelter, "decide", refused)
-    robots = practice(small, weights, 8, 0, 0.0, True)  # as phase 2 asks for them, whatever the configuration
-    assert not robots.sheltered
+    monkeypatch.setattr(car_task.TrainingFilter, "decide", refused)
+    robots = make_environment(small, weights, 8, 0, 0.0, True)  # phase 2 always requests the filter
+    assert not robots.with_filter
     robots.advance(np.ones((8, 2), dtype=np.float32))
     assert robots.rewards == replace(car_task.Rewards(), near=0.0, contact=0.0)
 
 
-def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, weights: Weights) -> None:
+def test_observations_in_training_do_not_depend_on_the_footprint(small: Configuration, weights: Weights) -> None:
     driving = DrivingTask(small, weights, 8, 3)
     before = driving.observation()
     driving.scene.footprint[:, 0] += 0.3
@@ -113,7 +114,7 @@ def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, w
     assert not np.array_equal(other.observation(), before)
 
 
-def test_what_was_trained_requests_the_same_whatever_hangs_behind(taught: tuple[Weights, dict[str, Any]]) -> None:
+def test_a_trained_policy_ignores_the_load(taught: tuple[Weights, dict[str, Any]]) -> None:
     made, _ = taught
     np.testing.assert_array_equal(made["observation_body"], BODY)
     policy, latent = LearnedPolicy(made), np.zeros(made.description.latents)
@@ -138,12 +139,14 @@ def test_a_body_of_another_length_is_refused(weights: Weights, small: Configurat
     seen = len(DrivingTask(small, weights, 2, 0).observation()[0])
     tensors = {"policy.0.weight": np.zeros((2, seen)), "policy.0.bias": np.zeros(2), "observation_body": np.zeros(2)}
     tensors |= {"observation_middle": np.zeros(seen), "observation_scale": np.ones(seen)}
-    with pytest.raises(InputError, match="'observation_body' holds 2 numbers, wanted 3"):
+    with pytest.raises(InputError, match="'observation_body' has 2 numbers, wanted 3"):
         LearnedPolicy(weights.with_tensors(tensors))
 
 
-def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(small, weights, brief, tmp_path, monkeypatch):
-    """Three evaluations: the second is the best though the third has more goals, and training is broken off between."""
+def test_the_best_policy_by_return_and_cost_is_selected_also_after_an_interruption(
+    small, weights, brief, tmp_path, monkeypatch
+):
+    """Three evaluations: the second is best though the third reaches more goals; training is interrupted in between."""
     reported = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
     seen: list[Weights] = []
 
@@ -168,7 +171,7 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(small,
 
 
 def test_development_drives_are_not_trained_on(small, taught, weights, monkeypatch) -> None:
-    """Other seeds: a training begins with its own, or with that and the steps done, whole rollouts of all cars."""
+    """Evaluation seeds differ from those of training, which are the configuration's seed plus the steps done."""
     made: list[tuple[DrivingTask, int]] = []
 
     def driving(configuration: Configuration, with_: Weights, cars: int, seed: int, **named: Any) -> DrivingTask:
@@ -184,7 +187,7 @@ def test_development_drives_are_not_trained_on(small, taught, weights, monkeypat
     assert not set(map(tuple, trained_on.tolist())) & set(map(tuple, developed.tolist()))
 
 
-def test_clean_drives_reach_their_goal_and_touched_nothing(taught: tuple[Weights, dict[str, Any]], small: Any) -> None:
+def test_clean_drives_reach_their_goal_without_a_contact(taught: tuple[Weights, dict[str, Any]], small: Any) -> None:
     made, summary = taught
     assert summary["clean"] <= summary["success"]
     assert summary["score"] == pytest.approx(summary["reward"] - small.practice.cost * summary["contacts"])
@@ -206,9 +209,9 @@ def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(tmp_path, monke
     assert "phi." in best.drops
 
 
-def test_what_was_trained_before_there_was_a_choice_is_still_of_today() -> None:
+def test_digests_from_before_the_practice_section_are_unchanged() -> None:
     today = load_configuration("car")
-    assert (today.practice, today.digest("phase_1b", "practice")) == (Practising(), today.digest("phase_1b"))
+    assert (today.practice, today.digest("phase_1b", "practice")) == (PracticeSettings(), today.digest("phase_1b"))
     other = replace(today, practice=replace(today.practice, shelter=False))
     assert other.digest("phase_1b", "practice") != today.digest("phase_1b")
 
@@ -221,7 +224,7 @@ def test_what_was_trained_before_there_was_a_choice_is_still_of_today() -> None:
         ("pendulum", "[practice]\nshelter = false", "practice: got settings of a car for robot 'pendulum'"),
     ],
 )
-def test_a_mistake_in_it_is_named(name: str, phrase: str, message: str) -> None:
+def test_an_error_in_the_configuration_is_named(name: str, phrase: str, message: str) -> None:
     path = shipped()[name]
     text = path.read_text(encoding="utf-8")
     key = phrase.split(" ", maxsplit=1)[0]
@@ -237,8 +240,8 @@ def test_a_checkpoint_without_the_best_policy_is_refused(tmp_path: Path) -> None
         PolicyCheckpoint(tmp_path / "old.pt", "a").read()
 
 
-def test_it_is_trained_into_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """By the command, from where a person stands; phases are said to be there, so that nothing is trained."""
+def test_another_configuration_is_trained_into_its_own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Runs the command in the current folder with a fake pipeline, so that nothing is trained."""
     asked: list[Path] = []
 
     def run_pipeline(_configuration: Configuration, out: Path, *_: Any) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Phase 1a in small: it explains the motion, repeats bit for bit, and goes on where it was interrupted."""
+"""Phase 1a at small scale: it explains the motion, is reproducible bit for bit, and resumes after an interruption."""
 
 from dataclasses import replace
 from itertools import count
@@ -12,14 +12,14 @@ import torch
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa_sim.training import phase_1a
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.explained_motion import affine_floor
-from safedpa_sim.training.networks import HistoryNetwork, affine_networks
-from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import draw_transitions
-from safedpa_sim.training.weights_export import export_model, normalise_latent
+from safedpa_sim.training.data.transitions import draw_transitions
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.export.weights import export_model, normalise_latent
+from safedpa_sim.training.networks.explained_variance import affine_floor
+from safedpa_sim.training.networks.modules import HistoryNetwork, affine_networks
+from safedpa_sim.training.phases import phase_1a
+from safedpa_sim.training.phases.phase_1a import train_affine
 
 SMALL = load_configuration("car_small")
 
@@ -34,7 +34,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Weights, dict[str
     return train_affine(SMALL, tmp_path_factory.mktemp("phase_1a"))
 
 
-def test_it_explains_the_motion(trained: tuple[Weights, dict[str, Any]]) -> None:
+def test_phase_1a_explains_the_motion(trained: tuple[Weights, dict[str, Any]]) -> None:
     _, summary = trained
     explained = dict(zip(summary["states"], summary["explained"], strict=True))
     assert explained["speed"] > 0.95
@@ -43,9 +43,9 @@ def test_it_explains_the_motion(trained: tuple[Weights, dict[str, Any]]) -> None
     assert summary["learning_curve"][0][1] > 5 * summary["learning_curve"][-1][1]
 
 
-def test_what_the_environment_does_is_seen_through_the_latent(trained: tuple[Weights, dict[str, Any]]) -> None:
+def test_the_latent_encodes_the_effect_of_the_environment(trained: tuple[Weights, dict[str, Any]]) -> None:
     weights, _ = trained
-    networks, cars = affine_networks(weights), BatchedCars(SMALL)
+    networks, cars = affine_networks(weights), BatchedSimulator(SMALL)
     drawn = draw_transitions(cars, 5000, cars.generator(99))
     networks.requires_grad_(False)
     right = networks.encode(drawn.environment)
@@ -60,7 +60,7 @@ def test_what_the_environment_does_is_seen_through_the_latent(trained: tuple[Wei
 def test_services_and_training_compute_the_same(trained: tuple[Weights, dict[str, Any]], tmp_path: Path) -> None:
     weights, _ = trained
     export_model(weights, SMALL.simulator, tmp_path / "learned.toml")
-    model, networks, cars = load_model(tmp_path / "learned.toml"), affine_networks(weights), BatchedCars(SMALL)
+    model, networks, cars = load_model(tmp_path / "learned.toml"), affine_networks(weights), BatchedSimulator(SMALL)
     drawn = draw_transitions(cars, 100, cars.generator(5))
     with torch.inference_mode():
         latents = networks.encode(drawn.environment)
@@ -75,9 +75,11 @@ def test_services_and_training_compute_the_same(trained: tuple[Weights, dict[str
         )
 
 
-def test_the_latent_is_zero_where_nothing_acts_and_spreads_by_one(trained: tuple[Weights, dict[str, Any]]) -> None:
+def test_the_latent_is_zero_in_the_neutral_environment_and_has_unit_spread(
+    trained: tuple[Weights, dict[str, Any]],
+) -> None:
     weights, _ = trained
-    networks, cars = affine_networks(weights), BatchedCars(SMALL)
+    networks, cars = affine_networks(weights), BatchedSimulator(SMALL)
     with torch.inference_mode():
         np.testing.assert_allclose(networks.encode(cars.nominal), np.zeros(4), atol=1e-5)
         latents = networks.encode(cars.draw_environments(20_000, cars.generator(8)))
@@ -87,8 +89,8 @@ def test_the_latent_is_zero_where_nothing_acts_and_spreads_by_one(trained: tuple
     assert inside.mean() > 0.9999
 
 
-def test_another_unit_of_the_latent_changes_no_prediction(trained: tuple[Weights, dict[str, Any]]) -> None:
-    networks, cars = affine_networks(trained[0]), BatchedCars(SMALL)
+def test_rescaling_the_latent_changes_no_prediction(trained: tuple[Weights, dict[str, Any]]) -> None:
+    networks, cars = affine_networks(trained[0]), BatchedSimulator(SMALL)
     drawn = draw_transitions(cars, 500, cars.generator(6))
     with torch.inference_mode():
         before = networks(drawn.state, drawn.action, networks.encode(drawn.environment))
@@ -113,7 +115,7 @@ def same(one: Weights, other: Weights) -> bool:
     return all(np.array_equal(one[name], other[name]) for name in one.tensors) and one.digest == other.digest
 
 
-def test_an_interrupted_training_ends_as_if_it_had_not_been(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_training_gives_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     configuration, calls = with_pairs(20 * 256, checkpoint_seconds=0.0), 0
     whole, _ = train_affine(configuration, tmp_path / "whole")
 
@@ -137,7 +139,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(tmp_path: Path, monk
 
 
 def test_it_reports_progress_up_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a clock that goes on by a second with each step; without one the end alone is reported at once."""
+    """Uses a clock that advances by a second per step; with the real clock only the end would be reported."""
     monkeypatch.setattr(phase_1a, "monotonic", count().__next__)
     reported: list[tuple[str, int, int, str]] = []
     train_affine(with_pairs(5 * 256), tmp_path, lambda *phrase: reported.append(phrase))
@@ -146,7 +148,7 @@ def test_it_reports_progress_up_to_the_end(tmp_path: Path, monkeypatch: pytest.M
     assert all(note.startswith("loss ") for *_, note in reported)
 
 
-def test_a_checkpoint_of_another_configuration_is_not_gone_on_from(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_configuration_is_ignored(tmp_path: Path) -> None:
     first, _ = train_affine(with_pairs(4 * 256), tmp_path / "alone")
     other = replace(with_pairs(8 * 256, checkpoint_seconds=0.0), seed=3)
 
@@ -172,7 +174,7 @@ def test_seeds_decide_the_result(tmp_path: Path) -> None:
     assert not np.array_equal(first["f.0.weight"], other["f.0.weight"])
 
 
-def test_ablations_know_no_environment(trained: tuple[Weights, dict[str, Any]], tmp_path: Path) -> None:
+def test_ablations_have_no_latent(trained: tuple[Weights, dict[str, Any]], tmp_path: Path) -> None:
     fix, fix_summary = train_affine(SMALL, tmp_path, variant="fix", alone={})
     mix, mix_summary = train_affine(SMALL, tmp_path, variant="mix")
     for weights in (fix, mix):
@@ -183,21 +185,21 @@ def test_ablations_know_no_environment(trained: tuple[Weights, dict[str, Any]], 
         assert load_model(tmp_path / "ablation.toml").latent_names == ()
     speed = 3
     assert fix_summary["explained"][speed] > 0.95, "in the one environment that it knows"
-    # one answer for all environments leaves what they do to the speed unexplained; z explains it
+    # without z the effect of the environments on the speed stays unexplained
     assert mix_summary["explained"][speed] < trained[1]["explained"][speed] - 0.03
 
 
-def test_what_is_not_affine_is_the_servos_limit() -> None:
-    cars = BatchedCars(SMALL)
+def test_the_non_affine_part_is_the_servo_limit() -> None:
+    cars = BatchedSimulator(SMALL)
     parameter = "base.acceleration_limit"
     limited = float(affine_floor(cars, cars.generator(0), 200)[3])
     unlimited = {parameter: replace(SMALL.simulator.settings[parameter], value=50.0)}
-    free = BatchedCars(replace(SMALL, simulator=SMALL.simulator.with_settings(unlimited)))
+    free = BatchedSimulator(replace(SMALL, simulator=SMALL.simulator.with_settings(unlimited)))
     assert 0.004 < limited < 0.015
     assert float(affine_floor(free, free.generator(0), 200)[3]) < 1e-4
 
 
-def test_a_device_that_is_not_there_is_named() -> None:
+def test_a_missing_device_is_named() -> None:
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match=r"--device cuda: torch finds no CUDA device here"):
             train_affine(SMALL, Path(), device="cuda")
@@ -205,7 +207,7 @@ def test_a_device_that_is_not_there_is_named() -> None:
         train_affine(SMALL, Path(), device="abacus")
 
 
-def test_the_history_network_is_that_of_the_services() -> None:
+def test_the_history_network_agrees_with_that_of_the_services() -> None:
     network = HistoryNetwork(9, 50, 4)
     names = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     assert names["phi.dense.0.weight"] == (32, 9)

@@ -1,4 +1,4 @@
-"""Phase 1b in small: it tells how far it is, goes on where it was interrupted, and needs mu."""
+"""Phase 1b at small scale: it reports progress, resumes after an interruption, and needs mu."""
 
 import tempfile
 from collections.abc import Callable, Iterator
@@ -13,10 +13,10 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
-from safedpa_sim.training import car_task
-from safedpa_sim.training.car_task import evaluate
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.phase_1b import train_policy
+from safedpa_sim.training.environments import car_task
+from safedpa_sim.training.environments.car_task import evaluate
+from safedpa_sim.training.phases.phase_1b import train_policy
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
@@ -28,7 +28,7 @@ SHORT = replace(
 
 @pytest.fixture(autouse=True, scope="module")
 def brief_evaluations() -> Iterator[None]:
-    """2 s a drive in place of 15: what an evaluation makes of a training is looked at here, no figure of it.
+    """Shortens drives to 2 s: these tests check how evaluations are used, not their figures.
 
     The last test of evaluations, and ``test_whole_pipeline.py``, drive at full length.
     """
@@ -44,9 +44,8 @@ def weights(untrained: Callable[[Configuration], Weights]) -> Weights:
 
 
 WHOLE = car_task.EPISODE_TICKS
-ALONE: dict[str, Any] = {"sheltered": False}
-"""Without the stand-in for the filter a training takes an eighth of the time; where it goes on has nothing to do with
-it."""
+ALONE: dict[str, Any] = {"with_filter": False}
+"""Without the filter training takes an eighth of the time; resuming does not depend on it."""
 
 
 def trained(
@@ -61,13 +60,13 @@ def trained(
 
 @pytest.fixture(scope="module")
 def short(weights: Weights, tmp_path_factory: pytest.TempPathFactory) -> tuple[Weights, dict[str, Any]]:
-    """One short training to its end, and that it left no file behind."""
+    """Runs a short training to its end and checks that it leaves no file behind."""
     out = tmp_path_factory.mktemp("short")
     made, summary = trained(SHORT, weights, out)
     return made, {**summary, "left": list(out.iterdir())}
 
 
-def test_it_reports_progress_and_leaves_everything_else_as_it_was(weights: Weights, short: Any) -> None:
+def test_phase_1b_reports_progress_and_changes_only_the_policy(weights: Weights, short: Any) -> None:
     made, summary = short
     assert [step for _, step, _, _ in summary["reported"]] == [512, 1024]
     assert summary["left"] == [], "the checkpoint goes when the training is done"
@@ -94,7 +93,7 @@ def test_the_same_seed_gives_the_same_policy_and_nothing_is_left_elsewhere(weigh
     assert [path.name for path in elsewhere.iterdir() if "torchinductor" not in path.name] == []  # torch's own cache
 
 
-def test_interrupted_it_goes_on_from_the_last_evaluation(weights: Weights, tmp_path: Path) -> None:
+def test_an_interrupted_training_resumes_from_the_last_evaluation(weights: Weights, tmp_path: Path) -> None:
     def interrupt(_name: str, done: int, _all: int, _note: str) -> None:
         if done >= 512:
             raise KeyboardInterrupt
@@ -106,7 +105,7 @@ def test_interrupted_it_goes_on_from_the_last_evaluation(weights: Weights, tmp_p
     assert [entry["steps"] for entry in summary["learning_curve"]] == [512, 1024]
 
 
-def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_refused(weights, tmp_path) -> None:
+def test_a_checkpoint_of_another_training_is_ignored_and_a_damaged_one_refused(weights, tmp_path) -> None:
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
@@ -119,13 +118,13 @@ def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_r
         train_policy(SHORT, weights, tmp_path, **ALONE)
 
 
-def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(weights, short, tmp_path) -> None:
-    made, summary = trained(SHORT, weights, tmp_path, name="rma_p", penalty=10.0, sheltered=False)
+def test_rma_p_trains_without_the_filter(weights, short, tmp_path) -> None:
+    made, summary = trained(SHORT, weights, tmp_path, name="rma_p", penalty=10.0, with_filter=False)
     assert summary["reported"][0][0] == "rma_p"
     assert made.digest != short[0].digest
 
 
-def test_good_enough_ends_it(weights: Weights, tmp_path: Path) -> None:
+def test_training_ends_when_the_policy_is_good_enough(weights: Weights, tmp_path: Path) -> None:
     easy = replace(SHORT, phase_1b=replace(SHORT.phase_1b, enough=0.0))
     _, summary = trained(easy, weights, tmp_path, **ALONE)
     assert len(summary["learning_curve"]) == 1

@@ -1,4 +1,4 @@
-"""The history encoder learns to tell what mu tells, from drives in the simulator."""
+"""The history encoder learns mu's latent from simulated drives."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ import torch
 
 from safedpa.networks import HistoryEncoder
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.histories import history_rows, joined, transition_sequence
-from safedpa_sim.training.networks import HistoryNetwork, affine_networks, history_network
-from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.phase_2 import train_history_encoder
-from safedpa_sim.training.prediction import latents_along
-from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.data.drives import random_drives
+from safedpa_sim.training.data.sequences import concatenate, history_rows, transition_sequence
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.networks.modules import HistoryNetwork, affine_networks, history_network
+from safedpa_sim.training.networks.rollout import latents_along
+from safedpa_sim.training.phases.phase_1a import train_affine
+from safedpa_sim.training.phases.phase_2 import train_history_encoder
 
 pytestmark = pytest.mark.slow
 
-# Loads of one kind of friction, and nothing else: what a history of two and a half seconds can tell.
+# Only loads with the same friction are randomised: a history of 2.5 s can identify them.
 SMALL = replace(
     load_configuration("car_small"),
     environment={"towed_load.mass_ratio": (0.0, 1.6), "towed_load.deceleration": (2.0, 2.1)},
@@ -39,7 +39,7 @@ def trained(weights, tmp_path_factory):
 
 
 @pytest.mark.long
-def test_what_the_load_does_is_seen_from_the_history(weights, trained):
+def test_the_history_reveals_the_effect_of_the_load(weights, trained):
     _, summary = trained
     assert max(summary["explained"]) > 0.5
     assert summary["learning_curve"][-1] < 0.7 * summary["learning_curve"][0]
@@ -48,10 +48,10 @@ def test_what_the_load_does_is_seen_from_the_history(weights, trained):
 
 
 @pytest.mark.long
-def test_the_weights_serve_the_services(weights, trained):
+def test_the_services_use_the_weights(weights, trained):
     encoder = HistoryEncoder(trained[0])
     networks = affine_networks(trained[0])
-    drives = random_drives(BatchedCars(SMALL), networks, 3, 70, 0.0, torch.Generator().manual_seed(1))
+    drives = random_drives(BatchedSimulator(SMALL), networks, 3, 70, 0.0, torch.Generator().manual_seed(1))
     index = torch.tensor([69, 139, 209])
     with torch.no_grad():
         ours = history_network(trained[0])(drives.histories(index, SMALL.history)).numpy()
@@ -77,18 +77,19 @@ def test_a_history_sees_its_own_drive_only_and_zeros_before_it(weights):
     rows = history_rows(networks, states[1, :2], actions[1, :2], states[1, 1:3])
     assert torch.equal(seen[:2], torch.zeros(2, 9))
     assert torch.equal(seen[2:], rows)
-    both = joined([drives, drives])
+    both = concatenate([drives, drives])
     assert torch.equal(both.histories(torch.tensor([17]), 4)[0], seen)
 
 
 @pytest.mark.long
-def test_drawn_transitions_keep_their_distance_from_the_ends(weights):
+def test_drawn_transitions_have_the_required_distance_from_the_ends(weights):
     drives = transition_sequence(affine_networks(weights), torch.randn(3, 31, 4), torch.randn(3, 30, 2))
     index = drives.draw(500, torch.Generator().manual_seed(0), before=10, ahead=15)
     assert int((index % 30).min()) == 10
     assert int((index % 30).max()) == 15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("history", [36, 50, 52, 68])
 def test_encoding_many_histories_together_changes_nothing(history):
     torch.manual_seed(0)

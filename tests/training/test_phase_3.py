@@ -1,4 +1,4 @@
-"""Tuning on circles of the pymunk car predicts unseen runs better, or says not; all four phases from nothing."""
+"""Tuning on circles of the simulated car improves predictions of unseen runs or is refused; all phases end to end."""
 
 import json
 from dataclasses import replace
@@ -18,18 +18,18 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import settings_named
 from safedpa_services.command_line import safedpa
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.training import phase_3
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.drives import Drawbars, random_drives
-from safedpa_sim.training.networks import affine_networks
-from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.phase_2 import train_history_encoder
-from safedpa_sim.training.phase_3 import tune, tune_on_drives, tune_on_runs
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import drives_of, record_circles
-from safedpa_sim.training.weights_export import export_model
+from safedpa_sim.training.data.drives import Drawbars, random_drives
+from safedpa_sim.training.data.recorded_runs import drives_of, record_circles
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.export.weights import export_model
+from safedpa_sim.training.networks.modules import affine_networks
+from safedpa_sim.training.phases import phase_3
+from safedpa_sim.training.phases.phase_1a import train_affine
+from safedpa_sim.training.phases.phase_2 import train_history_encoder
+from safedpa_sim.training.phases.phase_3 import tune, tune_on_drives, tune_on_runs
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
@@ -54,7 +54,7 @@ def tuned(simulated, tmp_path_factory):
 
 
 def one_step_error(weights, run):
-    """Mean over states of the scaled root mean square one-step error, by the code of the services."""
+    """Returns the mean over states of the scaled one-step RMS error, computed with the code of the services."""
     encoder, networks = HistoryEncoder(weights), LearnedNetworks(weights)
     rows = encoder.rows(run.states, run.actions[:-1])
     errors = []
@@ -66,7 +66,7 @@ def one_step_error(weights, run):
     return float(np.sqrt(np.mean(np.square(errors), axis=0)).mean())
 
 
-def test_fresh_circles_are_predicted_better_by_the_code_of_the_services(simulated, tuned):
+def test_the_services_predict_unseen_circles_better_after_tuning(simulated, tuned):
     fresh = record_circles(600, 4711, 600)[0]
     before, after = (one_step_error(weights, fresh) for weights in (simulated, tuned[0]))
     assert after < 0.45 * before
@@ -101,7 +101,7 @@ def test_only_what_is_asked_for_is_tuned(simulated, what, retained, changed):
     np.testing.assert_array_equal(weights["mu.0.weight"], simulated["mu.0.weight"])
 
 
-def test_a_tuning_that_helps_nothing_is_refused(simulated):
+def test_a_tuning_without_improvement_is_refused(simulated):
     drives = drives_of(record_circles(1500, 5, 500), simulated)
     with pytest.raises(InputError, match="the held-out error did not fall"):
         tune_on_drives(with_phase_3(updates=2, learning_rate=0.9, last_learning_rate=0.9), simulated, drives)
@@ -139,7 +139,7 @@ def test_drives_in_the_corrected_simulator_are_mixed_in(simulated, monkeypatch):
 
 
 def turned_by(bars, cars, state, environment, steer, periods):
-    """Angle [rad] by which loads turn cars beyond what these do alone, over the last of some periods."""
+    """Returns the angle [rad] by which loads additionally turn the cars in the last of some periods."""
     action = torch.tensor([[1.5, steer]]).expand(len(state), -1)
     for _ in range(periods):
         alone, _ = cars.advance(state, action, environment)
@@ -148,8 +148,8 @@ def turned_by(bars, cars, state, environment, steer, periods):
     return turn
 
 
-def test_a_load_on_a_drawbar_holds_the_car_in_its_turn_and_nothing_when_straight():
-    cars = BatchedCars(SMALL)
+def test_a_load_on_a_drawbar_pulls_sideways_in_a_turn_and_not_when_straight():
+    cars = BatchedSimulator(SMALL)
     environment = cars.nominal.repeat(20, 1)
     paths = [entry.path for entry in cars.entries]
     environment[:, paths.index("towed_load.mass_ratio")] = 1.0
@@ -166,7 +166,7 @@ def test_a_load_on_a_drawbar_holds_the_car_in_its_turn_and_nothing_when_straight
 
 
 def test_swinging_loads_differ_from_stiff_ones(simulated):
-    networks, cars = affine_networks(simulated), BatchedCars(SMALL)
+    networks, cars = affine_networks(simulated), BatchedSimulator(SMALL)
     stiff, swinging = (
         random_drives(cars, networks, 10, 60, 0.0, torch.Generator().manual_seed(2), swinging=swings)
         for swings in (False, True)
@@ -191,13 +191,13 @@ def test_every_phase_reaches_its_figure(trained: Path) -> None:
     assert curve[0]["steps"] < 0.5 * reported["1b"]["steps"]
     assert reported["1b"]["nearest"] < 0.8 * curve[0]["nearest"]
     assert reported["1b"]["success"] > 0.15
-    assert max(reported["2"]["explained"]) > 0.15  # phi sees what a history can show of z; some of it no history shows
+    assert max(reported["2"]["explained"]) > 0.15  # part of z cannot be observed in a history
     assert reported["3"]["times_better"]["one_step"] > 2.0
     assert reported["3"]["times_better"]["20_steps"] > 1.5
     assert list(trained.glob("checkpoint_*.pt")) == [], "checkpoints go when the training is done"
 
 
-def test_what_was_trained_drives_behind_the_filter(trained: Path) -> None:
+def test_a_trained_policy_drives_with_the_filter(trained: Path) -> None:
     model = load_model(trained / "car_learned.toml")
     nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"))]
     robot = CarRobot(Scene.random(3, "box"), 0.05)

@@ -1,4 +1,4 @@
-"""The batched simulator is the model that people read; its configurations, also of what was diagnosed."""
+"""The batched simulator computes the equations of the physics model; configurations, also with diagnosed models."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +20,10 @@ from safedpa_sim.training.configuration import (
     parse_configuration,
     with_diagnosed,
 )
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import draw_transitions, scales
+from safedpa_sim.training.data.transitions import draw_transitions, scales
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
-CARS = BatchedCars(load_configuration("car"))
+CARS = BatchedSimulator(load_configuration("car"))
 
 
 def changed(old: str, new: str) -> Configuration:
@@ -33,7 +33,7 @@ def changed(old: str, new: str) -> Configuration:
     return parse_configuration(text.replace(old, new, 1), path.parent)
 
 
-def test_every_car_moves_as_the_same_car_alone() -> None:
+def test_a_car_in_a_batch_moves_as_a_single_one() -> None:
     generator = CARS.generator(3)
     states, actions = CARS.draw_states(50, generator), CARS.draw_actions(50, generator)
     environments = CARS.draw_environments(50, generator)
@@ -44,7 +44,7 @@ def test_every_car_moves_as_the_same_car_alone() -> None:
         np.testing.assert_allclose(after[index].numpy(), CARS.model.step(*one), atol=2e-6)
 
 
-def test_where_nothing_acts_it_is_the_plain_car() -> None:
+def test_in_the_neutral_environment_it_is_the_plain_car() -> None:
     generator = CARS.generator(4)
     states, actions = CARS.draw_states(200, generator), CARS.draw_actions(200, generator)
     plain = load_configuration("car").simulator
@@ -76,7 +76,7 @@ def test_an_effect_is_absent_as_a_whole_in_its_share_of_the_environments() -> No
     assert float(no_force.float().mean()) == pytest.approx(0.2, abs=0.015)
     assert float(no_load.float().mean()) == pytest.approx(0.2, abs=0.015)
     assert float((no_force & no_load).float().mean()) == pytest.approx(0.04, abs=0.01)
-    # what only shapes the load says nothing about whether there is one: it is drawn all the same
+    # a parameter that only shapes the load is drawn even if there is no load
     assert len(drawn["towed_load.deceleration"][no_load].unique()) > 1000
 
 
@@ -92,7 +92,7 @@ def test_the_increment_is_in_the_cars_own_frame() -> None:
     turned = drawn.state.clone()
     turned[:, 2] += 1.0
     turned[:, :2] += 5.0
-    # without a force that has a direction in the world, all of it looks the same from another place and heading
+    # without a force of fixed direction, the motion does not depend on position and heading
     environment = drawn.environment * torch.tensor([0.0 if "force" in e.path else 1.0 for e in CARS.entries])
     generator = CARS.generator(9)
     here = draw_transitions(CARS, 2000, generator, environment=environment, state=drawn.state)
@@ -112,9 +112,9 @@ def test_scales_make_numbers_of_size_one() -> None:
     assert scaled.std(0).tolist() == pytest.approx([1.0] * 4, abs=0.02)
 
 
-def test_any_effect_of_the_library_can_be_named_and_one_that_remembers_does() -> None:
+def test_any_effect_of_the_library_can_be_randomised_including_one_with_memory() -> None:
     lag = "[environment.steering_lag]\ntime_constant = [0.05, 0.2]\n[environment.towed_load]"
-    cars = BatchedCars(changed("[environment.towed_load]", lag))
+    cars = BatchedSimulator(changed("[environment.towed_load]", lag))
     assert "steering_lag.time_constant" in [entry.path for entry in cars.entries]
     assert cars.remembers
     assert not CARS.remembers
@@ -131,7 +131,7 @@ def test_any_effect_of_the_library_can_be_named_and_one_that_remembers_does() ->
 
 
 def test_a_parameter_of_the_base_can_be_randomised() -> None:
-    cars = BatchedCars(
+    cars = BatchedSimulator(
         changed("[environment.towed_load]", "[environment.base]\nspeed_gain = [3.0, 6.0]\n[environment.towed_load]")
     )
     assert (cars.entries[0].path, float(cars.nominal[0])) == ("base.speed_gain", 4.0)
@@ -202,12 +202,12 @@ def test_a_mistake_gets_one_line_that_names_the_key(good: str, bad: str, message
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there_names_those_that_ship() -> None:
+def test_a_missing_file_lists_the_shipped_configurations() -> None:
     with pytest.raises(InputError, match=r"boat: cannot be read .* or one of car, car_paper"):
         load_configuration("boat")
 
 
-def test_a_whole_number_serves_as_a_decimal() -> None:
+def test_an_integer_is_accepted_for_a_decimal() -> None:
     assert parse_configuration(TEXT.replace("absent = 0.2", "absent = 0"), PATH.parent).absent == 0.0
 
 
@@ -230,9 +230,9 @@ torch_fast_simulator = pytest.importorskip("torch")
 @given(some.sampled_from(("car", "pendulum")), some.integers(0, 2**31 - 1), some.sampled_from((1, 7, 500, 8193)))
 @settings(max_examples=20)
 def test_arrays_and_tensors_agree(name, seed, count):
-    """In single precision: to 1e-6 of each entry's size, and over the border between two blocks."""
-    robots = BatchedCars(load_configuration(name))
-    assert robots.model.straight_arrays(robots.model.period) is not None, "the fast way is what is tested"
+    """Agrees in float32 to 1e-6 of each entry's size, also across the border between two chunks."""
+    robots = BatchedSimulator(load_configuration(name))
+    assert robots.model.batch_step(robots.model.period) is not None, "the fast way is what is tested"
     draw = robots.generator(seed)
     environment, state = robots.draw_environments(count, draw), robots.draw_states(count, draw)
     action = robots.draw_actions(count, draw)
@@ -244,7 +244,7 @@ def test_arrays_and_tensors_agree(name, seed, count):
 
 
 def test_gradients_are_computed_on_tensors():
-    robots = BatchedCars(load_configuration("car"))
+    robots = BatchedSimulator(load_configuration("car"))
     draw = robots.generator(1)
     environment, state = robots.draw_environments(5, draw), robots.draw_states(5, draw)
     action = robots.draw_actions(5, draw).requires_grad_()
@@ -253,12 +253,12 @@ def test_gradients_are_computed_on_tensors():
     assert torch_fast_simulator.isfinite(action.grad).all()
 
 
-def test_actuators_that_remember_have_no_straight_line():
+def test_actuators_with_memory_have_no_recorded_step():
     from safedpa.effects.library import effect
 
     lagged = load_model("car").with_effect(effect("car", "steering_lag"), {})
-    assert lagged.straight_arrays(lagged.period) is None
-    assert load_model("car_learned").straight_arrays(0.05) is None
+    assert lagged.batch_step(lagged.period) is None
+    assert load_model("car_learned").batch_step(0.05) is None
 
 
 FOUND = """format = 1
@@ -288,7 +288,7 @@ def configuration():
     return with_diagnosed(load_configuration("car_small"), parse_model(FOUND))
 
 
-def test_effects_are_drawn_about_the_value_that_was_found(configuration):
+def test_effects_are_drawn_around_the_diagnosed_value(configuration):
     assert configuration.environment["quadratic_drag.coefficient"] == pytest.approx((0.06, 0.18))
     assert configuration.environment["speed_command_gain.gain"] == pytest.approx((0.7, 0.9))
     given = load_configuration("car_small").environment
@@ -298,7 +298,7 @@ def test_effects_are_drawn_about_the_value_that_was_found(configuration):
 
 def test_the_simulator_is_the_diagnosed_model_at_the_period_of_the_configuration(configuration):
     assert configuration.simulator.period == load_configuration("car_small").simulator.period
-    cars = BatchedCars(configuration)
+    cars = BatchedSimulator(configuration)
     values = {path: setting.value for path, setting in cars.model.settings.items()}
     assert (values["base.speed_gain"], values["base.wheelbase"]) == (3.1, 0.32)
     names = [entry.path for entry in cars.entries]

@@ -1,4 +1,4 @@
-"""``safedpa train``: phases in order, what is there is not made again, own robots, one line for a mistake."""
+"""``safedpa train``: phases in order, existing results are skipped, user robots, one line per error."""
 
 import json
 from dataclasses import replace
@@ -10,11 +10,11 @@ import torch
 
 from safedpa.dynamics import LearnedBase, load_model
 from safedpa.networks import Weights, load_weights
-from safedpa.robot import forget_robot
+from safedpa.systems.robots import forget_robot
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.training import stages
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.networks import HistoryNetwork, tensors_of
+from safedpa_sim.training.networks.modules import HistoryNetwork, tensors_of
 from safedpa_sim.training.pipeline import run_pipeline
 
 FEW = ["train", "car", "--small", "--pairs", "4096"]
@@ -33,7 +33,7 @@ def trained(capsys: pytest.CaptureFixture[str], out: Path, *more: str) -> dict[s
     return json.loads(printed)["1a"]
 
 
-def test_it_leaves_a_model_that_every_command_takes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_training_writes_a_model_that_every_command_accepts(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     record = trained(capsys, tmp_path / "new" / "car")
     assert (record["file"], record["pairs"], len(record["explained"])) == ("car_simulated.safetensors", 4096, 4)
     model = load_model(tmp_path / "new" / "car" / "car_simulated.toml")
@@ -44,7 +44,7 @@ def test_it_leaves_a_model_that_every_command_takes(capsys: pytest.CaptureFixtur
     assert retained["seed"] == 0
 
 
-def test_what_is_there_is_not_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_existing_results_are_not_computed_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     first = trained(capsys, tmp_path)
     assert "skipped" not in first
     assert trained(capsys, tmp_path) == {**first, "skipped": True}
@@ -61,7 +61,7 @@ def test_a_person_sees_a_table(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     assert "1a" in printed
     assert "speed " in printed
     code, printed, _ = run(capsys, *FEW, "--phases", "1a", "--out", str(tmp_path))
-    assert "there" in printed
+    assert "skipped" in printed
 
 
 MISTAKES = [
@@ -69,10 +69,10 @@ MISTAKES = [
     (["--phases", ""], "--phases: got none, wanted one or more of 1a, 1b, 2, 3, ablations"),
     (["--phases", "2"], "phase 2: no "),
     (["--device", "abacus"], "--device abacus: no such kind of device; wanted cpu or cuda"),
-    (["--configuration", "car"], "--small: got --configuration too"),
+    (["--configuration", "car"], "--small, --configuration: got both, wanted one"),
     (["--pairs", "0"], "Invalid value for '--pairs'"),
-    (["a.csv"], "RUN, --weights and --columns: wanted with --tune only"),
-    (["--weights", "w.safetensors"], "RUN, --weights and --columns: wanted with --tune only"),
+    (["a.csv"], "RUN, --weights, --columns: got them without --tune"),
+    (["--weights", "w.safetensors"], "RUN, --weights, --columns: got them without --tune"),
     (["--tune"], "--tune: wanted RUN... and --weights FILE"),
     (["--tune", "a.csv"], "--tune: wanted RUN... and --weights FILE"),
     (["--what", "all", "--tune", "a.csv", "--weights", "none.safetensors"], "none.safetensors: "),
@@ -95,7 +95,7 @@ def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 def adding(name: str, calls: list[str]) -> Any:
-    """A phase that adds one number under its network's name, and tells what it was given."""
+    """A fake phase that adds one tensor under its network's name and records its input."""
 
     def train(
         configuration: Any, weights: Weights, out: Path, report_progress: Any, device: str, **options: Any
@@ -114,7 +114,7 @@ def adding(name: str, calls: list[str]) -> Any:
 
 
 @pytest.mark.long
-def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_later_phases_start_from_the_results_of_earlier_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     known = {"train_policy": "policy", "train_history_encoder": "phi", "tune": "phi"}
     monkeypatch.setattr(stages, "phase_function", lambda _module, name: adding(known[name], calls))
@@ -125,17 +125,17 @@ def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypa
     assert not any("skipped" in record for record in records.values())
     calls.clear()
     again = run_pipeline(configuration, tmp_path)
-    assert calls == ["policy mu phi name penalty sheltered"], "RMA-P alone is new, and does not see the other policy"
+    assert calls == ["policy mu phi name penalty with_filter"], "RMA-P alone is new, and does not see the other policy"
     assert [name for name, record in again.items() if "skipped" not in record] == ["fix", "mix", "rma_p"]
     assert load_weights(tmp_path / "car_rma_p.safetensors").has("policy")
     assert load_weights(tmp_path / "car_learned.safetensors").has("phi")
-    # phi is to look back further: what came before it stays
+    # a longer history invalidates phase 2 only
     calls.clear()
     longer = run_pipeline(replace(configuration, history=68), tmp_path, ("1a", "1b", "2"))
     assert calls == ["phi mu policy"]
     assert [name for name, record in longer.items() if "skipped" in record] == ["1a", "1b"]
     assert load_weights(tmp_path / "car_simulated.safetensors").description.history == 68
-    # a new policy: the history encoder was trained on the old one's drives
+    # a new policy invalidates the history encoder, which was trained on drives of the old one
     calls.clear()
     longer = replace(configuration, phase_1b=replace(configuration.phase_1b, steps=1 + configuration.phase_1b.steps))
     run_pipeline(longer, tmp_path, ("1b",))
@@ -158,13 +158,13 @@ def _strangers_leave():
 
 
 @pytest.mark.long
-def test_an_own_robot_learns_what_it_is_and_in_what_it_drives(capsys, tmp_path) -> None:
+def test_a_user_robot_trains_dynamics_and_history(capsys, tmp_path) -> None:
     code = safedpa.run([*OWN, "--out", str(tmp_path)])
     printed = capsys.readouterr()
     assert (code, printed.err) == (0, "")
     records = json.loads(printed.out)
     assert set(records) == {"1a", "2"}
-    ahead, _, turned = records["1a"]["explained"]  # aside it hardly moves
+    ahead, _, turned = records["1a"]["explained"]  # it hardly moves sideways
     assert min(ahead, turned) > 0.98
     assert min(records["2"]["explained"]) > 0.3
     model = load_model(tmp_path / "cleaner_learned.toml")

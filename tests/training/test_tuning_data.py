@@ -1,4 +1,4 @@
-"""Circles without load show what tuning needs; runs that cannot tune a model are refused with the reason."""
+"""Recorded circles have the excitation that tuning needs; unsuitable runs are refused with the reason."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,9 @@ from safedpa.errors import InputError
 from safedpa.records import Run, Stretch, write_csv
 from safedpa.robots.car.system import CAR
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.grounded_simulator import ground_simulator, grounded_configuration
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import HORIZON, PERIOD, drives_of, load_tuning_runs, record_circles, split
+from safedpa_sim.training.data.recorded_runs import HORIZON, PERIOD, drives_of, load_tuning_runs, record_circles, split
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.phases.grounded_simulator import ground_simulator, grounded_configuration
 
 HISTORY = 36
 
@@ -27,7 +27,7 @@ def circles():
 
 
 def changed(run, **columns):
-    """The run with columns replaced by functions of themselves."""
+    """Returns the run with transformed columns."""
     values = {
         **dict(zip(CAR.state_names, run.states.T, strict=True)),
         **dict(zip(CAR.action_names, run.actions.T, strict=True)),
@@ -50,16 +50,16 @@ def test_good_runs_become_drives(circles, weights):
 
 
 @pytest.mark.parametrize("rows", [2, HISTORY, HISTORY + HORIZON])
-def test_a_run_shorter_than_the_history_and_a_second(circles, weights, rows):
+def test_a_run_shorter_than_history_and_horizon_is_refused(circles, weights, rows):
     with pytest.raises(InputError, match=f"{rows} rows, wanted more than {HISTORY + HORIZON}"):
         drives_of([shortened(circles[0], rows)], weights)
 
 
-def test_one_row_more_will_do(circles, weights):
+def test_a_run_one_row_longer_is_accepted(circles, weights):
     assert len(drives_of([shortened(circles[0], HISTORY + HORIZON + 1), circles[1]], weights)) == 2
 
 
-def test_a_gap_in_the_middle_leaves_two_short_ones(circles, weights):
+def test_a_gap_in_the_middle_leaves_two_short_runs(circles, weights):
     run = shortened(circles[0], 100)
     broken = Run(run.name, CAR, run.t, run.states, run.actions, (Stretch(0, 50), Stretch(50, 100)))
     with pytest.raises(InputError, match="longest stretch without a gap has 50 rows"):
@@ -115,7 +115,7 @@ def test_the_end_of_a_single_run_is_held_out(circles, weights):
 
 def test_a_single_run_too_short_to_be_divided_is_refused(circles, weights):
     drives = drives_of([shortened(circles[0], 2 * (HISTORY + HORIZON))], weights)
-    with pytest.raises(InputError, match="one part to tune on and one to judge by"):
+    with pytest.raises(InputError, match="one part to tune on and one to evaluate"):
         split(drives, HISTORY)
 
 
@@ -151,13 +151,13 @@ def test_commands_cover_the_range_and_the_car_follows_them_late(runs):
     assert np.mean(error[changes + 1]) > 3.0 * np.mean(error[changes - 1])
 
 
-def test_nothing_to_record_is_refused():
+def test_recording_nothing_is_refused():
     with pytest.raises(InputError, match="0 pairs"):
         record_circles(0, 1)
 
 
 NEAREST = ("steering_lag", "steering_delay", "actuator_delay", "rolling_resistance", "understeer", "quadratic_drag")
-"""Of the library, what the pymunk car has or what is easily taken for it: the rest takes time and is not added."""
+"""The effects that the simulated car has, or that resemble them; searching the others takes time and adds none."""
 
 
 @pytest.mark.long
@@ -176,13 +176,13 @@ def test_the_corrected_simulator_predicts_the_real_car(monkeypatch: pytest.Monke
     late_steering = {"steering_lag", "steering_delay", "actuator_delay"}
     assert late_steering & set(grounded.report.added)
     assert "towed_load" not in grounded.report.added
-    assert not grounded.model.latent_names  # every parameter is fixed: training draws its own
-    cars = BatchedCars(grounded_configuration(configuration, grounded))
+    assert not grounded.model.latent_names  # every parameter is fixed, because training draws its own values
+    cars = BatchedSimulator(grounded_configuration(configuration, grounded))
     assert [entry.path for entry in cars.entries] == list(configuration.environment)
     assert cars.remembers
 
 
 def test_runs_without_information_are_refused() -> None:
     configuration = load_configuration("car_small")
-    with pytest.raises(InputError, match="say nothing about the simulator"):
+    with pytest.raises(InputError, match="not informative enough to correct the simulator"):
         ground_simulator(configuration, record_circles(60, seed=3, run_pairs=60))

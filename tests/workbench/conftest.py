@@ -192,9 +192,9 @@ sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
 from safedpa.bus.service.process import StopSignal
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import InputSelection
-from safedpa_services.workbench.page_address import PageServerOptions
+from safedpa_services.workbench.session.controller import SessionController
+from safedpa_services.workbench.session.inputs import InputSelection
+from safedpa_services.workbench.server_options import PageServerOptions
 from safedpa_services.workbench.server import serve
 
 broker = MemoryBroker()
@@ -227,8 +227,9 @@ def drive():
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
-bench, options = Bench(InputSelection(), Path(sys.argv[1])), PageServerOptions("127.0.0.1", int(sys.argv[2]))
-serve(bench, options, browser=False, bus=bus, stop=StopSignal())
+controller = SessionController(InputSelection(), Path(sys.argv[1]))
+options = PageServerOptions("127.0.0.1", int(sys.argv[2]))
+serve(controller, options, browser=False, bus=bus, stop=StopSignal())
 """
 
 
@@ -250,7 +251,7 @@ def shown_live(tmp_path_factory):
 def _live_server(free_port, folder, seconds=0.01):
     """A tick every so many ``seconds``, once there are enough to be drawn."""
     source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
-    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
+    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef history")
     header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
     (folder / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}

@@ -14,9 +14,16 @@ from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
 from safedpa.robots.car.system import CAR
 from safedpa.systems import systems
-from safedpa_services.workbench.column_form import DERIVED, QuantityForm, guess_columns, lines_of, map_text, units_for
-from safedpa_services.workbench.file_preview import check_recording, raw_rows
-from safedpa_services.workbench.recordings import EditedColumnMap
+from safedpa_services.workbench.open_dialog.column_form import (
+    DERIVED,
+    QuantityForm,
+    guess_columns,
+    lines_of,
+    map_text,
+    units_for,
+)
+from safedpa_services.workbench.open_dialog.file_preview import check_recording, raw_rows
+from safedpa_services.workbench.session.inputs import EditedColumnMap
 
 NUMBERS = st.floats(-1e6, 1e6).filter(bool)
 

@@ -12,12 +12,12 @@ import pytest
 from safedpa.comparison.output import require_writable_folder
 from safedpa.disk import why_not_written
 from safedpa.errors import InputError, RecordingError
-from safedpa_services.workbench.recordings import InputSelection
-from safedpa_services.workbench.rerun_view import write_view
-from safedpa_services.workbench.session_files import SavedSession, write_session
+from safedpa_services.workbench.rerun_viewer import write_view
+from safedpa_services.workbench.session.files import SavedSession, write_session
+from safedpa_services.workbench.session.inputs import InputSelection
 
 pytest.importorskip("nicegui")
-FULL = "the disk is full: make room"
+FULL = "the disk is full: free some space"
 
 
 def _full(*_, **__):

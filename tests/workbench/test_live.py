@@ -1,4 +1,4 @@
-"""The live page's book of what was heard, its questions, and the page itself with a diagnosis that is played."""
+"""The live page: its history of messages, its requests, and the page with a simulated diagnosis."""
 
 import json
 import signal
@@ -21,9 +21,8 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.errors import InputError
-from safedpa_services.workbench.live_book import RobotHistory
-from safedpa_services.workbench.live_link import LiveLink
-from safedpa_services.workbench.live_panels import (
+from safedpa_services.workbench.live.bus_link import LiveLink
+from safedpa_services.workbench.live.panels import (
     change_lines,
     error_bars,
     error_figure,
@@ -31,8 +30,9 @@ from safedpa_services.workbench.live_panels import (
     field_figure,
     live_cards,
 )
-from safedpa_services.workbench.look import LIGHT
-from safedpa_services.workbench.replay_link import ReplayLink
+from safedpa_services.workbench.live.replay_link import ReplayLink
+from safedpa_services.workbench.live.store import RobotHistory
+from safedpa_services.workbench.panels.theme import LIGHT
 
 pytestmark = pytest.mark.slow
 
@@ -77,8 +77,8 @@ def state(tick, epoch=1, **more):
 
 def verdict(tick, **more):
     return VerdictMessage(
-        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0), slack=0.0,
-        active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0, **more,
+        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0),
+        slack=0.0, active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0, **more,
     )  # fmt: skip
 
 
@@ -96,74 +96,78 @@ def model(tick, step):
 
 
 @pytest.fixture
-def book():
+def history():
     made = RobotHistory("r1")
     for tick in range(200):
-        made.take(state(tick), 0.05 * tick)
+        made.update(state(tick), 0.05 * tick)
     return made
 
 
-def test_a_change_is_listed_with_the_error_before_and_after(book):
+def test_a_change_is_listed_with_the_error_before_and_after(history):
     for tick in range(0, 100, 20):
-        book.take(finding(tick, "candidates", 0.5, number=1), 1.0)
-    book.take(model(100, "offer"), 1.0)
-    book.take(model(101, "take"), 1.0)
+        history.update(finding(tick, "candidates", 0.5, number=1), 1.0)
+    history.update(model(100, "offer"), 1.0)
+    history.update(model(101, "take"), 1.0)
     for tick in range(120, 200, 20):
-        book.take(finding(tick, error=0.1), 1.0)
-    assert book.before == 0.5
-    assert "−80 %" in error_bars(book)
-    assert "change 1, model bbbb is taken by ann: accept" in change_lines(book)
-    assert [mark.kind for mark in book.marks].count("model") == 2
-    for figure in (error_figure(book, LIGHT), evidence_figure(book, LIGHT), field_figure(book, LIGHT)):
+        history.update(finding(tick, error=0.1), 1.0)
+    assert history.error_before_change == 0.5
+    assert "−80 %" in error_bars(history)
+    assert "change 1, model bbbb is taken by ann: accept" in change_lines(history)
+    assert [mark.kind for mark in history.marks].count("model") == 2
+    for figure in (error_figure(history, LIGHT), evidence_figure(history, LIGHT), field_figure(history, LIGHT)):
         assert json.loads(json.dumps(figure, allow_nan=False))
 
 
-def test_a_restarted_robot_begins_a_new_page(book):
-    book.take(finding(20, "candidates", number=1, report=json.dumps(REPORT)), 1.0)
-    book.take(state(0, epoch=2), 2.0)
-    assert (book.finding, book.report, len(book.path)) == (None, None, 1)
+def test_a_restarted_robot_begins_a_new_page(history):
+    history.update(finding(20, "candidates", number=1, report=json.dumps(REPORT)), 1.0)
+    history.update(state(0, epoch=2), 2.0)
+    assert (history.finding, history.report, len(history.path)) == (None, None, 1)
 
 
-def test_a_waiting_robot_that_repeats_itself_draws_one_point(book):
-    before = len(book.path)
-    book.take(state(199), 20.0)
-    assert len(book.path) == before
+def test_a_waiting_robot_that_repeats_itself_draws_one_point(history):
+    before = len(history.path)
+    history.update(state(199), 20.0)
+    assert len(history.path) == before
+
+
+SILENT = "r1 sent its last message 4 s ago"
 
 
 @pytest.mark.parametrize(
-    ("seen", "found", "reported"),
+    ("heard", "diagnosis_heard", "reported"),
     [
         (1.0, 1.0, ""),
         (2.9, 2.9, ""),
-        (4.0, 1.0, "r1 was heard last 4 s ago: its drive has ended, or the link to it is broken. r1 drove for 10 s"),
-        (4.0, None, "r1 was heard last 4 s ago: its drive has ended"),
-        (1.0, 4.0, "The diagnosis is silent since 4 s."),
-        (1.0, None, "No diagnosis is heard"),
+        (4.0, 1.0, f"{SILENT}: its drive has ended, or the connection is lost. r1 drove for 10 s"),
+        (4.0, None, f"{SILENT}: its drive has ended"),
+        (1.0, 4.0, "The diagnosis has been silent for 4 s."),
+        (1.0, None, "No message from a diagnosis"),
     ],
 )
-def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen, found, reported):
+def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(history, heard, diagnosis_heard, reported):
     """Both speak at least once a second; a few lost messages are no silence."""
-    book.take(state(200), 100.0 - seen)
-    if found is not None:
-        book.take(finding(200), 100.0 - found)
-    notice = book.silence(100.0)
+    history.update(state(200), 100.0 - heard)
+    if diagnosis_heard is not None:
+        history.update(finding(200), 100.0 - diagnosis_heard)
+    notice = history.silence_message(100.0)
     assert notice.startswith(reported)
     assert bool(notice) is bool(reported)
 
 
-def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
-    assert book.stationary_reason() == "", "before a verdict nothing is known"
-    book.take(verdict(198, stationary_for=9.0), 10.0)
-    assert book.stationary_reason() == "", "it stands where no policy moves it"
+def test_a_deadlock_is_reported_with_reason_and_remedy_and_its_mark_stays(history):
+    assert history.deadlock_message() == "", "before a verdict nothing is known"
+    history.update(verdict(198, stationary_for=9.0), 10.0)
+    assert history.deadlock_message() == "", "it is stationary while no motion is requested"
+    reason = "margin: obstacle leave less room"
     for tick, seconds in ((199, 5.5), (219, 6.5)):
-        book.take(verdict(tick, stationary_for=seconds, stationary_reason="margin: obstacle leave less room"), 10.0)
-    assert book.stationary_reason().startswith(
-        "r1 stands for 6 s, margin: obstacle leave less room. Give it another goal"
+        history.update(verdict(tick, stationary_for=seconds, stationary_reason=reason), 10.0)
+    assert history.deadlock_message().startswith(
+        "r1 has been stationary for 6 s, margin: obstacle leave less room. Give it another goal"
     )
-    assert change_lines(book).count("stands: margin") == 1
-    book.take(verdict(220), 10.0)
-    assert book.stationary_reason() == ""
-    assert change_lines(book).count("stands: margin") == 1
+    assert change_lines(history).count("stationary: margin") == 1
+    history.update(verdict(220), 10.0)
+    assert history.deadlock_message() == ""
+    assert change_lines(history).count("stationary: margin") == 1
 
 
 @pytest.mark.parametrize(
@@ -175,43 +179,43 @@ def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
     ],
 )
 def test_the_account_of_a_drive_counts_its_goals_and_collisions(tick, goals, collisions, account):
-    book = RobotHistory("r1")
+    history = RobotHistory("r1")
     if tick is not None:
-        book.take(state(tick, goals_reached=goals, collisions=collisions), 1.0)
-    assert book.account() == account
+        history.update(state(tick, goals_reached=goals, collisions=collisions), 1.0)
+    assert history.summary() == account
 
 
-def test_services_with_different_models_are_named(book):
+def test_services_with_different_models_are_named(history):
     for service, fingerprint in (("policy", "aaaa"), ("safety_filter", "aaaa"), ("adaptation", "aaaa")):
-        book.take(HealthMessage(**stamp(1), service=service, pid=1, state="running", model=fingerprint), 1.0)
-    assert book.mismatch() == ""
-    book.take(TakeoverMessage(**stamp(2), service="policy", change=1, fingerprint="bbbb", state="taken"), 1.0)
-    assert "policy bbbb" in book.mismatch()
+        history.update(HealthMessage(**stamp(1), service=service, pid=1, state="running", model=fingerprint), 1.0)
+    assert history.mismatch() == ""
+    history.update(TakeoverMessage(**stamp(2), service="policy", change=1, fingerprint="bbbb", state="taken"), 1.0)
+    assert "policy bbbb" in history.mismatch()
     refusal = TakeoverMessage(**stamp(3), service="policy", change=2, fingerprint="cccc", state="refused", reason="bad")
-    book.take(refusal, 1.0)
-    assert "policy refuses change 2: bad" in change_lines(book)
+    history.update(refusal, 1.0)
+    assert "policy refuses change 2: bad" in change_lines(history)
     phrase = "the margin of obstacle goes from 0.03 to 0.115 where h is 0.08"
     ready = TakeoverMessage(
         **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", expected_effect=phrase
     )
-    book.take(ready, 1.0)
-    assert f"change 3: {phrase}" in change_lines(book)
+    history.update(ready, 1.0)
+    assert f"change 3: {phrase}" in change_lines(history)
 
 
 @pytest.mark.parametrize("report", ["no json", "[]", '{"candidates": 3}'])
-def test_an_unreadable_report_is_reported_and_left_out(book, report):
-    book.take(finding(20, "candidates", number=1, report=report), 1.0)
-    assert book.report is None
-    assert "a report that is none" in book.troubles[-1]
+def test_an_unreadable_report_is_reported_and_left_out(history, report):
+    history.update(finding(20, "candidates", number=1, report=report), 1.0)
+    assert history.report is None
+    assert "an invalid report" in history.problems[-1]
 
 
 def test_cards_show_what_can_be_read_and_name_the_rest():
     cards, experiment = live_cards("car", REPORT, ("towed_load", "payload", "own_effect"))
     assert [card.effect for card in cards] == ["towed_load", "payload", "own_effect"]
     assert cards[0].decision == "accepted"
-    assert cards[0].equals == ("payload",)
+    assert cards[0].indistinguishable_from == ("payload",)
     assert any("0.6 → 0.1" in line for line in cards[0].speaks_for)
-    assert cards[1].numbers == ()
+    assert cards[1].parameters == ()
     assert "coast down" in experiment
     assert live_cards("car", None, ()) == ([], "")
 
@@ -220,7 +224,7 @@ def test_of_two_entries_of_one_name_the_accepted_one_has_the_card():
     own = REPORT["candidates"][0]
     tried_first = {**own, "heldout_error": None, "decision": "rejected", "parameters": {}}
     (card,), _ = live_cards("car", {**REPORT, "candidates": [tried_first, own]}, ("towed_load",))
-    assert (card.decision, card.equals) == ("accepted", ("payload",))
+    assert (card.decision, card.indistinguishable_from) == ("accepted", ("payload",))
 
 
 def test_the_link_reports_answers_missing_ones_and_nonsense(finished):
@@ -232,7 +236,7 @@ def test_the_link_reports_answers_missing_ones_and_nonsense(finished):
     assert "No diagnosis answers" in reported.sentence
     other.answer("safedpa/fleet/r1/request", lambda _key, _payload: b"\xc1 nonsense")
     reported = finished(link.ask("r1", Request(do="status")))
-    assert "an answer that is none" in reported.sentence
+    assert "an invalid answer" in reported.sentence
     sender = Bus(other, "fleet")
     sender.answer_requests(lambda robot, request: Answer(ok=True, sentence=f"{robot} {request.do}"), "r2")
     assert finished(link.ask("r2", Request(do="status"))).sentence == "r2 status"
@@ -253,14 +257,14 @@ def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():
     sender.put("safedpa/fleet/r1/state", b"\x00garbage", never_drop=False)
     robot.publish(FINDING, "r9", finding(1))
     link.listen()
-    assert link.book.refused == 1
-    assert link.book.robots == {}
+    assert link.store.refused == 1
+    assert link.store.robots == {}
     robot.publish(STATE, "r1", state(1))
     link.listen()
     sender.put("safedpa/fleet/r1/finding", b"\x00garbage", never_drop=False)
     link.listen()
-    assert list(link.book.robots) == ["r1"]
-    assert "refused" in link.book.robots["r1"].troubles[-1]
+    assert list(link.store.robots) == ["r1"]
+    assert "refused" in link.store.robots["r1"].problems[-1]
 
 
 def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path, finished):
@@ -279,10 +283,10 @@ def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path, finished):
             recorder.write(item.key, item.payload, item.message.tick * 50_000_000, item.message.tick * 50_000_000)
     link = ReplayLink(path, clock=lambda: now[0])
     link.listen()
-    assert len(link.book.robots["r1"].path) == 1
+    assert len(link.store.robots["r1"].path) == 1
     now[0] += 2.0
     link.listen()
-    assert link.book.robots["r1"].now == pytest.approx(2.0)
+    assert link.store.robots["r1"].now == pytest.approx(2.0)
     now[0] += 10.0
     link.listen()
     assert finished(link.ask("r1", Request(do="status"))).answer.candidates == ("towed_load",)
@@ -334,7 +338,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
 @pytest.mark.browser
 @pytest.mark.processes
 def test_a_drive_that_ends_while_the_page_loads_is_reported_as_ended(browser, live):
-    """The page was delivered, its scripts are on their way: the server waits for it, though not for ever."""
+    """The page was delivered, but its scripts are not loaded yet: the server waits for it, with a limit."""
     server, address = live
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     ended = []

@@ -14,12 +14,12 @@ from tests.workbench.tab import Tab
 from safedpa.bus import Answer
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench import page
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.live_book import RobotHistory
-from safedpa_services.workbench.live_link import QueryResult
-from safedpa_services.workbench.live_page import LivePage
-from safedpa_services.workbench.recordings import InputSelection
-from safedpa_services.workbench.rerun_view import RerunViewerServer
+from safedpa_services.workbench.live.bus_link import QueryResult
+from safedpa_services.workbench.live.page import LivePage
+from safedpa_services.workbench.live.store import RobotHistory
+from safedpa_services.workbench.rerun_viewer import RerunViewerServer
+from safedpa_services.workbench.session.controller import SessionController
+from safedpa_services.workbench.session.inputs import InputSelection
 
 FORESEEN = ("the margin goes from 1 to 2",)
 STATUS = Answer(ok=True, sentence="change 1 begins", candidates=("drag", "wind"), foreseen=FORESEEN, earlier=1)
@@ -36,12 +36,12 @@ class Link:
     title, ended = "fleet f", False
 
     def __init__(self, *answers):
-        self.answers, self.asked, self.untold = list(answers), list[Any](), set[object]()
-        book = RobotHistory("r1")
-        book.take(state_of(tick=20, robot_time=1.0), 1.0)
-        book.take(verdict_of("passed", h_now=0.4, margin=0.03), 1.0)
-        book.take(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
-        self.book = SimpleNamespace(robots={"r1": book}, last_refusal="")
+        self.answers, self.asked, self.pages_to_notify = list(answers), list[Any](), set[object]()
+        history = RobotHistory("r1")
+        history.update(state_of(tick=20, robot_time=1.0), 1.0)
+        history.update(verdict_of("passed", h_now=0.4, margin=0.03), 1.0)
+        history.update(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
+        self.store = SimpleNamespace(robots={"r1": history}, last_refusal="")
 
     async def ask(self, robot, request):
         self.asked.append((robot, request))
@@ -148,28 +148,28 @@ def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_s
     assert 0.5 <= status <= 3.0
 
 
-def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(finished, tmp_path, monkeypatch):
+def test_an_error_message_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(finished, tmp_path, monkeypatch):
     async def light():
         return False
 
-    class Troubled(Bench):
-        def listen(self, tab, heard):
-            super().listen(tab, heard)
-            heards.append(heard)
+    class Recorded(SessionController):
+        def add_listener(self, tab, on_event):
+            super().add_listener(tab, on_event)
+            callbacks.append(on_event)
 
-    heards: list[Any] = []
-    monkeypatch.setattr(page, "prefers_dark", light)
-    bench = Troubled(InputSelection(), tmp_path)
-    bench.trouble = "the worker was ended: start it again"
+    callbacks: list[Any] = []
+    monkeypatch.setattr(page, "prefers_dark_mode", light)
+    controller = Recorded(InputSelection(), tmp_path)
+    controller.error_message = "the worker was ended: start it again"
 
     async def story():
         with Tab() as tab:
-            await page.WorkbenchPage(bench, RerunViewerServer(), FileStore.of((), ())).begin()
+            await page.WorkbenchPage(controller, RerunViewerServer(), FileStore.of((), ())).begin()
             opened: Any = object()
-            bench.session = opened
-            heards[0]("trouble")
+            controller.session = opened
+            callbacks[0]("error")
             return tab.popped_up
 
     (notice,) = finished(story())
-    assert (notice["message"], notice["type"]) == (bench.trouble, "negative")
+    assert (notice["message"], notice["type"]) == (controller.error_message, "negative")
     assert can_be_read(notice)

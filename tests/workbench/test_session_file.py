@@ -1,4 +1,4 @@
-"""What is decided is kept as a file, and comes back from it."""
+"""What is decisions is kept as a file, and comes back from it."""
 
 import asyncio
 import json
@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.dynamics import load_model, load_own
+from safedpa.dynamics import load_model, load_user_file
 from safedpa.errors import InputError
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.systems import Variable
 from safedpa.systems.driven import why_not_driven
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import EditedColumnMap, InputSelection
-from safedpa_services.workbench.session_files import (
+from safedpa_services.workbench.session.controller import SessionController
+from safedpa_services.workbench.session.files import (
     SESSION_FILE,
     SavedSession,
     absolute,
@@ -23,6 +22,7 @@ from safedpa_services.workbench.session_files import (
     session_folder_for,
     write_session,
 )
+from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
 BALL = Path(__file__).parents[2] / "docs" / "examples" / "falling_ball.py"
 RETAINED = SavedSession(
@@ -71,14 +71,14 @@ def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_pa
     assert newest_session(base) == tmp_path / "workbench-2" / SESSION_FILE
 
 
-def test_a_model_that_no_session_tells_of_is_not_replaced(tmp_path):
+def test_a_model_without_a_session_file_is_not_overwritten(tmp_path):
     base = tmp_path / "workbench"
     base.mkdir()
     (base / "model.toml").write_text("retained", encoding="utf-8")
     assert session_folder_for(base, RETAINED.choice) == (tmp_path / "workbench-2", ())
 
 
-def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatch):
+def test_paths_become_absolute_and_shipped_names_stay(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.csv").touch()
     assert absolute(InputSelection("car", ("one.csv",))) == InputSelection("car", (str(tmp_path / "one.csv"),))
@@ -92,43 +92,43 @@ def test_a_refusal_of_up_names_the_system_and_what_was_wanted():
 
 
 def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path):
-    bench = Bench(InputSelection(), tmp_path)
-    bench.session = object()
-    bench.given = plain
-    assert bench.warning == ""
-    load_own(BALL)
-    bench.given = load_model(BALL.with_suffix(".toml"))
-    assert "'safedpa up' will refuse it: a ball with" in bench.warning
+    controller = SessionController(InputSelection(), tmp_path)
+    controller.session = object()
+    controller.given = plain
+    assert controller.warning == ""
+    load_user_file(BALL)
+    controller.given = load_model(BALL.with_suffix(".toml"))
+    assert "'safedpa up' will refuse it: a ball with" in controller.warning
 
 
 @pytest.mark.long
 @pytest.mark.processes
 def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, short_drive, finished):
     choice = InputSelection(str(drives[0]), (str(short_drive),))
-    news = []
+    events = []
 
-    async def worked(bench, until):
-        bench.listen(bench, news.append)
-        await bench.begin()
-        while not until(bench):
+    async def worked(controller, until):
+        controller.add_listener(controller, events.append)
+        await controller.open_initial()
+        while not until(controller):
             await asyncio.sleep(0.05)
 
     async def first():
-        bench = Bench(choice, tmp_path / "out")
-        await worked(bench, lambda b: b.session is not None and b.session.proposed is not None)
-        bench.reject("viscous_drag")
-        await bench.add("quadratic_drag")
-        bench.close()  # in the middle of the next search
-        return [version.error for version in bench.session.versions]
+        controller = SessionController(choice, tmp_path / "out")
+        await worked(controller, lambda b: b.session is not None and b.session.proposed is not None)
+        controller.reject("viscous_drag")
+        await controller.add("quadratic_drag")
+        controller.close()  # in the middle of the next search
+        return [version.error for version in controller.session.versions]
 
     async def second():
-        bench = Bench(choice, tmp_path / "out")
-        await worked(bench, lambda b: b.session is not None and b.session.number > b.session.base - 1)
-        bench.close()
-        return [version.error for version in bench.session.versions], bench.session.decided
+        controller = SessionController(choice, tmp_path / "out")
+        await worked(controller, lambda b: b.session is not None and b.session.number > b.session.base - 1)
+        controller.close()
+        return [version.error for version in controller.session.versions], controller.session.decisions
 
     before = finished(first())
-    after, decided = finished(second())
+    after, decisions = finished(second())
     assert after == before
-    assert [(do, effect) for do, effect, _ in decided] == [("rejected", "viscous_drag"), ("added", "quadratic_drag")]
-    assert {"opening", "opened", "busy", "candidates", "versions"} <= set(news)
+    assert [(do, effect) for do, effect, _ in decisions] == [("rejected", "viscous_drag"), ("added", "quadratic_drag")]
+    assert {"opening", "opened", "busy", "candidates", "versions"} <= set(events)

@@ -16,7 +16,7 @@ def first(plain, runs):
 
 @pytest.fixture(scope="module")
 def reported():
-    """What the one search of this file tells of its progress."""
+    """Progress that the one search of this file reports."""
     return []
 
 
@@ -55,6 +55,7 @@ def test_after_the_hidden_effect_nothing_more_is_chosen(dragged):
     assert "quadratic_drag" not in {item.effect for item in again.candidates}
 
 
+@pytest.mark.long
 def test_nothing_is_chosen_where_nothing_is_hidden(plain, complete_drive):
     found = proposal(first_step(plain, [load_run(complete_drive, plain.system)]))
     assert found.choice is None

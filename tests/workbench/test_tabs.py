@@ -8,29 +8,30 @@ pytest.importorskip("nicegui")
 from nicegui import Client, ui
 
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench import live_page, page
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import InputSelection
-from safedpa_services.workbench.rerun_view import RerunViewerServer
+from safedpa_services.workbench import page
+from safedpa_services.workbench.live import page as live_page
+from safedpa_services.workbench.rerun_viewer import RerunViewerServer
+from safedpa_services.workbench.session.controller import SessionController
+from safedpa_services.workbench.session.inputs import InputSelection
 
 
 def test_an_error_in_one_tab_is_kept_and_the_others_hear(tmp_path, caplog):
-    bench, heard = Bench(InputSelection(), tmp_path), []
+    controller, heard = SessionController(InputSelection(), tmp_path), []
 
-    def raises(news):
-        raise RuntimeError(f"planted at {news}")
+    def raises(event):
+        raise RuntimeError(f"planted at {event}")
 
-    bench.listen("first", raises)
-    bench.listen("second", heard.append)
-    bench.cancel()
+    controller.add_listener("first", raises)
+    controller.add_listener("second", heard.append)
+    controller.cancel()
     assert heard == ["busy"]
     assert "planted at busy" in caplog.text
 
 
-def _opened(built, module, monkeypatch, finished, *, leaves):
-    """A tab that was built and begins; where it leaves, the browser goes while it is asked for its taste."""
+def _open(build, module, monkeypatch, finished, *, leaves):
+    """Builds a tab and begins it; with ``leaves`` its browser closes while it is asked for its colour scheme."""
 
-    async def begun():
+    async def story():
         client = Client(ui.page("/"))
 
         async def asked():
@@ -38,52 +39,52 @@ def _opened(built, module, monkeypatch, finished, *, leaves):
                 client.delete()
             return False
 
-        monkeypatch.setattr(module, "prefers_dark", asked)
+        monkeypatch.setattr(module, "prefers_dark_mode", asked)
         with client:
-            made = built()
-            client.on_delete(made.close)
-            await made.begin()
+            tab = build()
+            client.on_delete(tab.close)
+            await tab.begin()
         return client
 
-    return finished(begun())
+    return finished(story())
 
 
-class Attended(Bench):
-    """Knows who listens."""
+class Attended(SessionController):
+    """Records its listeners."""
 
     def __init__(self, *about):
         super().__init__(*about)
         self.listeners = []
 
-    def listen(self, tab, heard):
-        super().listen(tab, heard)
+    def add_listener(self, tab, on_event):
+        super().add_listener(tab, on_event)
         self.listeners.append(tab)
 
-    def leave(self, tab):
-        super().leave(tab)
+    def remove_listener(self, tab):
+        super().remove_listener(tab)
         self.listeners = [listener for listener in self.listeners if listener is not tab]
 
 
 def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, monkeypatch, finished):
-    bench, heard = Attended(InputSelection(), tmp_path), []
+    controller, heard = Attended(InputSelection(), tmp_path), []
 
-    def built():
-        return page.WorkbenchPage(bench, RerunViewerServer(), FileStore.of((), ()))
+    def build():
+        return page.WorkbenchPage(controller, RerunViewerServer(), FileStore.of((), ()))
 
-    _opened(built, page, monkeypatch, finished, leaves=True)
-    bench.listen("another", heard.append)
-    bench.cancel()
-    assert bench.listeners == ["another"]
+    _open(build, page, monkeypatch, finished, leaves=True)
+    controller.add_listener("another", heard.append)
+    controller.cancel()
+    assert controller.listeners == ["another"]
     assert heard == ["busy"]
-    client = _opened(built, page, monkeypatch, finished, leaves=False)
-    assert len(bench.listeners) == 2, "one that stays does listen"
+    client = _open(build, page, monkeypatch, finished, leaves=False)
+    assert len(controller.listeners) == 2, "one that stays does listen"
     client.delete()
-    assert bench.listeners == ["another"]
+    assert controller.listeners == ["another"]
 
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_a_live_tab_that_went_shows_nothing(leaves, monkeypatch, finished):
-    link, shown = SimpleNamespace(untold=set()), []
+    link, shown = SimpleNamespace(pages_to_notify=set()), []
     monkeypatch.setattr(live_page.LivePage, "show", lambda made: shown.extend([made]))
-    _opened(lambda: live_page.LivePage(link), live_page, monkeypatch, finished, leaves=leaves)
-    assert len(shown) == len(link.untold) == (0 if leaves else 1)
+    _open(lambda: live_page.LivePage(link), live_page, monkeypatch, finished, leaves=leaves)
+    assert len(shown) == len(link.pages_to_notify) == (0 if leaves else 1)

@@ -193,7 +193,7 @@ def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path)
     page.close()
 
 
-def test_files_dropped_beside_the_box_do_not_take_the_page_away(browser, serve, drives, tmp_path):
+def test_files_dropped_next_to_the_upload_box_do_not_replace_the_page(browser, serve, drives, tmp_path):
     model, runs = drives
     page = opened(browser, serve(model, runs[0]))
     page.wait_for_function(ONE_BAR, polling=POLLING, timeout=PATIENCE)
@@ -201,7 +201,7 @@ def test_files_dropped_beside_the_box_do_not_take_the_page_away(browser, serve, 
     page.wait_for_selector("text=/Uploaded: drive_2.csv/", timeout=PATIENCE)
     assert str(tmp_path / "out" / "uploads" / "001_drive_2.csv") in page.input_value(".q-dialog textarea")
     dragged(page, ".dialog-title", ("notes.txt", "no recording"))
-    page.wait_for_selector("text=/Not taken: wanted recordings .*csv/", timeout=PATIENCE)
+    page.wait_for_selector("text=/Not uploaded: wanted recordings .*csv/", timeout=PATIENCE)
     assert len(list((tmp_path / "out" / "uploads").iterdir())) == 1
     assert page.complaints == []
     page.close()

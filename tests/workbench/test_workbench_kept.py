@@ -23,7 +23,7 @@ BUSY_SECONDS = 18.0
 BARS = "document.querySelectorAll('.stages .value').length === {}"
 
 
-class Bench:
+class WorkbenchProcess:
     """``safedpa workbench`` as a person starts it."""
 
     def __init__(self, folder: Path, port: int):
@@ -55,24 +55,24 @@ class Bench:
 
     @property
     def decisions(self) -> list[tuple[str, str]]:
-        retained = json.loads((self.folder / "out" / "session.json").read_text(encoding="utf-8"))
-        return [(item["do"], item["effect"]) for item in retained["decisions"]]
+        session = json.loads((self.folder / "out" / "session.json").read_text(encoding="utf-8"))
+        return [(item["do"], item["effect"]) for item in session["decisions"]]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    """One for all tests: who wants what it has, at its start, takes ``begun``."""
-    made = Bench(tmp_path_factory.mktemp("bench"), ports.free_port())
+def workbench(tmp_path_factory):
+    """One process for all tests; its first start is ``shared_workbench``."""
+    made = WorkbenchProcess(tmp_path_factory.mktemp("bench"), ports.free_port())
     yield made
     made.end()
     made.terminal.close()
 
 
 @pytest.fixture(scope="module")
-def begun(bench, short_drives):
+def shared_workbench(workbench, short_drives):
     """The address of that one, started with a drive. The last test of this file ends it; no other decides anything."""
     model, runs = short_drives
-    return bench.start(model, runs[0])
+    return workbench.start(model, runs[0])
 
 
 NOTE_SAVING = """() => {
@@ -80,7 +80,7 @@ NOTE_SAVING = """() => {
     const look = () => { window.saving ||= document.body.innerText.includes('Saving: '); };
     new MutationObserver(look).observe(document.body, {childList: true, subtree: true, characterData: true});
 }"""
-"""A busy browser may be told that it was saved before anybody looks whether it is being saved."""
+"""In a busy browser, saving may end before the test looks for its message."""
 
 
 def opened(browser, address, bars):
@@ -94,9 +94,9 @@ def errors(page):
     return page.locator(".stages .value").all_inner_texts()
 
 
-def test_a_page_whose_browser_is_busy_for_long_is_not_reloaded(browser, begun):
+def test_a_page_whose_browser_is_busy_for_long_is_not_reloaded(browser, shared_workbench):
     """What was typed in it would be lost. An unanswered question keeps a browser as busy as a lack of time."""
-    page = opened(browser, begun, 1)
+    page = opened(browser, shared_workbench, 1)
     page.evaluate("window.stays = true")
     page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
     page.evaluate("alert('busy')")
@@ -107,8 +107,8 @@ def test_a_page_whose_browser_is_busy_for_long_is_not_reloaded(browser, begun):
     page.close()
 
 
-def test_nothing_is_lost(browser, bench, begun):
-    address = begun
+def test_nothing_is_lost(browser, workbench, shared_workbench):
+    address = shared_workbench
     for _ in range(3):  # tabs that go while they load: what is asked of them is never answered
         page = browser.new_page()
         page.goto(address, wait_until="commit")
@@ -122,7 +122,7 @@ def test_nothing_is_lost(browser, bench, begun):
     page.click(".candidate.open >> text=Add")
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     retained = errors(page)
-    assert bench.decisions == [("added", "quadratic_drag")]
+    assert workbench.decisions == [("added", "quadratic_drag")]
 
     page.evaluate(NOTE_SAVING)
     page.keyboard.press("s")  # while the next search goes on
@@ -141,15 +141,15 @@ def test_nothing_is_lost(browser, bench, begun):
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     page.close()
     other.close()  # both tabs are gone
-    bench.end(signal.SIGKILL)
+    workbench.end(signal.SIGKILL)
 
-    page = opened(browser, bench.start(), 2)  # without arguments the last session goes on
+    page = opened(browser, workbench.start(), 2)  # without arguments the last session goes on
     assert errors(page) == retained
     page.close()
-    bench.end()
-    page = opened(browser, bench.start("--session", bench.folder / "out" / "session.json"), 2)
+    workbench.end()
+    page = opened(browser, workbench.start("--session", workbench.folder / "out" / "session.json"), 2)
     assert errors(page) == retained
     page.close()
-    bench.end()
-    assert "Traceback" not in bench.notice
-    assert "page goes on after an error" not in bench.notice
+    workbench.end()
+    assert "Traceback" not in workbench.notice
+    assert "page goes on after an error" not in workbench.notice

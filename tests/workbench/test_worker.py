@@ -7,7 +7,7 @@ import os
 import pytest
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.workbench.worker import StoppedError, Worker
+from safedpa_services.workbench.session.worker import StoppedError, Worker
 
 JOBS = """
 import errno, os, threading
@@ -50,6 +50,7 @@ def worker():
     made.stop()
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_results_progress_errors_and_restarts(worker, jobs, finished):
     reported = []

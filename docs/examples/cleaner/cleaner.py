@@ -65,7 +65,7 @@ class Pull(RateEffect):
     stage = Stage.MOTION
     equation = "d(yaw)/dt += pull forward"
     parameters = (Parameter("pull", "rad/m", -3.0, 3.0, 0.1),)
-    signature = "it drives curves where it is told to drive straight, the faster the more"
+    signature = "it drives curves where a straight drive is commanded, the faster the more"
     source = "Borenstein, Feng, Measurement and Correction of Systematic Odometry Errors, IEEE T-RA 12(6), 1996"
 
     def modify(self, rates, parameters, context):

@@ -1,1 +1,1 @@
-"""The adaptation service."""
+"""The adaptation service, which estimates the model's latent; its node is in ``safedpa.adaptation``."""

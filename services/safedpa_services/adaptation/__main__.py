@@ -1,12 +1,12 @@
-"""``python -m safedpa_services.adaptation``: estimates what the model leaves free, for every robot of a fleet."""
+"""``python -m safedpa_services.adaptation``: estimates the latent of each robot's model."""
 
 from __future__ import annotations
 
 import argparse
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
-from safedpa_services.nodes import adaptation
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.service_factories import adaptation
+from safedpa_services.service_main import serve, service_parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

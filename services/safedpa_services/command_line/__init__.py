@@ -1,4 +1,9 @@
-"""The command line ``safedpa``: one command a file, loaded when it is called."""
+"""The command line ``safedpa``.
+
+Read ``group.py`` first: it finds the commands and turns errors into exit codes. Every other module with a ``command``
+is one command, imported when it is called. Shared between commands: ``options.py`` and ``bus_options.py`` (options),
+``names.py`` (completion), ``json_answer.py`` (``--json``), ``change_requests.py`` and ``stop_orders.py`` (requests).
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,8 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs the command line; exit code 0 done, 2 bad input (one line on standard error), 1 anything else."""
-    # Before numpy is imported: matrices are tiny here, and threads that wait for each other's share spin. A search
-    # among effects took twelve times the processor time with two. Torch, which trains, is not concerned.
+    """Runs the command line and exits: 0 success, 2 invalid input (one line on standard error), 1 any other failure."""
+    # Set before numpy is imported. Matrices are tiny here, and OpenBLAS's threads busy-wait for each other: a search
+    # took twelve times the CPU time with two threads. PyTorch, used for training, is not affected.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.exit(safedpa.run(sys.argv[1:] if arguments is None else arguments))

@@ -1,4 +1,4 @@
-"""``safedpa accept``: adds a proposed effect to the model of a robot that drives."""
+"""``safedpa accept``: adds a proposed effect to the model of a driving robot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from safedpa_services.command_line.names import complete_effects
 @click.argument("effect", shell_complete=complete_effects)
 @bus_options
 def command(robot: str, effect: str, **options: Any) -> None:
-    """Add EFFECT, which the diagnosis proposes, to the model of the driving ROBOT.
+    """Add a proposed EFFECT to the model of a driving ROBOT.
 
-    Adaptation, policy and safety filter take over the new model at one tick, or all stay on the old one.
+    Adaptation, policy and safety filter switch to the new model at the same tick, or all keep the old one.
     """
     ask_for_change("accept", robot, effect, options)

@@ -1,4 +1,4 @@
-"""``safedpa add``: one effect by the engineer's choice, fitted."""
+"""``safedpa add``: adds one effect of the user's choice to a model and fits it."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ __all__ = ["command"]
 @click.argument("effect", shell_complete=complete_effects)
 @run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
-@click.option("--where", metavar="WORDS", help="It acts there alone: 'x above', 'abs_speed below', 'circle', 'strip'.")
-@click.option("--varies", metavar="WORDS", help="A number of it changes: 'gain with time', 'gain with abs_speed'.")
-@click.option("--edge", type=float, default=0.05, show_default=True, help="Width over which --where sets in.")
+@click.option("--where", metavar="WORDS", help="Limit it to a region: 'x above', 'abs_speed below', 'circle', 'strip'.")
+@click.option("--varies", metavar="WORDS", help="Let a parameter vary: 'gain with time', 'gain with abs_speed'.")
+@click.option(
+    "--edge", type=float, default=0.05, show_default=True, help="Width of the transition at the edge of --where."
+)
 @force_option
 @needs("diagnosis")
 def command(
@@ -50,11 +52,11 @@ def command(
     varies: str | None,
     edge: float,
 ) -> None:
-    """Add one EFFECT to MODEL, fitted to recorded RUNs, whatever the ranking says.
+    """Add one EFFECT to MODEL, fitted to recorded RUNs.
 
-    With --where or --varies it acts in a region only, or one of its numbers changes with a variable; borders and
-    changes are fitted as well. Prints the fitted numbers and the error on data that was not used for fitting, before
-    and after.
+    The effect need not be among those that a diagnosis proposes. With --where the effect acts in a region only; with
+    --varies one of its parameters depends on a variable. The borders of the region and the dependence are fitted as
+    well. Prints the fitted parameters and the error on held-out data, before and after.
     """
     from safedpa.comparison.output import refuse_inputs, require_writable_file
     from safedpa.diagnosis.add_effect import add_effect
@@ -69,9 +71,9 @@ def command(
     before, after = found.before.value, found.after.value
     if as_json:
         values = {path: vars(value) for path, value in found.values.items()}
-        reported = {"sentence": found.sentence} if law is not None else {}
+        sentence = {"sentence": found.sentence} if law is not None else {}
         errors = {key: value if math.isfinite(value) else None for key, value in (("before", before), ("after", after))}
-        document = {"format": 1, "effect": effect, **errors, "parameters": values, **reported}
+        document = {"format": 1, "effect": effect, **errors, "parameters": values, **sentence}
         click.echo(json.dumps(document, allow_nan=False))
         return
     if found.sentence:
@@ -88,7 +90,7 @@ def _law(where: str | None, varies: str | None, edge: float, effect: str) -> Whe
     from safedpa.errors import InputError
 
     if where is not None and varies is not None:
-        raise InputError("--where and --varies: got both; wanted one of them")
+        raise InputError("--where, --varies: got both, wanted one of them")
     if where is not None:
         return law_of("where", where, edge, effect)
     return None if varies is None else law_of("varies", varies, None, effect)

@@ -1,4 +1,4 @@
-"""The options by which a command joins a running fleet to listen to it or to give it an order."""
+"""Options with which a command joins the bus of a running fleet, to observe it or to send a request."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _certificates_option = click.option(
     "--certificates",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="prove by the operator's certificate there who this is",
+    help="folder with the operator's certificate",
 )
-who_option = click.option("--who", default="", help="your name, for the recording; default: that of the account")
+who_option = click.option("--who", default="", help="your name, for the recording; default: your user name")
 
 
 def listening_options(command: _C) -> _C:
-    """``--fleet``, ``--connect``, ``--certificates`` and ``--json``."""
+    """Adds ``--fleet``, ``--connect``, ``--certificates`` and ``--json`` to a command."""
     for option in (
         _certificates_option,
         click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
@@ -39,7 +39,7 @@ def listening_options(command: _C) -> _C:
             multiple=True,
             envvar="SAFEDPA_CONNECT",
             metavar="ENDPOINT",
-            help="where the loop listens, as 'safedpa up' tells; also SAFEDPA_CONNECT",
+            help="endpoint of the loop, printed by 'safedpa up'; also SAFEDPA_CONNECT",
         ),
         click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus"),
     ):
@@ -48,7 +48,7 @@ def listening_options(command: _C) -> _C:
 
 
 def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
-    """The bus that the options describe, joined in a role. Raises BusError when it cannot be opened."""
+    """Joins the bus that the options describe, in a role. Raises BusError if it cannot be opened."""
     from safedpa.bus import Bus, ZenohSettings, ZenohTransport
     from safedpa.bus.security.certificates import Certificates
 
@@ -60,8 +60,11 @@ def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
 
 
 def request_answer(bus: Bus, robot: str, request: Request, kind: str, no_answer: str) -> Answer:
-    """The answer to an order. Raises InputError where it is refused, SafedpaError with the words ``no_answer`` where none
-    comes within 2 s."""
+    """Sends a request and returns the answer.
+
+    Raises InputError if the request is refused, and SafedpaError with the text ``no_answer`` if no answer arrives
+    within 2 s.
+    """
     answer = bus.request(robot, request, _ANSWER_SECONDS, kind)
     if answer is None:
         raise SafedpaError(f"fleet '{bus.fleet}': {no_answer}")

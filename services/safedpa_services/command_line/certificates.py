@@ -1,4 +1,4 @@
-"""``safedpa certificates``: an authority of the fleet's own, and a certificate for every role."""
+"""``safedpa certificates``: creates a certificate authority for a fleet, and a certificate for every role."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from safedpa_services.command_line.json_answer import answers_json, report_progr
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet")
 @click.option("--robot", "robots", multiple=True, metavar="NAME", help="a robot of the fleet; repeatable")
-@click.option("--host", "hosts", multiple=True, metavar="NAME", help="host name or address of a router; repeatable")
-@click.option("--router", "routers", multiple=True, metavar="NAME", help="one more router, as router.NAME; repeatable")
-@click.option("--days", type=float, default=90.0, show_default=True, help="how long the certificates are good")
-@click.option("--renew", is_flag=True, help="make those again that are there already")
+@click.option("--host", "hosts", multiple=True, metavar="NAME", help="host name or IP address of a router; repeatable")
+@click.option(
+    "--router", "routers", multiple=True, metavar="NAME", help="further router, with the role router.NAME; repeatable"
+)
+@click.option("--days", type=float, default=90.0, show_default=True, help="validity of the certificates")
+@click.option("--renew", is_flag=True, help="replace existing certificates")
 @answers_json
 def command(
     folder: Path,
@@ -27,10 +29,11 @@ def command(
     days: float,
     renew: bool,
 ) -> None:
-    """Make in DIR an authority for the fleet, and a certificate with key for each of its roles.
+    """Create a certificate authority and certificates in DIR.
 
-    Certificates that are there already stay, so that a robot can be added later. authority.key.pem is what makes
-    certificates: keep it away from robots and services, each of which needs authority.pem and its own two files alone.
+    Each role of the fleet gets a certificate with key.
+    Existing certificates are kept, so you can add a robot later. Keep authority.key.pem, with which certificates are
+    issued, away from robots and services: each of them needs only authority.pem and its own two files.
     """
     from safedpa.bus.security.access_control import ROUTER, check_names, role_of_robot, roles_of
     from safedpa.bus.security.certificate_authority import HOSTS, Authority, check_days
@@ -38,17 +41,17 @@ def command(
     check_names(fleet, robots)
     check_days(days)  # before the authority is made
     authority = Authority(folder, fleet)
-    made = "made" if authority.is_new else "there already"
+    state = "created" if authority.is_new else "exists already"
     report_progress(
-        f"{folder / 'authority.pem'}: {made}, for fleet '{fleet}'",
+        f"{folder / 'authority.pem'}: {state}, for fleet '{fleet}'",
         facts={"folder": str(folder), "fleet": fleet, "made": [], "retained": []},
     )
     further = tuple(f"{ROUTER}.{name}" for name in routers)
     for role in (*roles_of(robots), *further):
         if (folder / f"{role}.pem").exists() and not renew:
-            report_progress(f"{role}: there already", facts={"retained": [role]})
+            report_progress(f"{role}: exists already", facts={"retained": [role]})
             continue
         names = (*HOSTS, *hosts) if role.split(".")[0] == ROUTER and role != role_of_robot(ROUTER) else ()
         authority.issue(role, days, names)
         where = f", accepts connections as {', '.join(dict.fromkeys(names))}" if names else ""
-        report_progress(f"{role}: made, good for {days:g} days{where}", facts={"made": [role], "days": days})
+        report_progress(f"{role}: created, valid for {days:g} days{where}", facts={"made": [role], "days": days})

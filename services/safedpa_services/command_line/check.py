@@ -1,4 +1,4 @@
-"""``safedpa check``: whether a robot that someone declares is complete, and safe to filter."""
+"""``safedpa check``: checks that a user's own robot is declared completely and can be filtered safely."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.py")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="of the drive that is tried")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="seed of the test drive")
 @as_json_option
 def command(file: Path, seed: int, as_json: bool) -> int:
-    """Check a robot of your own: what is missing, wrong, or fine, each part in a sentence; exit code 2 if any is not.
+    """Check a robot of your own. Prints one line per part: fine, missing or wrong; exit code 2 if any is not fine.
 
-    FILE.py declares it (a class derived from AbstractRobot). Its stand-in is driven by random nominal actions behind its filter.
+    FILE.py declares the robot, a class derived from AbstractRobot. For the test, its simulation is driven by random
+    nominal actions through its filter.
     """
     from safedpa.check_robot import check_robot
-    from safedpa.dynamics import load_own
-    from safedpa.robot import robots
+    from safedpa.dynamics import load_user_file
+    from safedpa.systems.robots import robots
 
-    names = [name for name in load_own(file) if name in robots()]
+    names = [name for name in load_user_file(file) if name in robots()]
     if not names:
         raise InputError(f"{file}: got no robot, wanted a class derived from AbstractRobot")
     found = {name: check_robot(robots()[name], seed) for name in names}

@@ -1,4 +1,4 @@
-"""``safedpa columns``: what a log holds, and a column map proposed for it."""
+"""``safedpa columns``: lists the contents of a log and proposes a column map for it."""
 
 from __future__ import annotations
 
@@ -22,28 +22,32 @@ __all__ = ["command"]
 
 @click.command(name="columns")
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option("--robot", default=None, shell_complete=complete_robots, help="The robot that was logged; else the car.")
+@click.option(
+    "--robot", default=None, shell_complete=complete_robots, help="The robot that was logged; default: the car."
+)
 @effects_option
 @as_json_option
 def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -> None:
-    """List what LOG holds and propose a column map for it: safedpa columns LOG --robot car > map.toml.
+    """List the contents of LOG and propose a column map.
 
-    LOG is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. The map is a
-    proposal: topics, types, rates and fields stand in it as comments; look at every line before you use it.
+    Example: safedpa columns LOG --robot car > map.toml.
+
+    LOG is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. The map lists
+    topics, types, rates and fields as comments. It is a proposal: check every line before you use it.
     """
-    from safedpa.dynamics import load_own
+    from safedpa.dynamics import load_user_file
     from safedpa.errors import InputError
     from safedpa.records.column_map.propose import best_system, propose_map, sources_of
     from safedpa.records.readers.bags import kind_of, topic_log
-    from safedpa.robot import DEFAULT_ROBOT, robot_named
+    from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
 
     if effects is not None:
-        load_own(effects)
+        load_user_file(effects)
     known = robot_named(robot or DEFAULT_ROBOT)
     systems = tuple(one.system for one in (known, *known.variants))
     kind = kind_of(log)
     if kind == "mcap":
-        raise InputError(f"{log}: is a recording of the bus; it needs no column map")
+        raise InputError(f"{log}: got a recording of the bus, which needs no column map; use it directly")
     if kind == "topics":
         opened = topic_log(log)
         system = best_system(systems, sources_of(opened.topics().values()))
@@ -69,12 +73,12 @@ def _topics(log: AbstractLog) -> list[dict[str, object]]:
 
 
 def _of_table(log: Path, systems: Sequence[System]) -> str:
-    from safedpa_services.workbench.column_form import guess_columns, map_text
-    from safedpa_services.workbench.file_preview import raw_rows
+    from safedpa_services.workbench.open_dialog.column_form import guess_columns, map_text
+    from safedpa_services.workbench.open_dialog.file_preview import raw_rows
 
     names = raw_rows(log, 1).names
     forms = [(system, guess_columns(system, names)) for system in systems]
     system, lines = max(forms, key=lambda form: sum(bool(line.source) for line in form[1]))
-    missing = [f'# {line.target} = "..."   # {line.si}: no column looks like it' for line in lines if not line.source]
-    notice = ", ".join(map(printable, names))
-    return f"# Columns of the log: {notice}\n{map_text(system, lines)}" + "".join(f"{line}\n" for line in missing)
+    missing = [f'# {line.target} = "..."   # {line.si}: no matching column found' for line in lines if not line.source]
+    columns = ", ".join(map(printable, names))
+    return f"# Columns of the log: {columns}\n{map_text(system, lines)}" + "".join(f"{line}\n" for line in missing)

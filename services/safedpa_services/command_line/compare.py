@@ -1,4 +1,4 @@
-"""``safedpa compare``: a model compared with measurements."""
+"""``safedpa compare``: compares a model with measurements."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 WORST = 8
-"""Bins that are printed."""
+"""Number of bins that are printed."""
 
 NAME = 20
-"""Characters of a run's name that fit next to the numbers in 80 columns."""
+"""Characters of a run's name that fit into a table of 80 columns."""
 
 
 @click.command(name="compare")
 @click.argument("model", shell_complete=complete_models)
 @run_options
 @folder_option("compare.html and compare.json")
-@click.option("--before", metavar="MODEL", help="An earlier model: say which state gets worse in which run.")
+@click.option("--before", metavar="MODEL", help="An earlier model: report which states got worse in which runs.")
 @force_option
 @needs("diagnosis")
 def command(
@@ -49,10 +49,10 @@ def command(
     before: str | None,
     force: bool,
 ) -> None:
-    """Hold MODEL against recorded RUNs: how large its error is, and where.
+    """Compare MODEL with recorded RUNs.
 
-    Predicts open loop from a start every 0.1 s, prints the errors next to predictors that know no physics, and writes
-    compare.html (readable offline) with compare.json next to it.
+    Shows how large the model's error is, and where. Predicts open loop from a start every 0.1 s. Prints the errors,
+    together with those of predictors that know no physics, and writes compare.html (readable offline) and compare.json.
     """
     from safedpa.comparison.comparison import compare_model
     from safedpa.comparison.output import results_folder
@@ -101,7 +101,7 @@ def _show(comparison: Comparison, page: Path, change: str) -> None:
 def _error_table(comparison: Comparison) -> Any:
     from safedpa.comparison.comparison import PREDICTORS
 
-    table = _table(f"Error after {comparison.horizon:g} s and on the way", "state", "after")
+    table = _table(f"Error after {comparison.horizon:g} s and earlier", "state", "after")
     for name in PREDICTORS:
         table.add_column(name.replace("_", " "), justify="right")
     count = len(comparison.horizons)
@@ -164,7 +164,7 @@ def _state_table(comparison: Comparison) -> Any:
 
 
 def _show_findings(console: Any, comparison: Comparison) -> None:
-    """What was found about the data; findings that all runs share stand once."""
+    """Prints findings about the data; findings that all runs share are printed once."""
     found: dict[str, list[str]] = {}
     for run, finding in comparison.findings:
         found.setdefault(finding.message, []).append(run)

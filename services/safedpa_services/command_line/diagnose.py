@@ -1,4 +1,4 @@
-"""``safedpa diagnose``: which physical effect a model lacks."""
+"""``safedpa diagnose``: finds out which physical effect a model lacks."""
 
 from __future__ import annotations
 
@@ -31,20 +31,21 @@ if TYPE_CHECKING:
 
     from safedpa.diagnosis.report_schema import Report
     from safedpa.records.run import Run
-    from safedpa_services.driving import CalibratedMargin
+    from safedpa_services.model_deployment import CalibratedMargin
 
 __all__ = ["command", "story_lines"]
 
 WRITTEN = ("report.json", "report.html", "diagnosis.rrd", "model.toml", "margin.toml")
-"""Files of a diagnosis."""
+"""Files that a diagnosis writes."""
 BAR = 40
 """Characters of the longest bar."""
 ROWS = 60_000
-"""Rows, evenly spread, from which the margin is taken: an actuator's memory is followed along all of them."""
+"""Evenly spread rows for the margin's calibration. Limited because the actuator state is simulated along each of
+them."""
 WORSE = 3
-"""States that got worse in a run that are printed; all stand in the report."""
+"""Number of states that got worse that are printed; the report lists all."""
 FINDINGS = 6
-"""Findings about the data that are printed; all stand in the report."""
+"""Number of findings about the data that are printed; the report lists all."""
 
 
 @click.command(name="diagnose")
@@ -55,37 +56,40 @@ FINDINGS = 6
 @effects_option
 @as_json_option
 @folder_option("report.json, report.html, diagnosis.rrd, model.toml and margin.toml")
-@click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
+@click.option(
+    "--check", is_flag=True, help="Only report which effects these runs could show; takes seconds, writes nothing."
+)
 @force_option
 @fleet_options
 @needs("diagnosis")
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
-    """Find out which physical effect MODEL lacks, by recorded RUNs.
+    """Find out from recorded RUNs which effect MODEL lacks.
 
-    Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
-    Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
+    Fits every effect of the library, alone and in pairs, and adds those that improve the prediction of held-out data.
+    Also reports if nothing is missing, if the data cannot distinguish effects, and if no effect explains the remaining
+    error.
 
-    With --check: says in seconds which effects these runs could show and from which size on, and searches nothing.
+    With --check: reports within seconds which effects these runs could show, and from which size on, without a search.
 
-    With --fleet FOLDER, or runs of many robots and --by: one diagnosis a robot, and which effect is missing in which
-    robots. Writes fleet.html, fleet.json and a folder for each robot; what was done before is not done again.
+    With --fleet FOLDER, or runs of many robots and --by: diagnoses each robot and reports which effect is missing in
+    which robots. Writes fleet.html, fleet.json and a folder for each robot; robots that are done are skipped.
     """
     if options["check"]:
-        _checked(model, runs, options)
+        _check(model, runs, options)
         return 0
     if wants_fleet(options["fleet"], options["by"]):
         return run_fleet_diagnosis(model, runs, **options)
     unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["again"] * options["again"]
     if unused:
-        raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or what a robot is with --by")
+        raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or say what a robot is with --by")
     if not runs:
         raise InputError("runs: got none; wanted recordings of a robot, or --fleet FOLDER")
-    _diagnosed(model, runs, options)
+    _diagnose(model, runs, options)
     return 0
 
 
-def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
-    """What the runs could show."""
+def _check(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
+    """Reports which effects the runs could show."""
     from safedpa.diagnosis.identifiability.check import as_document, check_identifiability, check_lines
     from safedpa_services.progress import progress
 
@@ -101,8 +105,8 @@ def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None
         click.echo("\n".join(check_lines(found)))
 
 
-def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
-    """One robot's diagnosis: read, searched, written, told."""
+def _diagnose(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
+    """Diagnoses one robot: reads the runs, searches, writes the report, prints the result."""
     from safedpa.comparison.output import results_folder
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report_schema import as_document
@@ -121,34 +125,34 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
             report_progress(1, 2)
             margin = _margin(report, recorded, out)
     if options["as_json"]:
-        reported = _margin_document(report, out, margin, options["effects"])
-        click.echo(json.dumps({**document, "margin": reported}, allow_nan=False))
+        facts = _margin_document(report, out, margin, options["effects"])
+        click.echo(json.dumps({**document, "margin": facts}, allow_nan=False))
     else:
         _show(report, out, margin, options["effects"])
 
 
 def _margin(report: Report, runs: Sequence[Run], out: Path) -> CalibratedMargin:
-    """The filter's margin for the diagnosed model, next to it; none where the data allowed no verdict."""
+    """Calibrates the filter's margin for the diagnosed model; none if the data allowed no verdict."""
     from safedpa.comparison.excerpt import subsample_runs
-    from safedpa_services.driving import CalibratedMargin, calibrate_margin_file
+    from safedpa_services.model_deployment import CalibratedMargin, calibrate_margin_file
 
     path = out / "margin.toml"
     judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
     if not judged:
-        path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
+        path.unlink(missing_ok=True)  # a margin of an earlier diagnosis is for another model
         return CalibratedMargin()
     return calibrate_margin_file(report.models[-1], runs, path, lambda some: subsample_runs(some, ROWS, report.horizon))
 
 
 def _margin_document(report: Report, out: Path, margin: CalibratedMargin, own: Path | None) -> dict[str, Any]:
-    """Where the margin lies and of which steps [s] it is, None: none; what is said of it; how to drive."""
-    from safedpa_services.driving import drive_command
+    """Returns the margin's file and step [s] (None: no margin), a notice about it, and the command to drive with it."""
+    from safedpa_services.model_deployment import drive_command
 
-    reported: dict[str, Any] = {"file": None, "period": None, "notice": margin.notice, "drive": None}
+    document: dict[str, Any] = {"file": None, "period": None, "notice": margin.notice, "drive": None}
     if margin.path is not None:
         drive = drive_command(report.models[-1], out / "model.toml", margin.path, own, margin.period)
-        reported |= {"file": str(margin.path), "period": margin.period, "drive": drive}
-    return reported
+        document |= {"file": str(margin.path), "period": margin.period, "drive": drive}
+    return document
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
@@ -159,7 +163,7 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
     texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
     if isinstance(report.models[-1].base, LearnedBase):
-        save_model(report.models[-1], out / "model.toml")  # with its weights next to it
+        save_model(report.models[-1], out / "model.toml")  # writes the weights, too
     else:
         texts["model.toml"] = write_model(report.models[-1])
     for name, text in texts.items():
@@ -177,15 +181,15 @@ def _show(report: Report, out: Path, margin: CalibratedMargin, own: Path | None)
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
-    reported = _margin_document(report, out, margin, own)
-    if reported["notice"]:
-        console.print(reported["notice"], markup=False)
-    if reported["drive"] is not None:
-        console.print(f"Drive with it: {reported['drive']}", markup=False)
+    facts = _margin_document(report, out, margin, own)
+    if facts["notice"]:
+        console.print(facts["notice"], markup=False)
+    if facts["drive"] is not None:
+        console.print(f"To drive with it: {facts['drive']}", markup=False)
 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:
-    """The diagnosis as lines and their styles: error, where, what is missing, the falling error, what remains, next."""
+    """Returns the diagnosis as lines with styles: verdict, largest error, missing effects, rest, next drive."""
     from safedpa.diagnosis.report_schema import as_document
     from safedpa.report.diagnosis_story import report_text
     from safedpa.report.undecided_story import closest_rows
@@ -203,16 +207,16 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
         text = f"  {lost.state} got worse in {lost.run}: {lost.before:.3g} to {lost.after:.3g}, though the mean fell"
         lines.append((text, "yellow"))
     lines += [
-        (f"  Cannot be told apart: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
+        (f"  Cannot be distinguished: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
     ]
     if report.unexplained is not None and report.unexplained.depends_on:
         lines.append((story.remains, "yellow"))
         lines.append((f"  {story.formula_title}: {report.unexplained.expression}", "yellow"))
         lines.append((f"  {story.formula_note}", "dim"))
     for effect, numbers, fall, drive in closest_rows(as_document(report)):
-        off = f"; would take {fall} off the error" if fall else ""
+        off = f"; would reduce the error by {fall}" if fall else ""
         lines.append((f"  Likely, not proven: {effect} ({numbers}{off})", "yellow"))
-        lines += [(f"    Drive to know: {drive}.", "cyan")] if drive else []
+        lines += [(f"    To find out, drive: {drive}.", "cyan")] if drive else []
     if report.next_experiment is not None:
         item = report.next_experiment
         lines.append((f"Next: {item.manoeuvre}; {item.why}.", "cyan"))
@@ -225,7 +229,7 @@ def _verdict(report: Report, lead: str) -> str:
     if report.verdict == "unexplained" and report.unexplained is not None and not report.unexplained.depends_on:
         return f"No verdict: {report.unexplained.expression}."
     if report.verdict == "unexplained" and report.added:
-        return f"No verdict: the model predicts badly whatever is added ({', '.join(report.added)} fit best)."
+        return f"No verdict: the model predicts badly with every effect added ({', '.join(report.added)} fit best)."
     return lead
 
 
@@ -251,5 +255,5 @@ def _bars(report: Report) -> list[tuple[str, str]]:
 
 
 def _groups(report: Report) -> list[tuple[str, tuple[str, ...]]]:
-    retained = [item for item in report.candidates if item.decision == "accepted" and item.indistinguishable_from]
-    return [(item.effect, item.indistinguishable_from) for item in retained]
+    ambiguous = [item for item in report.candidates if item.decision == "accepted" and item.indistinguishable_from]
+    return [(item.effect, item.indistinguishable_from) for item in ambiguous]

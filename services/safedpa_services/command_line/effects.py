@@ -1,4 +1,4 @@
-"""``safedpa effects``: the library of physical effects as a table, as JSON, or as Markdown for the docs."""
+"""``safedpa effects``: lists the library of physical effects as a table, as JSON, or as Markdown for the docs."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.option("--robot", help="Only the effects of this robot (car, pendulum, point).")
+@click.option("--robot", help="List only the effects of this robot (car, pendulum, point).")
 @as_json_option
-@click.option("--markdown", is_flag=True, help="Tables in Markdown: those of docs/effects.md.")
+@click.option("--markdown", is_flag=True, help="Print the Markdown tables of docs/effects.md.")
 @effects_option
 def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | None) -> None:
-    """List the physical effects that can be added to a model: equations, parameters, units, what they look like."""
-    from safedpa.dynamics import load_own
+    """List the physical effects that a model can have.
+
+    Shows equation, parameters, units, and the residuals of a model without the effect.
+    """
+    from safedpa.dynamics import load_user_file
     from safedpa.effects import effects_of, robots
     from safedpa.errors import InputError, did_you_mean
 
     if effects is not None:
-        load_own(effects)
+        load_user_file(effects)
     if robot is not None and robot not in robots():
         raise InputError(f"--robot: got '{robot}'; {did_you_mean(robot, robots())}")
     listed = {owner: _ordered(effects_of(owner)) for owner in robots() if robot in (None, owner)}
@@ -44,7 +47,7 @@ def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | No
 
 
 def _ordered(items: dict[str, AbstractEffect]) -> list[AbstractEffect]:
-    """In the order in which they act, from the command to the sensor."""
+    """Sorts the effects in the order in which they act, from the command to the sensor."""
     return sorted(items.values(), key=lambda item: (item.stage, item.name))
 
 
@@ -68,7 +71,7 @@ def _bounds(parameter: Parameter) -> str:
     return f"{parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def _nothing_at(parameter: Parameter) -> str:
+def _neutral_value(parameter: Parameter) -> str:
     return "any value" if parameter.neutral is None else f"{parameter.neutral:g}"
 
 
@@ -83,11 +86,13 @@ def _markdown(owner: str, items: list[AbstractEffect]) -> list[str]:
     lines = [
         f"### {owner.capitalize()}",
         "",
-        "| effect | equation | parameters: bounds (typical; does nothing at) | in residuals |",
+        "| effect | equation | parameters: bounds (typical; no effect at) | in residuals |",
         "|---|---|---|---|",
     ]
     for item in items:
-        parameters = "<br>".join(f"`{p.name}`: {_bounds(p)} ({p.typical:g}; {_nothing_at(p)})" for p in item.parameters)
+        parameters = "<br>".join(
+            f"`{p.name}`: {_bounds(p)} ({p.typical:g}; {_neutral_value(p)})" for p in item.parameters
+        )
         needs = f"<br>{_title(item)}" if item.needs else ""
         lines.append(f"| `{item.name}`{needs} | {cell(item.equation)} | {parameters} | {cell(item.signature)} |")
     return [*lines, ""]
@@ -110,7 +115,7 @@ def _show(listed: dict[str, list[AbstractEffect]]) -> None:
             expand=True,
         )
         table.add_column("effect", no_wrap=True)
-        table.add_column("equation, and what a model without it shows", ratio=3)
+        table.add_column("equation, and the residuals of a model without it", ratio=3)
         table.add_column("parameters", ratio=2)
         for item in items:
             name = Text.assemble((item.name, "bold cyan"), *([("\n" + _title(item), "yellow")] if item.needs else []))
@@ -118,7 +123,9 @@ def _show(listed: dict[str, list[AbstractEffect]]) -> None:
             table.add_row(name, what, Text("\n").join(_parameter_text(parameter) for parameter in item.parameters))
         console.print(table)
         console.print()
-    console.print(Text("Add one to a model file as a table [[effects]] with its name and parameters.", style="dim"))
+    console.print(
+        Text("To add one to a model file, write a table [[effects]] with its name and parameters.", style="dim")
+    )
 
 
 def _parameter_text(parameter: Parameter) -> Text:

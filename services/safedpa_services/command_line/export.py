@@ -1,4 +1,4 @@
-"""``safedpa export``: a recording of the bus as a table or a bag of ROS 2, or learned networks as ONNX."""
+"""``safedpa export``: converts recordings, models and learned networks to formats of other tools."""
 
 from __future__ import annotations
 
@@ -20,33 +20,42 @@ __all__ = ["command"]
     "--format",
     "kind",
     type=SuggestingChoice(["csv", "parquet", "ros2", "simulators"]),
-    help="csv: text, every digit kept; parquet: smaller, faster; ros2: a rosbag2 (MCAP); simulators: of a model.",
+    help="csv: text with full precision; parquet: smaller, faster; ros2: a rosbag2 (MCAP); simulators: for a model.",
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")
-@click.option("--robot", metavar="NAME", help="Which robot, when the recording holds several.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="The file, or for ros2 and simulators the folder, to write.",
+)
+@click.option("--robot", metavar="NAME", help="The robot to export, if the recording has several.")
 @click.option(
     "--onnx",
     "folder",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write the networks of a weights file there: mu, f, g, phi and policy, one .onnx each.",
+    help="Write the networks of a weights file to DIR: mu, f, g, phi and policy, one .onnx file each.",
 )
 @answers_json
 def command(source: Path, kind: str | None, out: Path | None, robot: str | None, folder: Path | None) -> None:
-    """Write a recorded drive as CSV, Parquet or rosbag2, a model for other simulators, or learned networks as ONNX.
+    """Export a recording, a model or networks to other tools.
 
-    A recording gives one row per tick: t [s], the states, the actions in force until the next row, and what the safety
-    filter decided at that tick: status, slack, h_now, h_next, margin. A rosbag2 is a folder of standard messages:
-    odometry, tf, nominal action and command, diagnostics, markers; Foxglove, Rerun and ROS 2 open it.
+    Recordings become CSV, Parquet or rosbag2 files, models files of other simulators, networks ONNX files.
 
-    Of a model (a file, or the name of one that ships) --out is a folder: parameters.json with every parameter, and
-    files of other simulators (MJCF, URDF, Gazebo) as far as they can say it; what they cannot is told.
+    A table has one row per tick: t [s], the states, the actions in force until the next row, and the safety filter's
+    decision: status, slack, h_now, h_next, margin. A rosbag2 is a folder with standard messages: odometry, tf, nominal
+    action and command, diagnostics, markers. Foxglove, Rerun and ROS 2 can open it.
 
-    Of networks every graph takes and gives SI units.
+    For a model (a file, or the name of a shipped one) --out is a folder: parameters.json with all parameters, and files
+    for other simulators (MJCF, URDF, Gazebo). Effects that these formats cannot express are listed.
+
+    Inputs and outputs of the ONNX graphs are in SI units.
     """
     if folder is not None:
         if kind or out or robot:
-            raise InputError("--onnx: got options of a recording too; leave --format, --out and --robot out")
+            raise InputError(
+                "--onnx: got it together with --format, --out or --robot, which are for recordings; leave them out"
+            )
         _export_networks(source, folder)
         return
     from safedpa.comparison.output import refuse_inputs
@@ -68,18 +77,18 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
         report_progress(
             f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]}
         )
-    reported = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
-    report_progress(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=reported)
+    facts = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
+    report_progress(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=facts)
 
 
 def _export_model(source: Path, out: Path) -> None:
     from safedpa.comparison.output import refuse_inputs, require_writable_folder
     from safedpa.dynamics import load_model
-    from safedpa.dynamics.elsewhere import SimulatorExport, export_table
-    from safedpa.robot import robot_named
+    from safedpa.dynamics.simulator_export import SimulatorExport, export_table
+    from safedpa.systems.robots import robot_named
 
     model = load_model(source)
-    found = robot_named(model.system.name).elsewhere(model) or SimulatorExport()
+    found = robot_named(model.system.name).simulator_export(model) or SimulatorExport()
     texts = {"parameters.json": export_table(model, found), **found.documents}
     require_writable_folder(out, create=True)
     refuse_inputs([out / name for name in texts], [source])
@@ -89,7 +98,7 @@ def _export_model(source: Path, out: Path) -> None:
     for name, cannot in found.unexpressed.items():
         for effect, why in cannot.items():
             report_progress(
-                f"{name}: {effect} is not in it: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]}
+                f"{name}: cannot express {effect}: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]}
             )
 
 
@@ -100,16 +109,16 @@ def _export_bag(source: Path, out: Path, robot: str | None) -> None:
     exported = export_bag(source, out, robot)
     for line in exported.findings:
         report_progress(line, err=True, facts={"findings": [line]})
-    reported = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
+    facts = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
     report_progress(
-        f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=reported
+        f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=facts
     )
 
 
 def _export_networks(source: Path, folder: Path) -> None:
     need("train", what="--onnx")
     from safedpa.networks import load_weights
-    from safedpa_sim.training.onnx_export import export_onnx
+    from safedpa_sim.training.export.onnx import export_onnx
 
     for path in export_onnx(load_weights(source), folder):
         report_progress(f"{path}: {path.stat().st_size} bytes", facts={"written": [str(path)]})

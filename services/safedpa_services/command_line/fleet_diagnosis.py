@@ -1,4 +1,4 @@
-"""``safedpa diagnose`` over a fleet: which effect is missing in which robots."""
+"""``safedpa diagnose`` for a fleet: which effect is missing in which robots."""
 
 from __future__ import annotations
 
@@ -24,36 +24,40 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 LOCAL = "local"
-"""The address of a Ray instance that the command starts for itself."""
+"""Address that makes the command start a local Ray instance."""
 _NAMES = 8
-"""Robots of a group whose names are printed; all stand in fleet.json."""
+"""Number of robots of a group whose names are printed; fleet.json lists all."""
 
 
 def fleet_options(command: Command) -> Command:
-    """--fleet, --by, --jobs, --ray and --again, in this order on the help page."""
+    """Adds --fleet, --by, --jobs, --ray and --again, in this order on the help page."""
     for option in (
-        click.option("--again", is_flag=True, help="Of a fleet: do every robot again, also those that are done."),
+        click.option(
+            "--again", is_flag=True, help="For a fleet: diagnose all robots again, including those that are done."
+        ),
         click.option(
             "--ray",
             is_flag=False,
             flag_value=LOCAL,
             metavar="[ADDRESS]",
-            help="Of a fleet: work on the Ray cluster at ADDRESS ('auto': the one of this machine); without "
-            "ADDRESS on a local instance.",
+            help="For a fleet: use the Ray cluster at ADDRESS ('auto': the one of this machine); without "
+            "ADDRESS a local instance.",
         ),
-        click.option("--jobs", type=int, metavar="N", help="Of a fleet: robots at a time; by default one a core."),
+        click.option(
+            "--jobs", type=int, metavar="N", help="For a fleet: number of robots at a time; default: one per core."
+        ),
         click.option(
             "--by",
             type=SuggestingChoice(["auto", "folder", "file", "robot"]),
             default="auto",
             show_default=True,
-            help="What a robot of a fleet is: a folder of recordings, a file, or a name inside MCAP recordings.",
+            help="What makes a robot of a fleet: a folder of recordings, a file, or a name inside MCAP recordings.",
         ),
         click.option(
             "--fleet",
             type=click.Path(path_type=Path),
             metavar="FOLDER",
-            help="Diagnose every robot whose recordings lie in FOLDER, FOLDER/ROBOT/*.csv, say, and compare them.",
+            help="Diagnose every robot with recordings in FOLDER, such as FOLDER/ROBOT/*.csv, and compare the robots.",
         ),
     ):
         command = option(command)
@@ -61,12 +65,15 @@ def fleet_options(command: Command) -> Command:
 
 
 def wants_fleet(fleet: Path | None, by: str) -> bool:
-    """Whether many robots were asked for: by --fleet, or by runs and --by."""
+    """Whether the options ask for a diagnosis of a fleet: --fleet, or runs and --by."""
     return fleet is not None or by != "auto"
 
 
 def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
-    """Diagnoses a fleet and tells; the exit code: 0, or 2 where no robot's recordings could be used."""
+    """Diagnoses a fleet and prints the result; returns exit code 0.
+
+    Raises InputError if no robot's recordings can be used.
+    """
     from safedpa.comparison.output import results_folder
     from safedpa.fleet import Fleet, Options, diagnose_fleet
     from safedpa_services.progress import progress
@@ -74,11 +81,11 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     given: Path | None = options["out"]
     effects: Path | None = options["effects"]
     if effects is not None:
-        from safedpa.dynamics import load_own_everywhere
+        from safedpa.dynamics import load_user_file_everywhere
 
-        load_own_everywhere(effects)
+        load_user_file_everywhere(effects)
     if given is not None and options["fleet"] is not None and given.resolve() == options["fleet"].resolve():
-        raise InputError(f"--out {given}: got the folder of the recordings; choose another one for the results")
+        raise InputError(f"--out {given}: got the folder of the recordings; choose another folder for the results")
     found = _found(runs, options)
     read = inputs_of(model, [path for robot in found.robots for path in map(str, robot.files)], effects)
     columns = _absolute(options["columns"]) if options["columns"] else None
@@ -99,12 +106,12 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     usable = document["counts"]
     if usable["unreadable"] == len(document["robots"]):
         reason = document["robots"][0]["reason"]
-        raise InputError(f"no robot's recordings can be used; the first: {reason}")
+        raise InputError(f"no robot's recordings can be used; the first robot's: {reason}")
     return 0
 
 
 def _absolute(name: str) -> str:
-    """A file by its full path, for workers that stand elsewhere; the name of what ships as it is."""
+    """Returns the full path of a file, for workers with another working directory; names of shipped ones unchanged."""
     return str(Path(name).resolve()) if Path(name).is_file() else name
 
 
@@ -115,12 +122,12 @@ def _found(runs: Sequence[str], options: dict[str, Any]) -> DiscoveredRobots:
     if fleet is None:
         return robots_of_files([Path(run) for run in runs], options["by"])
     if runs:
-        raise InputError(f"--fleet {fleet}: got runs next to it ({runs[0]}); leave one of the two out")
+        raise InputError(f"--fleet {fleet}: got it together with runs ({runs[0]}); leave one of them out")
     return robots_in_folder(fleet.resolve(), options["by"])
 
 
 def _workers(options: dict[str, Any]) -> Workers:
-    """Processes of this machine, or a cluster."""
+    """Returns the function that runs the jobs: in processes of this machine, or on a cluster."""
     jobs: int | None = options["jobs"]
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs: got {jobs}, wanted at least 1")
@@ -150,7 +157,7 @@ def _on_cluster(
 
 
 def _show(document: dict[str, Any], out: Path) -> None:
-    from safedpa.fleet.story import common_sentence, discovery_sentence, headline
+    from safedpa.fleet.summary import common_sentence, discovery_sentence, headline
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False)
@@ -161,16 +168,16 @@ def _show(document: dict[str, Any], out: Path) -> None:
     if common:
         console.print(common, style="green", markup=False, soft_wrap=True)
     for item in document["odd"]:
-        console.print(f"{item['robot']} does not fit: {item['times']:.1f} times the fleet's error, whatever is added.",
+        console.print(f"{item['robot']} does not fit: {item['times']:.1f} times the fleet's error with every effect.",
                       style="yellow", markup=False)  # fmt: skip
     for robot in document["robots"]:
         if robot["kind"] in ("unreadable", "failed", "no_verdict"):
             console.print(f"  {robot['robot']}: {robot['reason']}", style="dim", markup=False, soft_wrap=True)
         elif robot["unreadable_files"]:
-            reported = (
+            text = (
                 f"  {robot['robot']}: {robot['unreadable_files']} of its files could not be read (result.json says why)"
             )
-            console.print(reported, style="dim", markup=False, soft_wrap=True)
+            console.print(text, style="dim", markup=False, soft_wrap=True)
     for item in document["left_out"]:
         console.print(f"  left out: {item['path']} ({item['reason']})", style="dim", markup=False, soft_wrap=True)
     console.print(discovery_sentence(document), style="dim", markup=False, soft_wrap=True)
@@ -180,7 +187,7 @@ def _show(document: dict[str, Any], out: Path) -> None:
 def _table(document: dict[str, Any]) -> Any:
     from rich.table import Table
 
-    from safedpa.fleet.story import group_title, listed, numbers_text
+    from safedpa.fleet.summary import group_title, listed, numbers_text
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("robots", justify="right", no_wrap=True)

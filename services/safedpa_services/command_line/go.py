@@ -1,4 +1,4 @@
-"""``safedpa go``: robots that an order stopped may drive again."""
+"""``safedpa go``: lifts a stop order."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from safedpa_services.command_line.stop_orders import give_order
 
 @click.command()
 @listening_options
-@click.option("--robot", default="", help="this robot alone; default: the whole fleet")
+@click.option("--robot", default="", help="only this robot; default: the whole fleet")
 @who_option
 def command(robot: str, **options: Any) -> None:
-    """Let a robot, or the whole fleet, drive again that was stopped by 'safedpa stop'.
+    """Lift a stop order, so that robots drive again.
 
-    Without --robot the order to the whole fleet is lifted; robots that were stopped one by one stay where they are.
+    Without --robot the order for the whole fleet is lifted; robots that were stopped individually stay stopped.
     """
     give_order("go", robot, options)

@@ -1,4 +1,4 @@
-"""The group of commands: names, one-line helps, and how errors become exit codes."""
+"""The group of all commands: finds and loads commands, and turns errors into messages and exit codes."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ COMMANDS = (
     "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
     "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
-"""One file next to this one each, with a click command named ``command``; imported when it is called."""
+"""Names of modules in this package, each with a click command ``command``; imported when it is called."""
 
 ENTRY_POINTS = "safedpa.commands"
-"""The group under which other distributions bring commands: name = "module:command"."""
+"""Entry-point group with which other distributions add commands: name = "module:command"."""
 
 LABORATORY = ("bench", "experiment", "results", "train-baselines")
-"""What safedpa-lab brings."""
+"""Commands of the distribution safedpa-lab."""
 
 
 START = """\
-safedpa drives a robot behind a safety filter, and finds out what its model of the robot lacks.
+safedpa drives a robot behind a safety filter, and finds out what the robot's model lacks.
 
-What to do first:
-  safedpa demo                        two minutes: a fault while it drives, found, corrected by your click
+Start with:
+  safedpa demo                        in two minutes: a fault during a drive, diagnosed, corrected with your click
   safedpa up                          drive the simulated car; prints the address of the live view; Ctrl-C ends it
-  safedpa up --no-filter              the same without the filter, to see what it is for
+  safedpa up --no-filter              the same without the safety filter, for comparison
   safedpa compare MODEL RUN...        how wrong is a model, and where? MODEL: a file, or a name such as car
-  safedpa diagnose MODEL RUN...       which physical effect does it lack?
-  safedpa workbench MODEL RUN...      the same by looking and clicking
-  safedpa effects                     the effects that it knows
+  safedpa diagnose MODEL RUN...       which physical effect does the model lack?
+  safedpa workbench MODEL RUN...      compare and diagnose on a web page
+  safedpa effects                     list the known physical effects
 
-Every command: safedpa --help. One of them: safedpa up --help. Pages: docs/index.md, or make docs."""
-"""What ``safedpa`` alone says."""
+All commands: safedpa --help. One command: safedpa up --help. Documentation: docs/index.md, or make docs."""
+"""Printed by ``safedpa`` without arguments."""
 
 
 class _Commands(click.Group):
@@ -54,27 +54,27 @@ class _Commands(click.Group):
             command: click.Command = module.command
             return command
         for point in entry_points(group=ENTRY_POINTS, name=cmd_name):
-            return _brought(point)
+            return _load_command(point)
         if cmd_name in LABORATORY:
             raise MissingExtraError(
-                f"'safedpa {cmd_name}' belongs to the laboratory: pip install 'safedpa[lab]', or pip install ./sim"
+                f"'safedpa {cmd_name}' is part of the laboratory: pip install 'safedpa[lab]', or pip install ./sim"
             )
         raise click.UsageError(f"command '{cmd_name}': {did_you_mean(cmd_name, self.list_commands(ctx))}")
 
     def run(self, arguments: list[str]) -> int:
-        """Runs one command; returns its exit code."""
+        """Runs a command and returns its exit code."""
         try:
             code = self.main(arguments, prog_name="safedpa", standalone_mode=False)
         except click.exceptions.NoArgsIsHelpError as error:
             click.echo(error.format_message() if arguments else START)
             return 0
         except click.ClickException as error:
-            return _fail(_with_cure(error), 2)
+            return _fail(_with_remedy(error), 2)
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", 1)
         except SafedpaError as error:
             return _fail(str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1)
-        except ModuleNotFoundError as error:  # of a part that no command names beforehand
+        except ModuleNotFoundError as error:  # of an extra that the command did not check
             extra = extra_of(error.name or "")
             if extra is None:
                 raise
@@ -82,8 +82,8 @@ class _Commands(click.Group):
         return code if isinstance(code, int) else 0
 
 
-def _brought(point: EntryPoint) -> click.Command:
-    """The command of another distribution; where none is behind its entry point, one that says so when it runs."""
+def _load_command(point: EntryPoint) -> click.Command:
+    """Loads a command of another distribution; if that fails, returns a command that reports why."""
     distribution = point.dist.name if point.dist else "an unknown distribution"
     try:
         found = point.load()
@@ -93,9 +93,7 @@ def _brought(point: EntryPoint) -> click.Command:
         return _broken(point.name, f"{distribution}: {point.value} cannot be loaded: {error}; reinstall {distribution}")
     if isinstance(found, click.Command):
         return found
-    return _broken(
-        point.name, f"{distribution}: got {type(found).__name__} behind {point.value}, wanted a click command"
-    )
+    return _broken(point.name, f"{distribution}: got {type(found).__name__} at {point.value}, wanted a click command")
 
 
 def _broken(name: str, reason: str) -> click.Command:
@@ -105,17 +103,17 @@ def _broken(name: str, reason: str) -> click.Command:
     return click.Command(name, callback=refuse, help=f"Broken: {reason}.", short_help=f"Broken: {reason}.")
 
 
-def _with_cure(error: click.ClickException) -> str:
-    """The message, and where it says no more than that something is missing or unknown, what to look at."""
+def _with_remedy(error: click.ClickException) -> str:
+    """Returns click's message; adds a hint to the help unless the message already suggests something."""
     message = error.format_message().rstrip()
     asked = getattr(error, "ctx", None)
     if asked is None or "did you mean" in message.lower() or "known:" in message:
         return message
-    return f"{message.rstrip('.')}; '{asked.command_path} --help' says what it takes"
+    return f"{message.rstrip('.')}; '{asked.command_path} --help' lists the options"
 
 
 _LONGEST_MESSAGE = 2000
-"""Letters; names and values in it may come from anybody."""
+"""Characters; the message may contain text from untrusted files or messages."""
 
 
 def _fail(message: str, code: int) -> int:
@@ -123,20 +121,25 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-def _reported(context: click.Context, option: click.Parameter, asked: bool) -> None:
-    """The version, and what the filter's innermost modules are; they are imported only for this."""
+def _print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:
+    """Prints the version, and whether the filter's innermost modules are compiled."""
     del option
-    if asked and not context.resilient_parsing:
+    if wanted and not context.resilient_parsing:
         from safedpa.compiled import compiled_modules
 
-        road = "compiled" if compiled_modules() else "Python source"
-        click.echo(f"safedpa, version {version('safedpa')}; the filter's innermost modules: {road}")
+        kind = "compiled" if compiled_modules() else "Python source"
+        click.echo(f"safedpa, version {version('safedpa')}; the filter's innermost modules: {kind}")
         context.exit()
 
 
 @click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
-    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_reported, help="Show the version and exit."
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
 )
 def safedpa() -> None:
-    """Safe deep policy adaptation: drive safely, compare the model with measurements, find what it lacks."""
+    """Safe deep policy adaptation: drive safely, compare the model with measurements, find missing effects."""

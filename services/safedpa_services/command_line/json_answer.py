@@ -1,4 +1,4 @@
-"""``--json`` for commands that tell what they did in lines: the facts behind the lines become one document."""
+"""``--json`` for commands that report progress in lines: the facts behind the lines become one JSON document."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from typing import Any, TypeVar
 
 import click
 
-from safedpa_services.lines import print_plain
+from safedpa_services.plain_output import print_plain
 
 __all__ = ["answers_json", "finish", "report_progress"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _KEY = "safedpa.facts"
-"""In the context of a command that was called with --json: what it has told so far."""
+"""Key in click's context under which a command with --json collects its facts."""
 
 
 def answers_json(function: _Function) -> _Function:
-    """Gives a command ``--json``: of its lines nothing is printed, at its end the facts are. Use below its options."""
+    """Adds ``--json`` to a command: its lines are not printed, and its facts are at its end.
+
+    Put it below the options.
+    """
 
     @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
     @wraps(function)
@@ -35,7 +38,7 @@ def answers_json(function: _Function) -> _Function:
 
 
 def finish() -> None:
-    """Prints the document, where one is wanted and was not printed before: what serves for hours says it at once."""
+    """Prints the JSON document now, if one is wanted. For commands that then run until Ctrl-C."""
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(_KEY):
         click.echo(json.dumps(context.meta[_KEY], allow_nan=False))
@@ -43,8 +46,11 @@ def finish() -> None:
 
 
 def report_progress(line: str = "", *, err: bool = False, facts: Mapping[str, Any] | None = None) -> None:
-    """Prints a line, or with ``--json`` takes the facts down; the entries of lists that are told twice follow one
-    another. ``err``: the line belongs on standard error. Without a line only the facts are told."""
+    """Prints a line, or with ``--json`` collects its facts.
+
+    Lists that are reported several times are concatenated. ``err``: print to standard error. Without a line, only the
+    facts are reported.
+    """
     context = click.get_current_context(silent=True)
     document = None if context is None else context.meta.get(_KEY)
     if document is None:

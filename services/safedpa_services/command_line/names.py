@@ -1,4 +1,4 @@
-"""Names on the command line: the nearest one where a name is wrong, and all of them for the Tab key."""
+"""Names on the command line: suggestions for misspelt names, and shell completion."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ __all__ = ["SuggestingChoice", "complete_effects", "complete_models", "complete_
 
 
 class SuggestingChoice(click.Choice[Any]):
-    """One of a few words; a wrong one is answered with the nearest."""
+    """A choice that suggests the nearest value for an unknown one."""
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
-        """The line that stands behind the option's name."""
+        """Returns the message that click prints after the option's name."""
         del ctx
         return f"got '{value}'; {did_you_mean(str(value), [str(choice) for choice in self.choices])}"
 
 
-def complete_models(context: click.Context, item: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Names of models that ship, and whatever file the shell finds."""
+def complete_models(context: click.Context, item: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes names of shipped models, and files."""
     del context, item
     from safedpa.dynamics.model_file import shipped_models
 
-    return [*_matching(shipped_models(), begun), CompletionItem(begun, type="file")]
+    return [*_matching(shipped_models(), incomplete), CompletionItem(incomplete, type="file")]
 
 
-def complete_effects(context: click.Context, item: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Names of effects: of the robot of the model that stands before, where it can be read; else of all."""
+def complete_effects(context: click.Context, item: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes names of effects: those of the robot of a model that was given before, else all."""
     del item
     from safedpa.dynamics import load_model
     from safedpa.effects import effects_of, robots
@@ -41,16 +41,16 @@ def complete_effects(context: click.Context, item: click.Parameter, begun: str) 
     known = robots()
     with contextlib.suppress(KeyError, TypeError, InputError):
         known = (load_model(context.params["model"]).system.name,)
-    return _matching({name for robot in known for name in effects_of(robot)}, begun)
+    return _matching({name for robot in known for name in effects_of(robot)}, incomplete)
 
 
-def complete_robots(context: click.Context, item: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Names of robots that ship."""
+def complete_robots(context: click.Context, item: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes names of shipped robots."""
     del context, item
-    from safedpa.robot import robots
+    from safedpa.systems.robots import robots
 
-    return _matching(robots(), begun)
+    return _matching(robots(), incomplete)
 
 
-def _matching(names: Iterable[str], begun: str) -> list[CompletionItem]:
-    return [CompletionItem(name) for name in sorted(names) if name.startswith(begun)]
+def _matching(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]

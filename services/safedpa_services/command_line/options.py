@@ -1,4 +1,4 @@
-"""Arguments, options and reading that several commands share."""
+"""Arguments and options that several commands share, and functions that load what they name."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 runs_argument = click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 columns_option = click.option(
-    "--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say."
+    "--columns", help="Column map (TOML), or the name of a shipped one, such as dart_car_columns."
 )
 effects_option = click.option(
     "--effects",
@@ -41,52 +41,52 @@ effects_option = click.option(
     "effects",
     type=click.Path(path_type=Path),
     metavar="FILE.py",
-    help="Effects, systems and robots of your own.",
+    help="Python file with your own effects, systems and robots.",
 )
-force_option = click.option("--force", is_flag=True, help="Write even over a file that was read.")
+force_option = click.option("--force", is_flag=True, help="Allow overwriting an input file.")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 
 
 def horizon_option(default: float | None = 1.0) -> Callable[[Command], Command]:
-    """``--horizon`` in seconds, which has to be named where there is no default."""
+    """Returns the option ``--horizon`` in seconds; required if there is no default."""
     shown: dict[str, Any] = {"required": True} if default is None else {"default": default, "show_default": True}
     return click.option("--horizon", type=float, metavar="SECONDS", help="How far to predict.", **shown)
 
 
 def folder_option(what: str) -> Callable[[Command], Command]:
-    """``--out``: the folder for ``what``."""
+    """Returns the option ``--out``: the folder for ``what``."""
     return click.option(
         "--out",
         type=click.Path(path_type=Path),
         default=None,
         metavar="DIR",
-        help=f"Folder for {what}; by default a new one, named by model and time.",
+        help=f"Folder for {what}; default: a new one, named after model and time.",
     )
 
 
 def run_options(command: Command) -> Command:
-    """RUN..., --columns, --horizon, --effects and --json, in this order on the help page."""
+    """Adds RUN..., --columns, --horizon, --effects and --json, in this order on the help page."""
     for option in (as_json_option, effects_option, horizon_option(), columns_option, runs_argument):
         command = option(command)
     return command
 
 
 def inputs_of(model: str, runs: Sequence[str], *others: str | Path | None) -> list[str | Path]:
-    """Everything that a command reads."""
+    """Returns all files that a command reads."""
     return [model, *runs, *(item for item in others if item is not None)]
 
 
 def load_given_model(name: str, effects: Path | None) -> PhysicsModel:
-    """The model, once the user's own effects and systems are known."""
-    from safedpa.dynamics import load_model, load_own
+    """Loads the user's own effects and systems, then the model."""
+    from safedpa.dynamics import load_model, load_user_file
 
     if effects is not None:
-        load_own(effects)
+        load_user_file(effects)
     return load_model(name)
 
 
 def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
-    """The recordings, named so that they can be told apart; with a progress bar of its own."""
+    """Loads the recordings, with distinct names, and shows a progress bar."""
     from safedpa.comparison.comparison import with_distinct_names
     from safedpa.records import load_column_map, load_run
     from safedpa_services.progress import progress
@@ -102,14 +102,17 @@ def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) ->
 
 
 class GroupedCommand(click.Command):
-    """``groups``: heading to names of parameters; one may stand under several, and what is in none comes last."""
+    """A command whose help groups its options.
+
+    ``groups`` maps a heading to names of parameters. A parameter may be in several groups; those in none come last.
+    """
 
     def __init__(self, *arguments: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.groups = groups
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Writes a section for each heading."""
+        """Writes one section per heading."""
         records = {item.name: item.get_help_record(ctx) for item in self.get_params(ctx)}
         named = {name for names in self.groups.values() for name in names}
         rest = [name for name in records if name not in named]
@@ -121,6 +124,6 @@ class GroupedCommand(click.Command):
 
 
 def value_text(name: str, value: FittedValue) -> str:
-    """coefficient 0.121 +- 0.003 1/m"""
+    """Returns a fitted value as text: coefficient 0.121 +- 0.003 1/m."""
     spread = "" if value.std is None else f" +- {value.std:.2g}"
     return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")

@@ -1,4 +1,4 @@
-"""``safedpa predict``: a model's open-loop predictions along a recorded run."""
+"""``safedpa predict``: writes a model's open-loop predictions along a recorded run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["command"]
 @click.argument("run")
 @columns_option
 @horizon_option(None)
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="File to write.")
 @effects_option
 @force_option
 @answers_json
@@ -34,10 +34,10 @@ __all__ = ["command"]
 def command(
     model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None, force: bool
 ) -> None:
-    """Predict RUN with MODEL, open loop, from every tenth row of it.
+    """Predict RUN with MODEL, open loop, from every tenth row.
 
-    Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
-    t and the states, one line per measured row up to the horizon.
+    Each prediction starts at the measured state and uses only the recorded actions. FILE.csv has the columns start_t, t
+    and the states, with one line per measured row up to the horizon.
     """
     from safedpa.comparison.output import refuse_inputs, require_writable_file
     from safedpa.comparison.rollout import predict_run
@@ -51,7 +51,7 @@ def command(
     table = predict_run(loaded, recorded, horizon)
     write_columns(table, out, "csv")
     starts = len(set(table["start_t"].tolist()))
-    reported = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
+    facts = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
     report_progress(
-        f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=reported
+        f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=facts
     )

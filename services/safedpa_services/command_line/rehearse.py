@@ -1,4 +1,4 @@
-"""``safedpa rehearse``: what a diagnosis of one's own drives would find, and at which size."""
+"""``safedpa rehearse``: tests on simulated copies of runs which effects a diagnosis would find, and of which size."""
 
 from __future__ import annotations
 
@@ -28,12 +28,14 @@ __all__ = ["command"]
 @runs_argument
 @columns_option
 @effects_option
-@click.option("--effect", "names", multiple=True, metavar="NAME", help="May be given several times; default: all.")
+@click.option(
+    "--effect", "names", multiple=True, metavar="NAME", help="Effect to hide; may be given several times; default: all."
+)
 @click.option(
     "--size", "sizes", type=float, multiple=True, default=(1.0,), show_default=True,
-    help="In ordinary sizes; may be given several times.",
+    help="Size of the hidden effect, relative to its typical size; may be given several times.",
 )  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Draws the noise.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the noise.")
 @as_json_option
 @needs("diagnosis")
 def command(
@@ -46,16 +48,17 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Rehearse a diagnosis of RUNs: hide each effect that MODEL may lack in their commands, and look for it.
+    """Test which effects a diagnosis of RUNs would find.
 
-    The runs are simulated again, with their own commands and noise, and diagnosed: does a drive like these show what one
-    wants to know? Takes a diagnosis for each effect and size.
+    Simulates the runs with a hidden effect that MODEL lacks, and tries to find it. The simulation uses the commands and
+    the noise of the runs. The result says whether drives like these would show an effect. Takes the time of one
+    diagnosis per effect and size.
     """
     from safedpa.diagnosis.identifiability.rehearsal import rehearse_diagnosis
     from safedpa_services.progress import progress
 
     if seed < 0 or not all(size > 0 for size in sizes):
-        raise InputError("--size: wanted more than 0; --seed: wanted 0 or more")
+        raise InputError(f"--size {sizes}, --seed {seed}: wanted sizes above 0, and a seed of 0 or more")
     loaded = load_given_model(model, effects)
     recorded = load_runs(loaded, runs, columns)
     with progress("rehearsing") as report_progress:
@@ -66,8 +69,8 @@ def command(
         return
     for trial in found.trials:
         unit = "" if trial.unit == "1" else f" {trial.unit}"
-        notice = ", ".join(trial.named) or trial.verdict.replace("_", " ")
+        named = ", ".join(trial.named) or trial.verdict.replace("_", " ")
         verdict = "found" if trial.found else "not found"
-        expected = "as expected" if trial.found == trial.predicted else "against what the sensitivities say"
-        click.echo(f"{trial.effect} {trial.parameter} {trial.size:.3g}{unit}: {verdict} ({notice}), {expected}")
-    click.echo(f"{found.agreeing} of {len(found.trials)} as the check of these runs foretells (diagnose --check)")
+        expected = "as predicted" if trial.found == trial.predicted else "contrary to the prediction"
+        click.echo(f"{trial.effect} {trial.parameter} {trial.size:.3g}{unit}: {verdict} ({named}), {expected}")
+    click.echo(f"{found.agreeing} of {len(found.trials)} as 'safedpa diagnose --check' predicts for these runs")

@@ -1,4 +1,4 @@
-"""``safedpa reject``: an effect that the diagnosis proposes for a robot is none."""
+"""``safedpa reject``: rejects an effect that the diagnosis proposes for a robot."""
 
 from __future__ import annotations
 
@@ -15,5 +15,8 @@ from safedpa_services.command_line.names import complete_effects
 @click.argument("effect", shell_complete=complete_effects)
 @bus_options
 def command(robot: str, effect: str, **options: Any) -> None:
-    """Reject EFFECT, which the diagnosis proposes for the driving ROBOT; its model stays as it is."""
+    """Reject an EFFECT proposed for a driving ROBOT.
+
+    The model does not change.
+    """
     ask_for_change("reject", robot, effect, options)

@@ -1,4 +1,4 @@
-"""``safedpa replay``: a recording through the real services again, as it was or under another model or margin."""
+"""``safedpa replay``: runs a recording through the services again, unchanged or with another model or margin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.options import as_json_option, effects_option
-from safedpa_services.lines import print_plain
+from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
@@ -23,50 +23,66 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--robot", metavar="NAME", help="Which robot, when the recording holds several.")
+@click.option("--robot", metavar="NAME", help="The robot to replay, if the recording has several.")
 @click.option("--from", "begin", type=float, metavar="SECONDS", help="Compare from this robot time on.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Compare up to this robot time.")
-@click.option("--model", metavar="MODEL", help="What if: the filter had this model (file, or name of a shipped one).")
-@click.option("--eta", type=float, metavar="X", help="What if: the filter had this eta.")
-@click.option("--margin", metavar="X|FILE", help="What if: this margin, as a number or a file of 'safedpa calibrate'.")
-@click.option("--filtered", is_flag=True, help="What if: the filter had not been switched off.")
-@click.option("--closed-loop", is_flag=True, help="Drive the recorded scene again (simulated robots only).")
-@click.option("--exact", is_flag=True, help="Fail on a different last digit, too.")
-@click.option("--recorded-model", default="", metavar="MODEL", help="Of a recording that does not tell its setup.")
-@click.option("--weights", type=click.Path(path_type=Path), metavar="DIR", help="Where a learned model's weights are.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Every tick as .csv, or .mcap as replayed."
+    "--model", metavar="MODEL", help="What if the filter had this model (a file, or the name of a shipped one)?"
 )
-@click.option("--rrd", type=click.Path(path_type=Path), metavar="FILE", help="The recording for the Rerun viewer.")
+@click.option("--eta", type=float, metavar="X", help="What if the filter had this eta?")
+@click.option(
+    "--margin",
+    metavar="X|FILE",
+    help="What if the filter had this margin (a number, or a file from 'safedpa calibrate')?",
+)
+@click.option("--filtered", is_flag=True, help="What if the filter had not been switched off?")
+@click.option(
+    "--closed-loop", is_flag=True, help="Drive the recorded scene again in closed loop (simulated robots only)."
+)
+@click.option("--exact", is_flag=True, help="Require bit-identical numbers.")
+@click.option("--recorded-model", default="", metavar="MODEL", help="Model for a recording without setup messages.")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), metavar="DIR", help="Folder with the weights of a learned model."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write every tick to a .csv file, or the replayed messages to an .mcap file.",
+)
+@click.option(
+    "--rrd", type=click.Path(path_type=Path), metavar="FILE", help="Write the recording for the Rerun viewer."
+)
 @effects_option
 @as_json_option
 def command(**options: Any) -> int:
-    """Feed recorded messages through the real services, and compare all that they say, field by field.
+    """Replay a recording through the services and compare.
 
-    RUN is the folder of a run, or its recording (.mcap); of several recordings one goes on where the other ended. Exit
-    code 0: identical (or only looked at under another model, eta or margin), 1: something came out differently.
+    The services' outputs are compared with the recorded ones, field by field. RUN is the folder of a run, or its
+    recording (.mcap); several recordings are parts of one drive. Exit code 0: the outputs are equal, or another model,
+    eta or margin was tried; 1: an output differs.
     """
-    from safedpa.dynamics import load_own
+    from safedpa.dynamics import load_user_file
     from safedpa.replay.setups import complete_setups
     from safedpa.replay.tape import read_tape
 
     if options["rrd"] is not None:
         need("view", what="--rrd")
     if options["effects"] is not None:
-        load_own(options["effects"])
+        load_user_file(options["effects"])
     _check_out(options)
     change = _change(options)
     tape = read_tape(options["runs"], options["robot"])
     assumed = complete_setups(tape, options["recorded_model"])
     if options["rrd"] is not None:
         _draw(tape, options["rrd"])
-    if change.is_none and not options["closed_loop"]:
-        return _compared(tape, assumed, options)
-    return _changed(tape, change, assumed, options)
+    if change.is_empty and not options["closed_loop"]:
+        return _compare(tape, assumed, options)
+    return _what_if(tape, change, assumed, options)
 
 
 def _check_out(options: dict[str, Any]) -> None:
-    """Refuses a place where what is written would be taken for a part of what was read."""
+    """Refuses an output file that a later replay of the same run would read as a part of it."""
     from safedpa.comparison.output import require_writable_folder
     from safedpa.replay.tape import files_of
 
@@ -79,7 +95,7 @@ def _check_out(options: dict[str, Any]) -> None:
         out.suffix == ".mcap" and out.resolve().parent in folders
     ):
         raise InputError(
-            f"--out {out}: stands for a recording of this run, which would be read with it; choose another place"
+            f"--out {out}: got a place where it would count as a recording of this run; choose another folder"
         )
 
 
@@ -87,7 +103,7 @@ def _window(options: dict[str, Any]) -> tuple[float, float]:
     begin = float("-inf") if options["begin"] is None else options["begin"]
     end = float("inf") if options["end"] is None else options["end"]
     if not begin <= end:
-        raise InputError(f"--from {begin:g} --to {end:g}: wanted a beginning before the end")
+        raise InputError(f"--from {begin:g} --to {end:g}: wanted a start before the end")
     return begin, end
 
 
@@ -98,8 +114,8 @@ def _folders(options: dict[str, Any]) -> tuple[Path, ...]:
 def _change(options: dict[str, Any]) -> WhatIfChange:
     from safedpa.dynamics import load_model
     from safedpa.replay.what_if import WhatIfChange
-    from safedpa.robot import DEFAULT_ROBOT
     from safedpa.safety.defaults import margin_for
+    from safedpa.systems.robots import DEFAULT_ROBOT
 
     model = None if options["model"] is None else load_model(options["model"])
     margin: float | MarginCalibration | None = None
@@ -107,12 +123,12 @@ def _change(options: dict[str, Any]) -> WhatIfChange:
         try:
             margin = float(options["margin"])
         except ValueError:
-            of_any = model or load_model(DEFAULT_ROBOT)  # a margin that is named is the same for every model
+            of_any = model or load_model(DEFAULT_ROBOT)  # a margin from a file does not depend on the model
             margin = margin_for(of_any, options["margin"])
     return WhatIfChange(model, options["eta"], margin, options["filtered"])
 
 
-def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
+def _compare(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.comparison import TOLERANCE
     from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
@@ -129,22 +145,22 @@ def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> i
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
         print_plain("\n".join(lines_of(tape, found, gaps, assumed)))
-    return _code(found)
+    return _exit_code(found)
 
 
-def _code(found: Replay) -> int:
+def _exit_code(found: Replay) -> int:
     return 0 if found.agrees and any(part.compared for part in found.services) else 1
 
 
-def _changed(tape: RobotTape, change: WhatIfChange, assumed: list[str], options: dict[str, Any]) -> int:
+def _what_if(tape: RobotTape, change: WhatIfChange, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.report import note_lines, what_if_document, what_if_lines, write_decisions
     from safedpa.replay.what_if import summary_of, what_if
 
     decisions = what_if(tape, change, _window(options), _folders(options))
-    summary, changed = summary_of(decisions), _text(options)
+    summary, changed = summary_of(decisions), _change_text(options)
     if options["out"] is not None:
         write_decisions(decisions, options["out"])
-    driven = _driven(tape, change, options) if options["closed_loop"] else None
+    driven = _drive_again(tape, change, options) if options["closed_loop"] else None
     if options["as_json"]:
         document = what_if_document(summary, decisions, changed) | {"assumed": assumed}
         document["findings"] = [asdict(finding) for finding in tape.findings]
@@ -157,24 +173,24 @@ def _changed(tape: RobotTape, change: WhatIfChange, assumed: list[str], options:
     return 0
 
 
-def _text(options: dict[str, Any]) -> str:
+def _change_text(options: dict[str, Any]) -> str:
     given = [f"{name} {options[name]}" for name in ("model", "eta", "margin") if options[name] is not None]
     given += ["the filter on"] if options["filtered"] else []
     return ", ".join(given) or "nothing changed"
 
 
-def _driven(tape: RobotTape, change: WhatIfChange, options: dict[str, Any]) -> dict[str, Any]:
+def _drive_again(tape: RobotTape, change: WhatIfChange, options: dict[str, Any]) -> dict[str, Any]:
     from safedpa_sim.recorded_drive import drive_again
 
     return drive_again(tape, change, _folders(options))
 
 
 def _driven_lines(driven: dict[str, Any]) -> list[str]:
-    lines = [f"  driven again in closed loop ({driven['robot']}), {driven['ticks']} ticks: then, now"]
+    lines = [f"  driven again in closed loop ({driven['robot']}), {driven['ticks']} ticks: recorded, now"]
     for name, (then, now) in driven["compared"].items():
         lines.append(f"    {name:<28} {then}   {now}")
     apart = driven["apart_from_tick"]
-    lines.append("    the same drive to the end" if apart is None else f"    the states part at tick {apart}")
+    lines.append("    the drive is identical" if apart is None else f"    the states differ from tick {apart} on")
     return lines
 
 
@@ -182,11 +198,11 @@ def _draw(tape: RobotTape, path: Path) -> None:
     from safedpa.replay.setups import model_of_document
     from safedpa.safety.settings import parse_settings
     from safedpa_services.dashboard.dashboard import draw_recording
-    from safedpa_services.dashboard.look import display_settings
+    from safedpa_services.dashboard.display_settings import display_settings
 
     filters = tape.setups.get("safety_filter", [])
     if not filters:
-        raise InputError("--rrd: no setup of a safety filter in the recording; wanted one, for the robot's shape")
+        raise InputError("--rrd: got a recording without the setup of a safety filter, which the drawing needs")
     setup = filters[0][1]
     draw_recording(
         tape.files, display_settings(model_of_document(setup.document), parse_settings(setup.settings)), path

@@ -1,4 +1,4 @@
-"""``safedpa roll-back``: the model that a robot had before its last change."""
+"""``safedpa roll-back``: restores the model that a robot had before its last change."""
 
 from __future__ import annotations
 
@@ -13,5 +13,8 @@ from safedpa_services.command_line.change_requests import ask_for_change, bus_op
 @click.argument("robot")
 @bus_options
 def command(robot: str, **options: Any) -> None:
-    """Go back to the model that the driving ROBOT had before the last accepted effect."""
+    """Restore the previous model of a driving ROBOT.
+
+    This is the model before the last accepted effect.
+    """
     ask_for_change("roll_back", robot, "", options)

@@ -1,4 +1,4 @@
-"""``safedpa ros``: robots that speak ROS 2, without ROS."""
+"""``safedpa ros``: connects robots that use ROS 2; no ROS installation is needed here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ __all__ = ["command"]
 
 @click.group(name="ros")
 def command() -> None:
-    """Robots that speak ROS 2 over Zenoh: look what is there, and drive one through the filter. No ROS is needed."""
+    """Connect robots that use ROS 2 over Zenoh.
+
+    Lists their topics, or drives one through the filter. No ROS installation is needed here.
+    """
 
 
 @command.command(name="discover")
@@ -27,7 +30,10 @@ def command() -> None:
 @as_json_option
 @needs("ros")
 def _discover(endpoint: str, domain: int, as_json: bool) -> None:
-    """List the topics behind ENDPOINT, such as tcp/robot:7447: their types, who publishes them, who listens."""
+    """List the ROS topics at ENDPOINT.
+
+    Shows types, publishers and subscribers. ENDPOINT is for example tcp/robot:7447.
+    """
     from safedpa.ros.link import RosLink
 
     with RosLink(endpoint, domain) as link:
@@ -40,32 +46,38 @@ def _discover(endpoint: str, domain: int, as_json: bool) -> None:
         click.echo(json.dumps({"domain": domain, "topics": topics}))
         return
     if not topics:
-        click.echo(f"{endpoint}: no node of domain {domain} shows itself; is it another --domain, or a bridge to DDS?")
+        click.echo(
+            f"{endpoint}: no node of domain {domain} found; try another --domain, or check whether it is a DDS bridge"
+        )
     for name, entry in topics.items():
         who = ", ".join(entry["publishers"]) or "none"
-        heard = ", ".join(entry["subscribers"]) or "none"
-        click.echo(f"{name}   {entry['type']}\n    from {who}; to {heard}; {entry['hash'][:15]}")
+        to = ", ".join(entry["subscribers"]) or "none"
+        click.echo(f"{name}   {entry['type']}\n    from {who}; to {to}; {entry['hash'][:15]}")
 
 
 @command.command(name="run")
 @click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="where the services meet; default: on this machine")
+@click.option(
+    "--connect", multiple=True, metavar="ENDPOINT", help="endpoint of the services; default: discovered on this machine"
+)
 @click.option("--mode", type=SuggestingChoice(["peer", "client"]), help="how to join the bus; default: peer")
-@click.option("--certificates", type=click.Path(path_type=Path), metavar="DIR", help="prove by those who this is")
+@click.option(
+    "--certificates", type=click.Path(path_type=Path), metavar="DIR", help="folder with the robot's certificate"
+)
 @needs("ros")
 def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, certificates: Path | None) -> None:
-    """Drive the robot of ROBOT.toml through the services that run: odometry in, filtered commands out.
+    """Drive the robot of ROBOT.toml through running services.
 
-    Ends at Ctrl-C; the robot is braked first. 'safedpa serve' starts the services.
+    Ends with Ctrl-C, after braking the robot. 'safedpa serve' starts the services.
     """
     from safedpa.bus.service.process import StopSignal
     from safedpa_services.ros_gateway.__main__ import parser, work
 
-    phrase = [part for endpoint in connect for part in ("--connect", endpoint)]
-    phrase += ["--mode", mode] if mode else []
-    phrase += ["--certificates", str(certificates)] if certificates is not None else []
-    options = parser().parse_args([str(file), "--fleet", fleet, *phrase])
+    arguments = [part for endpoint in connect for part in ("--connect", endpoint)]
+    arguments += ["--mode", mode] if mode else []
+    arguments += ["--certificates", str(certificates)] if certificates is not None else []
+    options = parser().parse_args([str(file), "--fleet", fleet, *arguments])
     stop = StopSignal()
     stop.listen_to_signals()
     sys.exit(work(options, stop))

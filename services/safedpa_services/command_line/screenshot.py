@@ -1,4 +1,4 @@
-"""``safedpa screenshot``: a picture of a dashboard recording, without a screen."""
+"""``safedpa screenshot``: renders a dashboard recording to a picture, without a screen."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
     import subprocess
 
 _MAGIC = b"RRF"
-"""How a file of Rerun begins."""
+"""First bytes of a Rerun file."""
 _TIMEOUT_SECONDS = 20.0
-_PAINT_SECONDS = 1.0
-"""The plots fill within a few frames, of which a software renderer makes some ten a second."""
+_RENDER_SECONDS = 1.0
+"""The plots are complete after a few frames; a software renderer draws about ten per second."""
 
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file")
 @click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in pixels")
-@click.option("--at", type=float, default=None, help="moment on the time line in s; default: the end")
+@click.option("--at", type=float, default=None, help="time on the time line in seconds; default: the end")
 @answers_json
 @needs("view")
 def command(recording: Path, out: Path, size: str, at: float | None) -> None:
-    """Make a picture of a dashboard RECORDING (.rrd)."""
+    """Render a dashboard RECORDING (.rrd) to a PNG picture."""
     if not recording.is_file():
         raise InputError(f"{recording}: no such file; wanted a recording that the dashboard wrote (--save FILE.rrd)")
     with recording.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise InputError(
-                f"{recording}: is no recording of Rerun; wanted one that the dashboard wrote (--save FILE.rrd)"
+                f"{recording}: got no Rerun recording; wanted one that the dashboard wrote (--save FILE.rrd)"
             )
     if at is not None and not math.isfinite(at):
-        raise InputError(f"--at: got {at}, wanted a moment in seconds")
+        raise InputError(f"--at: got {at}, wanted a time in seconds")
     if out.resolve() == recording.resolve():
-        raise InputError(f"--out {out}: is the recording itself, which would be replaced; choose another place")
+        raise InputError(f"--out {out}: got the recording itself, which would be overwritten; choose another file")
     if not re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size):
         raise InputError(f"--size {size}: wanted WIDTHxHEIGHT of three or four digits each, such as 1400x800")
     if not out.parent.is_dir():
@@ -60,11 +60,11 @@ def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
 
     port = free_port()
     command = [_viewer(), "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]
-    quiet = {**os.environ, "RUST_LOG": "error"}  # else notices cover a part of the picture
+    quiet = {**os.environ, "RUST_LOG": "error"}  # otherwise notices cover a part of the picture
     with tempfile.TemporaryFile("w+") as log:
         viewer = subprocess.Popen(command, env=quiet, stdout=log, stderr=log)
         try:
-            _photograph(viewer, f"rerun+http://127.0.0.1:{port}/proxy", recording.resolve(), out.resolve(), at)
+            _save_screenshot(viewer, f"rerun+http://127.0.0.1:{port}/proxy", recording.resolve(), out.resolve(), at)
         except (RuntimeError, OSError, ValueError, TimeoutError) as error:
             log.seek(0)
             raise SafedpaError(_reason(recording, log.read() + f"\n{error}")) from error
@@ -73,7 +73,7 @@ def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
             viewer.wait()
 
 
-def _photograph(viewer: subprocess.Popen[bytes], url: str, recording: Path, out: Path, at: float | None) -> None:
+def _save_screenshot(viewer: subprocess.Popen[bytes], url: str, recording: Path, out: Path, at: float | None) -> None:
     import time
 
     from rerun.experimental import ViewerClient
@@ -92,11 +92,11 @@ def _photograph(viewer: subprocess.Popen[bytes], url: str, recording: Path, out:
     client.open(str(recording))
     while client.get_state().loading or not client.get_state().views:
         if viewer.poll() is not None or time.monotonic() > ends:
-            raise TimeoutError("the viewer shows nothing of it; is it a recording of the dashboard?")
+            raise TimeoutError("the viewer shows nothing; is it a recording of the dashboard?")
         time.sleep(0.1)
     if at is not None:
         client.set_time("t", duration=at, play_state="paused")
-    time.sleep(_PAINT_SECONDS)
+    time.sleep(_RENDER_SECONDS)
     client.save_screenshot(str(out))
     if not out.is_file():
         raise TimeoutError("the viewer wrote no file")
@@ -108,12 +108,12 @@ def _viewer() -> str:
     found = importlib.util.find_spec("rerun_cli")
     binary = Path(found.origin).parent / "rerun" if found and found.origin else None
     if binary is None or not binary.is_file():
-        raise SafedpaError("screenshot: Rerun's viewer is not installed; say: pip install 'safedpa[view]'")
+        raise SafedpaError("screenshot: Rerun's viewer is not installed; install it with: pip install 'safedpa[view]'")
     return str(binary)
 
 
 def _reason(recording: Path, complaint: str) -> str:
     if "render context" in complaint or "graphics adapter" in complaint:
         return "screenshot: no graphics driver; install a software one (Debian: apt-get install mesa-vulkan-drivers)"
-    last = next((line for line in reversed(complaint.splitlines()) if line.strip()), "no word from the viewer")
-    return f"{recording}: no picture could be made ({last.strip()[:200]})"
+    last = next((line for line in reversed(complaint.splitlines()) if line.strip()), "no message from the viewer")
+    return f"{recording}: cannot be rendered ({last.strip()[:200]})"

@@ -1,4 +1,4 @@
-"""``safedpa serve``: the services for a robot that is not simulated: one that speaks ROS 2, or the bus itself."""
+"""``safedpa serve``: runs the services for a real robot, which uses ROS 2 or joins the bus itself."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
 from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
-from safedpa_services.command_line.up import default_options, planned
+from safedpa_services.command_line.up import default_options, make_plan
 
 if TYPE_CHECKING:
     from safedpa_services.ros_gateway.robot_file import ServedRobot
+    from safedpa_services.supervisor.certificate_store import CertificateStore
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
-    from safedpa_services.supervisor.securing import CertificateStore
 
 __all__ = ["command"]
 
@@ -26,90 +26,106 @@ __all__ = ["command"]
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
 @click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
-@click.option("--policy", "controller", metavar="NAME", help="run this policy here: goal_seeker, learned, planner ...")
-@click.option("--perception", default="", metavar="FILE.toml", help="settings, sources and zones of perception")
+@click.option("--policy", "controller", metavar="NAME", help="run this policy: goal_seeker, learned, planner ...")
+@click.option(
+    "--perception", default="", metavar="FILE.toml", help="file with settings, sources and zones of perception"
+)
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
-@click.option("--diagnosis/--no-diagnosis", default=True, show_default=True, help="watch over the model")
+@click.option(
+    "--diagnosis/--no-diagnosis",
+    default=True,
+    show_default=True,
+    help="monitor the model and search for missing effects",
+)
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
-@click.option("--listen", default="", help="where the robot joins, such as tcp/0.0.0.0:7447; a ROS robot needs none")
-@click.option("--secure", is_flag=True, help="everything over mutual TLS, with certificates for this start alone")
+@click.option(
+    "--listen", default="", help="endpoint at which the robot joins, such as tcp/0.0.0.0:7447; not needed for ROS"
+)
+@click.option("--secure", is_flag=True, help="use mutual TLS with temporary certificates")
 @click.option(
     "--certificates",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="with those of 'safedpa certificates'",
+    help="use mutual TLS with the certificates of 'safedpa certificates'",
 )
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="folder for recordings"
+)
 @answers_json
 def command(file: Path, **options: Any) -> None:
-    """Serve the robot of ROBOT.toml: adaptation, safety filter, recorder, diagnosis, dashboard, workbench.
+    """Run the services for the real robot of ROBOT.toml.
 
-    Where the file says how it is reached by ROS 2, the gateway runs too, and its own policy requests by the topic of
-    [nominal]; else the robot joins the bus by itself (docs/bus.md). Without [nominal] --policy names the policy, with
-    [[scans]] perception runs too. With certificates a router lets everybody say and hear what is his. Until Ctrl-C.
+    These are adaptation, safety filter, recorder, diagnosis, dashboard and workbench.
+
+    If the file describes a ROS 2 robot, the gateway runs too; otherwise the robot joins the bus itself (docs/bus.md).
+    The nominal actions come from the robot's own policy, on the topic of [nominal], or from the policy named with
+    --policy. With [[scans]], perception runs too. With certificates, all messages go through a router with access
+    control. Ends with Ctrl-C.
     """
     from safedpa.bus.security.access_control import role_of_robot
     from safedpa.bus.service.process import StopSignal
-    from safedpa.dynamics import load_own_everywhere
+    from safedpa.dynamics import load_user_file_everywhere
     from safedpa_services.ros_gateway.robot_file import RobotFile, load_served_robot
 
     if options["robot_file"] is not None:
-        load_own_everywhere(options["robot_file"])
-    asked = load_served_robot(file)
-    speaks_ros = isinstance(asked, RobotFile)
-    with_policy = isinstance(asked, RobotFile) and bool(asked.nominal.topic)
-    if options["perception"] and not (isinstance(asked, RobotFile) and asked.scans):
+        load_user_file_everywhere(options["robot_file"])
+    robot_file = load_served_robot(file)
+    uses_ros = isinstance(robot_file, RobotFile)
+    with_policy = isinstance(robot_file, RobotFile) and bool(robot_file.nominal.topic)
+    if options["perception"] and not (isinstance(robot_file, RobotFile) and robot_file.scans):
         raise InputError(
-            f"--perception: got a file, and {file} has no [[scans]]; leave it out, or name its scans there"
+            f"--perception: got a file, but {file} has no [[scans]]; leave it out, or add the scanners there"
         )
-    if speaks_ros:
-        need("ros", what="a robot that speaks ROS 2")
+    if uses_ros:
+        need("ros", what="a robot that uses ROS 2")
     if with_policy and options["controller"]:
-        raise InputError("--policy: got one for a robot whose own policy requests; leave one of the two out")
+        raise InputError(
+            "--policy: got one, and the robot's file names a topic of its own policy ([nominal]); leave out one of them"
+        )
     if not with_policy and not options["controller"]:
-        raise InputError(f"{file}: no policy; name one with --policy, or a topic in [nominal] of a ROS robot")
+        raise InputError(
+            f"{file}: got no policy; use --policy, or for a ROS robot name the topic of its own policy in [nominal]"
+        )
     if not options["headless"]:
         need("view", what="the dashboard", instead="leave it out with --headless")
-    stop, own = StopSignal(), _own_certificates(options, speaks_ros=speaks_ros)
-    with planned(_as_asked(asked, options), own) as made:
+    stop, own = StopSignal(), _own_certificates(options, uses_ros=uses_ros)
+    with make_plan(_drive_options(robot_file, options), own) as base_plan:
         stop.listen_to_signals()
-        plan = replace(made, sensor_inputs=isinstance(asked, RobotFile) and bool(asked.scans))
-        gateway = plan.gateway(file, with_policy=with_policy) if speaks_ros else None
+        plan = replace(base_plan, sensor_inputs=isinstance(robot_file, RobotFile) and bool(robot_file.scans))
+        gateway = plan.gateway(file, with_policy=with_policy) if uses_ros else None
         services = _services(plan, policy=not with_policy)
         if gateway is None:
-            role = "" if plan.wallet is None else f" with the certificate of role {role_of_robot(plan.name)}"
-            where = plan.door or plan.endpoint
-            report_progress(
-                f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; it joins there by itself{role}"
-            )
+            role = "" if plan.certificates is None else f" with the certificate of role {role_of_robot(plan.name)}"
+            where = plan.listen or plan.endpoint
+            report_progress(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; waiting for it to join{role}")
         _serve(plan, gateway, services, stop)
 
 
-def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> CertificateStore | None:
-    """The person's own, if he names them. Raises InputError for what does not go together."""
-    from safedpa_services.supervisor.securing import CertificateStore
+def _own_certificates(options: dict[str, Any], *, uses_ros: bool) -> CertificateStore | None:
+    """Returns the user's certificates, if the options name a folder. Raises InputError for conflicting options."""
+    from safedpa_services.supervisor.certificate_store import CertificateStore
 
     if options["secure"] and options["certificates"] is not None:
-        raise InputError("--secure: got it with --certificates, whose own are used; leave one of the two out")
-    if options["secure"] and not speaks_ros:
+        raise InputError("--secure: got it together with --certificates; leave out one of them")
+    if options["secure"] and not uses_ros:
         raise InputError(
-            "--secure: its certificates go with this start, and a robot that joins by itself has none of them; make "
-            "some with 'safedpa certificates DIR', and name them with --certificates DIR"
+            "--secure: got it for a robot that joins the bus itself and cannot have the temporary certificates; create "
+            "certificates with 'safedpa certificates DIR', and use --certificates DIR"
         )
     return None if options["certificates"] is None else CertificateStore(options["certificates"])
 
 
-def _as_asked(asked: ServedRobot, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of a drive, as far as they hold without a simulator."""
+def _drive_options(robot_file: ServedRobot, options: dict[str, Any]) -> dict[str, Any]:
+    """Returns the options of ``safedpa up`` for a robot that is not simulated."""
     return {
         **default_options(),
         **options,
-        "robot": asked.robot,
-        "name": asked.name,
-        "rate": asked.rate or None,
-        "model": asked.model or None,
-        "settings": asked.settings or None,
-        "margin": asked.margin,
+        "robot": robot_file.robot,
+        "name": robot_file.name,
+        "rate": robot_file.rate or None,
+        "model": robot_file.model or None,
+        "settings": robot_file.settings or None,
+        "margin": robot_file.margin,
     }
 
 
@@ -122,19 +138,21 @@ def _services(plan: Plan, *, policy: bool) -> list[Child]:
 def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: Any) -> None:
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
+    from safedpa_services.supervisor.run_monitor import RunMonitor
     from safedpa_services.supervisor.supervisor import Supervisor
-    from safedpa_services.supervisor.watch import RunMonitor
 
-    where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.door or plan.endpoint}
+    where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.listen or plan.endpoint}
     report_progress(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
     if plan.workbench_address:
         report_progress(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
-    if plan.wallet is not None:
-        phrase = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.wallet.folder}"
-        report_progress(f"how it is: safedpa status --watch {phrase}", facts={"certificates": str(plan.wallet.folder)})
-    finish()  # where it is found is said at once
-    if plan.wallet is not None:
-        services[0].start()  # the router, through which the supervisor itself hears
+    if plan.certificates is not None:
+        arguments = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.certificates.folder}"
+        report_progress(
+            f"status: safedpa status --watch {arguments}", facts={"certificates": str(plan.certificates.folder)}
+        )
+    finish()  # print the JSON document now: the command runs until Ctrl-C
+    if plan.certificates is not None:
+        services[0].start()  # the router, which the supervisor itself needs to join
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = RunMonitor(bus, plan.name)
         code = Supervisor(list(services), gateway, watch, stop, _DriveReporter(watch), lambda: stop.hurried).run()
@@ -143,13 +161,13 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
 
 
 class _DriveReporter:
-    """Says when the robot begins to drive, and when it brakes by itself: once each time."""
+    """Reports when the robot begins to drive and when the gateway brakes it, once per change."""
 
     def __init__(self, watch: Any) -> None:
         self._watch, self._message = watch, ""
 
     def __call__(self) -> None:
-        """Looks whether something changed."""
+        """Reports a change, if there is one."""
         known = self._watch.health.get("robot")
         detail = known[0].detail if known is not None else ""
         state = self._watch.state

@@ -1,4 +1,4 @@
-"""``safedpa status``: how the robots and processes of a fleet are, as heard on the bus."""
+"""``safedpa status``: shows the health of a fleet's robots and processes, as observed on the bus."""
 
 from __future__ import annotations
 
@@ -28,31 +28,34 @@ _FEWEST_COLUMNS = 80
 
 @click.command()
 @listening_options
-@click.option("--robot", default="*", help="this robot alone")
-@click.option("--seconds", type=float, default=3.0, show_default=True, help="how long to listen before telling")
-@click.option("--watch", is_flag=True, help="a live table, until Ctrl-C")
-@click.option("--picture", type=click.Path(path_type=Path), metavar="FILE.svg", help="also draw it into a file")
+@click.option("--robot", default="*", help="only this robot")
+@click.option("--seconds", type=float, default=3.0, show_default=True, help="how long to listen before reporting")
+@click.option("--watch", is_flag=True, help="show a live table until Ctrl-C")
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="FILE.svg", help="also write the table to an SVG file"
+)
 def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
-    """Show the fleet: robots, processes, rates, ages, late ticks, verdicts, margin, diagnosis, recorder.
+    """Show the health of a fleet's robots and processes.
 
-    Exit code 0 when everything is healthy, 1 when something is not or no one is on the bus.
+    Lists rates, ages, late ticks, verdicts, margin, diagnosis and recorder.
+
+    Exit code 0 if everything is healthy, 1 if something is not or no process is on the bus.
     """
     from safedpa.bus.monitor import FleetOverview
 
     if not 0.5 <= seconds <= 3600.0:
-        raise InputError(f"--seconds: got {seconds:g}, wanted 0.5 to 3600; heartbeats come four times a second")
+        raise InputError(f"--seconds: got {seconds:g}, wanted 0.5 to 3600 s")
     if options["picture"] is not None and (watch or options["picture"].suffix != ".svg"):
-        raise InputError(f"--picture {options['picture']}: wanted a name that ends with .svg, and no --watch")
+        raise InputError(f"--picture {options['picture']}: wanted a name ending in .svg, and no --watch")
     if watch and options["as_json"]:
-        raise InputError("--watch, --json: got both, wanted one; a script calls --json as often as it likes")
+        raise InputError("--watch, --json: got both, wanted one; a script can call --json repeatedly")
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot)
-        healthy = _watched(fleet) if watch else _reported(fleet, seconds, options)
+        healthy = _watch(fleet) if watch else _show(fleet, seconds, options)
     return 0 if healthy else 1
 
 
-def _reported(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool:
-
+def _show(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool:
     fleet.listen(seconds)
     document = document_of(fleet)
     if options["as_json"]:
@@ -67,8 +70,8 @@ def _reported(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> 
 def _no_answer(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> str:
     where = ", ".join(options["connect"]) or "this machine"
     return (
-        f"fleet '{fleet.bus.fleet}': no one was heard on the bus within {seconds:g} s ({where}); wanted a running "
-        "'safedpa up', whose endpoint is named with --connect"
+        f"fleet '{fleet.bus.fleet}': no process found on the bus within {seconds:g} s ({where}); start "
+        "'safedpa up', and name its endpoint with --connect"
     )
 
 
@@ -87,7 +90,7 @@ def _draw(document: dict[str, Any], picture: Path | None) -> None:
 
 
 def _write_svg(drawn: Console, title: str, picture: Path) -> None:
-    """What was drawn, in a font that the reader's machine has; nothing in the file points to another host."""
+    """Writes the picture without web fonts: nothing in the file refers to another host."""
     text = drawn.export_svg(title=title, unique_id="safedpa")
     text = re.sub(r"@font-face \{.*?\}", "", text, flags=re.DOTALL)
     text = re.sub(r"<!-- .*? -->", "", text)
@@ -97,8 +100,8 @@ def _write_svg(drawn: Console, title: str, picture: Path) -> None:
         raise InputError(f"--picture {picture}: cannot be written ({error.strerror})") from error
 
 
-def _watched(fleet: FleetOverview) -> bool:
-    """Draws until Ctrl-C; whether everything was healthy at the last look."""
+def _watch(fleet: FleetOverview) -> bool:
+    """Draws until Ctrl-C; returns whether everything was healthy at the last update."""
     from rich.live import Live
     from rich.text import Text
 
@@ -114,8 +117,8 @@ def _watched(fleet: FleetOverview) -> bool:
             document = document_of(fleet)
             healthy = document["healthy"]
             if fleet.is_empty:
-                heard = time.monotonic() - fleet.since
-                live.update(Text(f"fleet '{fleet.bus.fleet}': no one was heard for {heard:.0f} s"), refresh=True)
+                waited = time.monotonic() - fleet.since
+                live.update(Text(f"fleet '{fleet.bus.fleet}': no process found for {waited:.0f} s"), refresh=True)
             else:
                 live.update(
                     SanitizedRenderable(render_status_table(document, console.width, console.height)), refresh=True
@@ -127,7 +130,7 @@ _LEVELS = ("trouble", "attention", "well")
 
 
 def document_of(fleet: FleetOverview) -> dict[str, Any]:
-    """Robots and processes, the worst first, and what is not as it should be; ``healthy`` is false with any trouble."""
+    """Returns robots and processes, the worst first, and all alerts; ``healthy``: no alert has the level trouble."""
     from safedpa.bus.monitor import fleet_alerts
 
     now = fleet.clock()

@@ -1,4 +1,4 @@
-"""The document of a fleet's state as a picture for a terminal: what fits its width, the worst first."""
+"""Renders the state of a fleet as tables for a terminal: the columns that fit, the worst rows first."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ Row = dict[str, Any]
 class _TableColumn:
     title: str
     width: int
-    """Characters that it is given; what is longer is cut."""
+    """Characters; longer text is cut."""
     text: Callable[[Row], str]
     least_width: int = 0
-    """Of the terminal, below which it is left out."""
+    """Width of the terminal below which the column is left out."""
     left: bool = False
 
 
@@ -52,17 +52,17 @@ def _model(row: Row) -> str:
 
 
 def _sources(row: Row) -> str:
-    reported = [f"{name} {'-' if age is None else f'{age:.2f}'}" for name, age in row["sources"].items()]
-    return " ".join(reported)
+    parts = [f"{name} {'-' if age is None else f'{age:.2f}'}" for name, age in row["sources"].items()]
+    return " ".join(parts)
 
 
 def _more(row: Row) -> str:
     if row["service"] != "recorder":
         return str(row["detail"])
-    reported = [f"{row['steps']} messages written"]
-    reported += [f"{row['acknowledged']} acknowledged"] if row["acknowledged"] else []
-    reported += [f"{row['free_bytes'] / 1e9:.1f} GB of disk left"] if row["free_bytes"] else []
-    return ", ".join([*reported, *([row["detail"]] if row["detail"] else [])])
+    parts = [f"{row['steps']} messages written"]
+    parts += [f"{row['acknowledged']} acknowledged"] if row["acknowledged"] else []
+    parts += [f"{row['free_bytes'] / 1e9:.1f} GB of disk left"] if row["free_bytes"] else []
+    return ", ".join([*parts, *([row["detail"]] if row["detail"] else [])])
 
 
 _ROBOTS = (
@@ -103,29 +103,29 @@ _SERVICES = (
 
 
 def render_status_table(document: dict[str, Any], width: int, height: int = 0) -> Group:
-    """Headline, concerns, robots and processes in ``width`` columns; with a ``height`` in so many rows at most."""
+    """Renders headline, alerts, robots and processes in ``width`` columns and, if given, at most ``height`` rows."""
     robots, services, concerns = document["robots"], document["services"], document["concerns"]
     rows = _rows(height, len(robots), len(services), len(_grouped(concerns)))
     parts: list[Any] = [_headline(document)]
-    parts += _reported(concerns, rows[2], width)
+    parts += _alert_lines(concerns, rows[2], width)
     if robots:
-        parts += [Text(""), _table(_ROBOTS, robots[: rows[0]], width), *_folded(robots[rows[0] :])]
+        parts += [Text(""), _table(_ROBOTS, robots[: rows[0]], width), *_hidden_robots(robots[rows[0] :])]
     if services:
-        parts += [Text(""), _table(_SERVICES, services[: rows[1]], width), *_more_processes(services[rows[1] :])]
+        parts += [Text(""), _table(_SERVICES, services[: rows[1]], width), *_hidden_processes(services[rows[1] :])]
     parts += _recording(services, width)
     return Group(*parts)
 
 
 def _rows(height: int, robots: int, services: int, concerns: int) -> tuple[int, int, int]:
-    """How many rows each part gets; without a height twenty robots, all processes and twelve concerns."""
+    """Returns the number of rows for robots, processes and alerts; without a height 20, all and 12."""
     if not height:
         return 20, services, 12
-    rest = height - 9  # headline, titles, empty lines, folded lines, the recorder's line
+    rest = height - 9  # for headline, titles, empty lines, summary lines and the recorder's line
     if robots + services + concerns <= rest:
         return robots, services, concerns
-    reported = min(concerns, max(2, rest // 4))
-    processes = min(services, max(3, (rest - reported) // 2))
-    return max(_FEWEST_ROWS, min(robots, rest - reported - processes)), processes, reported
+    alerts = min(concerns, max(2, rest // 4))
+    processes = min(services, max(3, (rest - alerts) // 2))
+    return max(_FEWEST_ROWS, min(robots, rest - alerts - processes)), processes, alerts
 
 
 def _headline(document: dict[str, Any]) -> Text:
@@ -140,7 +140,7 @@ def _headline(document: dict[str, Any]) -> Text:
     return Text.assemble(*parts, f"  {len(services)} processes", no_wrap=True, overflow="ellipsis")
 
 
-def _reported(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
+def _alert_lines(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
     lines = []
     for concern in _grouped(concerns)[:most]:
         about = f"{concern['robot']}: " if concern["robot"] else ""
@@ -152,7 +152,7 @@ def _reported(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
 
 
 def _grouped(concerns: Sequence[Row]) -> list[Row]:
-    """What many robots have in common as one line, with the sentence about the worst of them."""
+    """Merges alerts of the same kind about several robots into one row, with the sentence about the worst of them."""
     kinds: dict[tuple[str, str], list[Row]] = {}
     for concern in concerns:
         kinds.setdefault((concern["level"], concern["kind"]), []).append(concern)
@@ -188,26 +188,26 @@ def _table(columns: Sequence[_TableColumn], rows: Sequence[Row], width: int) -> 
     return table
 
 
-def _folded(rest: Sequence[Row]) -> list[Text]:
-    """What is not shown, in one line."""
+def _hidden_robots(rest: Sequence[Row]) -> list[Text]:
+    """Summarises the robots that are not shown in one line."""
     if not rest:
         return []
     worst = {level: sum(row["health"] == level for row in rest) for level in ("trouble", "attention", "well")}
-    reported = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
+    counts = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
     late = max(row["late"] for row in rest)
     slowest = max((row["sense_to_act_p99"] or 0.0) for row in rest)
     reported_slowest = f", p99 at most {1e3 * slowest:.1f} ms" if slowest else ""
     least = min((row["h"] for row in rest if row["h"] is not None), default=0.0)
     numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %{reported_slowest}"
-    return [Text(f"{len(rest)} further robots ({reported}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
+    return [Text(f"{len(rest)} further robots ({counts}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
 
 
-def _more_processes(rest: Sequence[Row]) -> list[Text]:
+def _hidden_processes(rest: Sequence[Row]) -> list[Text]:
     return [Text(f"{len(rest)} further processes", style="dim")] if rest else []
 
 
 def _recording(services: Sequence[Row], width: int) -> list[Text]:
-    """What the recorders say, where the table has no room for it."""
+    """Returns the details of recorder and router as lines, if the table is too narrow for them."""
     if width >= 150:
         return []
     return [

@@ -1,4 +1,4 @@
-"""``safedpa stop``: robots brake and stand until ``safedpa go``."""
+"""``safedpa stop``: makes robots brake and stay stationary until ``safedpa go``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from safedpa_services.command_line.stop_orders import give_order
 
 @click.command()
 @listening_options
-@click.option("--robot", default="", help="this robot alone; default: the whole fleet")
+@click.option("--robot", default="", help="only this robot; default: the whole fleet")
 @who_option
 def command(robot: str, **options: Any) -> None:
-    """Stop a robot or the whole fleet: the safety filter hands on no nominal action of the policy any more and brakes.
+    """Stop a robot or the whole fleet.
 
-    A car stands, a pendulum is kept within its corridor. The order holds until 'safedpa go'; whether it also holds over
-    a restart of the filter stands in the answer.
+    The safety filter ignores the policy and brakes. A car stays stationary, a pendulum is kept within its corridor. The
+    order holds until 'safedpa go'. The answer says whether it also survives a restart of the filter.
     """
     give_order("stop", robot, options)

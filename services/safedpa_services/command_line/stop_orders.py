@@ -1,4 +1,4 @@
-"""Telling the safety filter to stop robots or to let them drive: shared by ``stop`` and ``go``."""
+"""Orders to the safety filter to stop robots or to let them drive: for ``stop`` and ``go``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 from safedpa.errors import SafedpaError
 from safedpa_services.command_line.bus_options import bus_of, request_answer
-from safedpa_services.lines import print_plain
+from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 __all__ = ["give_order"]
 
 _LONGEST_BRAKING_SECONDS = 6.0
-_LOOK_SECONDS = 0.1
-_IS_STATIONARY = 0.02
+_POLL_SECONDS = 0.1
+_STATIONARY_SPEED = 0.02
 
 
 def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -> None:
-    """Asks the filter, waits until the order is seen in its verdicts, and tells what came of it.
+    """Sends an order to the filter, waits until the robots obey, and prints the result.
 
-    An empty ``robot`` means the whole fleet. Raises InputError when the order is refused, SafedpaError when no filter
-    answers or a robot that drives does not obey.
+    An empty ``robot`` means the whole fleet. Raises InputError if the order is refused, and SafedpaError if no filter
+    answers or a driving robot does not obey.
     """
     from safedpa.bus import Request
     from safedpa.bus.messages.requests import ORDER
@@ -37,26 +37,26 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")
         request = Request(do=do, who=options["who"] or getpass.getuser())
-        no_answer = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
+        no_answer = "no safety filter answers; name the endpoint of a running loop with --connect"
         no_answer += ". Robots without a filter brake by themselves"
         answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, no_answer)
-        reported = _obeyed(fleet, do)
-    _report(answer, reported, as_json=options["as_json"])
-    slow = [name for name, sentence in reported.items() if sentence.startswith("still ")]
+        robots = _await_obedience(fleet, do)
+    _report(answer, robots, as_json=options["as_json"])
+    slow = [name for name, sentence in robots.items() if sentence.startswith("still ")]
     if slow:
         raise SafedpaError(f"the order is in force, but {', '.join(slow)} did not obey within the time")
 
 
-def _obeyed(fleet: FleetOverview, do: str) -> dict[str, str]:
-    """By robot that is heard: what it does, once all do what was ordered or the time is over."""
+def _await_obedience(fleet: FleetOverview, do: str) -> dict[str, str]:
+    """Returns what each robot does, once all obey or the time is over."""
     end = fleet.clock() + _LONGEST_BRAKING_SECONDS
     while fleet.clock() < end:
-        fleet.listen(_LOOK_SECONDS)
-        reported = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
-        heard_long = fleet.clock() - fleet.since > 5.0 * _LOOK_SECONDS
-        if heard_long and not any(sentence.startswith("still ") for sentence in reported.values()):
+        fleet.listen(_POLL_SECONDS)
+        robots = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
+        listened_long = fleet.clock() - fleet.since > 5.0 * _POLL_SECONDS
+        if listened_long and not any(sentence.startswith("still ") for sentence in robots.values()):
             break
-    return reported
+    return robots
 
 
 def _does(robot: RobotOverview, do: str) -> str:
@@ -64,19 +64,19 @@ def _does(robot: RobotOverview, do: str) -> str:
     assert state is not None
     stopped = verdict is not None and verdict.status == "stopped"
     if do == "go":
-        return "stopped by an order of its own" if stopped else "may drive"
+        return "stopped by an order for this robot" if stopped else "may drive"
     if state.corridor:
-        return "keeps its corridor without the policy; it has no stand" if stopped else "still obeys the policy"
+        return "stays in its corridor without the policy; it cannot stop" if stopped else "still obeys the policy"
     speed = state.values[3] if len(state.values) == 4 else 0.0
-    if not stopped and abs(speed) > _IS_STATIONARY:
+    if not stopped and abs(speed) > _STATIONARY_SPEED:
         return f"still drives, {speed:+.2f} m/s"
-    return "stands" if abs(speed) <= _IS_STATIONARY else f"still brakes, {speed:+.2f} m/s"
+    return "is stationary" if abs(speed) <= _STATIONARY_SPEED else f"still brakes, {speed:+.2f} m/s"
 
 
-def _report(answer: Answer, reported: dict[str, str], *, as_json: bool) -> None:
+def _report(answer: Answer, robots: dict[str, str], *, as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps({"sentence": answer.sentence, "robots": reported}))
+        click.echo(json.dumps({"sentence": answer.sentence, "robots": robots}))
         return
     print_plain(answer.sentence)
-    for name, sentence in reported.items():
+    for name, sentence in robots.items():
         print_plain(f"{name}: {sentence}")

@@ -1,4 +1,4 @@
-"""``safedpa train``: the learned model of a robot, from nothing to weights that the services load."""
+"""``safedpa train``: trains the learned model of a robot, or tunes one on recorded runs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from safedpa.dynamics import load_own_everywhere
+from safedpa.dynamics import load_user_file_everywhere
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa.robot import robot_named, robots
+from safedpa.systems.robots import robot_named, robots
 from safedpa_services.command_line.names import SuggestingChoice, complete_robots
 
 if TYPE_CHECKING:
@@ -26,16 +26,24 @@ __all__ = ["command"]
 @click.argument("robot", shell_complete=complete_robots)
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
-@click.option("--configuration", "source", metavar="FILE", help="what to train on, or the name of one that ships")
-@click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
-@click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT or learned/NAME")
-@click.option("--phases", metavar="NAME,NAME,...", help="which ones; all of the robot's when left out")
+@click.option("--configuration", "source", metavar="FILE", help="training configuration, or the name of a shipped one")
+@click.option(
+    "--model",
+    metavar="MODEL.toml",
+    help="simulate this model, from `safedpa diagnose` for example; its effects are added to e",
+)
+@click.option(
+    "--small", is_flag=True, help="run every phase within seconds, as a demonstration; the result cannot drive"
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="folder; default: learned/ROBOT or learned/NAME"
+)
+@click.option("--phases", metavar="NAME,NAME,...", help="phases to run; default: all of the robot's")
 @click.option("--pairs", type=click.IntRange(min=1), help="state-action pairs of phase 1a")
-@click.option("--seed", type=click.IntRange(min=0), help="of everything that is drawn")
+@click.option("--seed", type=click.IntRange(min=0), help="seed of all random numbers")
 @click.option("--device", default="cpu", show_default=True, help="cpu or cuda")
 @click.option("--tune", is_flag=True, help="only tune WEIGHTS on the recorded RUNs")
-@click.option("--weights", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: what to tune")
+@click.option("--weights", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: weights to tune")
 @click.option("--columns", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: column map of the runs")
 @click.option(
     "--what", type=SuggestingChoice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
@@ -43,15 +51,14 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("train")
 def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:
-    """Train the learned model of a robot, or tune one on recorded runs.
+    """Train or tune the learned model of a robot.
 
-    1a: environment encoder and control-affine dynamics. 1b: policy. 2: history encoder. 3: tuning on few data of the
-    real robot. ablations: Fix, Mix and RMA-P. A robot of your own has 1a and 2: it needs a FRAME and a configuration.
-    A phase that is there already from the same configuration is skipped; an
-    interrupted one goes on where it was.
+    Phases: 1a, environment encoder and control-affine dynamics; 1b, policy; 2, history encoder; 3, tuning on a little
+    data of the real robot; ablations: Fix, Mix and RMA-P. A robot of your own has phases 1a and 2; it needs a FRAME and
+    a configuration. Phases that are done with the same configuration are skipped; an interrupted phase is resumed.
     """
     if options["robot_file"] is not None:
-        load_own_everywhere(options["robot_file"])
+        load_user_file_everywhere(options["robot_file"])
     robot = robot_named(robot).name
     out = Path("learned") / _folder(robot, options["source"]) if out is None else out
     _check(runs, options)
@@ -70,28 +77,28 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
 
 
 def _folder(robot: str, source: str | None) -> str:
-    """What was trained on another configuration that ships does not replace what was trained on the robot's own."""
+    """Returns the folder's name: another shipped configuration does not overwrite the robot's own results."""
     from safedpa_sim.training.configuration import configurations
 
     return source if source in configurations() else robot
 
 
 def _warnings(result: dict[str, Any]) -> list[str]:
-    """What a phase could not do although it ended well: of a tuning, or of any phase of a pipeline."""
+    """Returns the warnings of all phases."""
     records = [result, *(record for record in result.values() if isinstance(record, dict))]
     corrected = [record["mended_simulator"] for record in records if isinstance(record.get("mended_simulator"), dict)]
     return [item["warning"] for item in corrected if "warning" in item]
 
 
 def _check(runs: tuple[Path, ...], options: dict[str, Any]) -> None:
-    """Raises InputError when the options do not belong together."""
+    """Raises InputError for conflicting options."""
     if options["small"] and options["source"]:
-        raise InputError("--small: got --configuration too; --small is a configuration of its own, choose one")
+        raise InputError("--small, --configuration: got both, wanted one; --small is a configuration itself")
     if options["tune"]:
         if not runs or options["weights"] is None:
-            raise InputError("--tune: wanted RUN... and --weights FILE: what to tune, on which recorded runs")
+            raise InputError("--tune: wanted RUN... and --weights FILE: the weights to tune, and the recorded runs")
     elif runs or options["weights"] or options["columns"]:
-        raise InputError("RUN, --weights and --columns: wanted with --tune only; say --tune, or leave them out")
+        raise InputError("RUN, --weights, --columns: got them without --tune; add --tune, or leave them out")
 
 
 def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
@@ -103,7 +110,7 @@ def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
     if options["small"] and source not in configurations():
         small = sorted(name for name in robots() if f"{name}_small" in configurations())
         raise InputError(
-            f"--small: ships for {', '.join(small)}, and for no {robot}; wanted --configuration FILE with short phases"
+            f"--small: got it for {robot}, available for {', '.join(small)}; use --configuration FILE with short phases"
         )
     configuration = load_configuration(source)
     if configuration.robot != robot:
@@ -141,7 +148,7 @@ def _result(
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
-    """Yields tell(phase, done, everything, note): one bar a phase with its expected end, and only on a terminal."""
+    """Yields ``report_progress(phase, done, total, note)``, which shows one progress bar per phase on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -153,10 +160,10 @@ def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
     with Progress(title, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), note, console=console) as bar:
         tasks: dict[str, TaskID] = {}
 
-        def report_progress(phase: str, done: int, everything: int, phrase: str) -> None:
+        def report_progress(phase: str, done: int, everything: int, note: str) -> None:
             if phase not in tasks:
                 tasks[phase] = bar.add_task(phase, note="")
-            bar.update(tasks[phase], completed=done, total=everything, note=phrase)
+            bar.update(tasks[phase], completed=done, total=everything, note=note)
 
         yield report_progress
 
@@ -170,7 +177,7 @@ def _report(records: dict[str, Any], out: Path) -> None:
         justify: Literal["left", "right"] = "right" if name in ("seconds", "loss") else "left"
         table.add_column(name, justify=justify, no_wrap=name != "explained")
     for phase, record in records.items():
-        seconds = "there" if record.get("skipped") else f"{record['seconds']:.1f}"
+        seconds = "skipped" if record.get("skipped") else f"{record['seconds']:.1f}"
         table.add_row(phase, seconds, _loss(record), _explained(record))
     console = Console(highlight=False)
     console.print(table)

@@ -1,4 +1,4 @@
-"""``safedpa workbench``: a page on which an engineer finds out what a model lacks, and adds it."""
+"""``safedpa workbench``: serves a page for finding and adding what a model lacks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import columns_option, effects_option
 
 if TYPE_CHECKING:
-    from safedpa_services.workbench.bench import Bench
-    from safedpa_services.workbench.recordings import InputSelection
+    from safedpa_services.workbench.session.controller import SessionController
+    from safedpa_services.workbench.session.inputs import InputSelection
 
 __all__ = ["command"]
 
@@ -33,67 +33,76 @@ __all__ = ["command"]
     default=Path("workbench"),
     show_default=True,
     metavar="DIR",
-    help="Folder of the session, and of what Save writes; DIR-2 where DIR holds that of other recordings.",
+    help="Folder of the session and of saved files; DIR-2 if DIR has a session of other recordings.",
 )
 @click.option(
     "--session",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Go on with a session.json: opens what it names and decides again what was decided.",
+    help="Resume a session.json: opens its model and recordings and repeats its decisions.",
 )
 @effects_option
 @click.option(
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="Address to serve on; 0.0.0.0 lets other machines in, and wants a password or a certificate.",
+    help="Address to serve on; 0.0.0.0 allows other machines, and requires a password or a certificate.",
 )
-@click.option("--name", multiple=True, metavar="HOST", help="A name by which browsers come, besides localhost.")
+@click.option(
+    "--name",
+    multiple=True,
+    metavar="HOST",
+    help="Further host name under which browsers may open the page, besides localhost.",
+)
 @click.option(
     "--folder",
     multiple=True,
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     metavar="DIR",
-    help="Recordings below it may be opened; default: those of the RUNs, without any the current folder.",
+    help="Folder whose recordings may be opened; default: those of the RUNs, or the current folder.",
 )
 @click.option("--tls-certificate", type=click.Path(path_type=Path), metavar="FILE.pem", help="Serve over TLS.")
-@click.option("--tls-key", type=click.Path(path_type=Path), metavar="FILE.pem", help="Of the certificate.")
-@click.option("--token-only", is_flag=True, help="The token is enough: the port is mapped to a loopback interface.")
+@click.option("--tls-key", type=click.Path(path_type=Path), metavar="FILE.pem", help="Key of the certificate.")
+@click.option(
+    "--token-only", is_flag=True, help="Require only the token; for a port that is mapped to a loopback interface."
+)
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
-@click.option("--fleet", help="Watch the robots of this fleet live.")
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
+@click.option("--fleet", help="Show the robots of this fleet live.")
+@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Endpoint of the loop, printed by 'safedpa up'.")
 @click.option(
     "--certificates",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Prove by the workbench's certificate there who this is.",
+    help="Folder with the workbench's certificate.",
 )
 @click.option(
     "--replay",
     type=click.Path(path_type=Path),
     metavar="FILE.mcap",
-    help="Show a recording of the bus on the live page, as if it drove now.",
+    help="Play a recording of the bus on the live page.",
 )
 @click.option(
     "--pictures",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Take pictures of the page by a headless Chromium, write them there and end.",
+    help="Write pictures of the page to DIR with a headless Chromium, and exit.",
 )
-@click.option("--no-browser", is_flag=True, help="Open no browser.")
+@click.option("--no-browser", is_flag=True, help="Do not open a browser.")
 @answers_json
 @needs("workbench")
 def command(**options: Any) -> None:
-    """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
+    """Compare and diagnose MODEL on a web page.
 
-    What is decided is kept in session.json below --out: the same command again goes on with it; without arguments
-    the last session goes on, and where there is none the page asks for model and recordings. With --fleet or --connect
-    it watches driving robots as well, at /live. Everything is served from this machine.
+    The page shows where the model fails on recorded RUNs, and adds missing effects.
+
+    Decisions are saved in session.json below --out. The same command resumes the session; without arguments the last
+    session is resumed or, if there is none, the page asks for model and recordings. With --fleet or --connect the page
+    /live shows driving robots. Everything is served from this machine.
     """
-    from safedpa.dynamics import load_own_everywhere
+    from safedpa.dynamics import load_user_file_everywhere
 
     if options["effects"] is not None:
-        load_own_everywhere(options["effects"])
+        load_user_file_everywhere(options["effects"])
     if options["pictures"] is not None:
         _take_pictures(options)
     else:
@@ -101,13 +110,13 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
-    from safedpa_services.workbench.page_address import PageServerOptions
-    from safedpa_services.workbench.server import chosen_port, serve
+    from safedpa_services.workbench.server import choose_port, serve
+    from safedpa_services.workbench.server_options import PageServerOptions
 
-    bench, browser = _bench(options), not options["no_browser"]
+    controller, browser = _controller(options), not options["no_browser"]
     serving = PageServerOptions(
         options["host"],
-        chosen_port(options["host"], options["port"]),
+        choose_port(options["host"], options["port"]),
         options["name"],
         options["folder"],
         options["tls_certificate"],
@@ -115,13 +124,13 @@ def _serve(options: dict[str, Any]) -> None:
         options["token_only"],
     )
     if not options["fleet"] and not options["connect"]:
-        serve(bench, serving, browser=browser, bus=options["replay"], announce=_announce)
+        serve(controller, serving, browser=browser, bus=options["replay"], announce=_announce)
         return
     import os
 
     with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
-        os.nice(10)  # the loop that it looks at comes first; the bus keeps its links up, and so is not put behind it
-        serve(bench, serving, browser=browser, bus=bus, announce=_announce)
+        os.nice(10)  # the control loop has priority; the bus's threads, started before, keep theirs
+        serve(controller, serving, browser=browser, bus=bus, announce=_announce)
 
 
 def _announce(where: str) -> None:
@@ -129,34 +138,36 @@ def _announce(where: str) -> None:
     finish()
 
 
-def _bench(options: dict[str, Any]) -> Bench:
-    """What the page begins with: a session that goes on, or what was named."""
-    from safedpa_services.workbench.bench import Bench
-    from safedpa_services.workbench.recordings import InputSelection
-    from safedpa_services.workbench.session_files import newest_session, read_session
+def _controller(options: dict[str, Any]) -> SessionController:
+    """Returns the initial state of the page: a resumed session, or the given model and runs."""
+    from safedpa_services.workbench.session.controller import SessionController
+    from safedpa_services.workbench.session.files import newest_session, read_session
+    from safedpa_services.workbench.session.inputs import InputSelection
 
     if not 0.0 < options["horizon"] < math.inf:
-        raise InputError(f"--horizon: got {options['horizon']} s, wanted a positive number of seconds; choose 1, say")
+        raise InputError(f"--horizon: got {options['horizon']} s, wanted a positive number of seconds, such as 1")
     out, named = (
         options["out"],
         InputSelection(options["model"], options["runs"], options["columns"], options["horizon"]),
     )
     if options["session"] is not None and named.model:
-        raise InputError(f"MODEL {named.model}: got it with --session, which names its own; leave one of them out")
-    _look_at(named)
+        raise InputError(
+            f"MODEL {named.model}: got it together with --session, which names a model; leave out one of them"
+        )
+    _check_inputs(named)
     live = options["fleet"] or options["connect"] or options["replay"]
     file = options["session"] or (None if named.model or live else newest_session(out))
     if file is None:
-        return Bench(named, out)
-    retained = read_session(file)
+        return SessionController(named, out)
+    session = read_session(file)
     report_progress(
-        f"Workbench: goes on with {file} ({len(retained.decisions)} decisions)", err=True, facts={"session": str(file)}
+        f"Workbench: resuming {file} ({len(session.decisions)} decisions)", err=True, facts={"session": str(file)}
     )
-    return Bench(retained.choice, out, retained.decisions, file.parent)
+    return SessionController(session.choice, out, session.decisions, file.parent)
 
 
-def _look_at(named: InputSelection) -> None:
-    """Raises InputError for a model or a file that is none; what is in the files, the page can help with."""
+def _check_inputs(named: InputSelection) -> None:
+    """Raises InputError for an invalid model or an unknown kind of file; the page handles the contents of files."""
     from safedpa.dynamics import load_model
     from safedpa.records.readers.bags.detect import kind_of
 
@@ -167,13 +178,13 @@ def _look_at(named: InputSelection) -> None:
 
 
 def _take_pictures(options: dict[str, Any]) -> None:
-    """This very command again, behind a headless browser."""
-    from safedpa_services.workbench.pictures import take_pictures
+    """Runs the same command again and opens its page in a headless browser."""
+    from safedpa_services.workbench.screenshots import take_screenshots
 
     live = bool(options["fleet"] or options["connect"] or options["replay"])
     arguments = [options["model"], *options["runs"]] if options["model"] else []
     for name in ("columns", "horizon", "out", "session", "effects", "fleet", "replay", "certificates"):
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
-    for path in take_pictures(arguments, options["pictures"], live=live):
+    for path in take_screenshots(arguments, options["pictures"], live=live):
         report_progress(str(path), facts={"written": [str(path)]})

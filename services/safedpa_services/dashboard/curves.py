@@ -1,51 +1,51 @@
-"""What goes over time: latent, barrier, actions, residual. Messages in, shapes out."""
+"""Curves over time: latent, barrier, actions, residual. Turns messages into shapes."""
 
 from __future__ import annotations
 
 import math
 
 from safedpa.bus import LatentMessage, VerdictMessage
-from safedpa_services.dashboard.look import DisplaySettings
-from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SERIES, SKY, VERMILLION
+from safedpa_services.dashboard.display_settings import DisplaySettings
+from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SERIES, SKY, VERMILION
 from safedpa_services.dashboard.shapes import Bands, Curves, TimelineEntry
 
 __all__ = ["action_entries", "barrier_entries", "latent_entries", "legend_names", "residual_entry", "style_entries"]
 
 _MOST_CURVES = 16
 _LARGEST = 1e12
-"""Of any unit; beyond it a curve has a gap, since one such number flattens the plot."""
+"""Larger values are drawn as a gap, because they would flatten the plot."""
 
-_BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE, 1.5), ("threshold", VERMILLION, 1.5))
+_BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE, 1.5), ("threshold", VERMILION, 1.5))
 _ACTION = (("nominal", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
 """Name, colour, width of the curves of one pane, in the order of their values."""
 
 _WITHOUT_BARRIER = ("fallback", "disabled", "stopped")
 
 
-def style_entries(look: DisplaySettings) -> list[TimelineEntry]:
-    """Names, colours and widths of the curves; static."""
+def style_entries(display: DisplaySettings) -> list[TimelineEntry]:
+    """Returns the static entries with names, colours and widths of the curves."""
     entries = [TimelineEntry(("barrier",), _styles(_BARRIER), static=True)]
-    for variable in look.system.action:
+    for variable in display.system.action:
         entries.append(TimelineEntry(("action", variable.name), _styles(_ACTION), static=True))
-    shown = zip(look.latent_names, _short(look.latent_names), look.latent_units, strict=True)
+    shown = zip(display.latent_names, _short(display.latent_names), display.latent_units, strict=True)
     for index, (name, short, unit) in enumerate(shown):
         entries.append(
             TimelineEntry(("latent", name), Bands(0.0, 0.0, short, unit, SERIES[index % len(SERIES)]), static=True)
         )
-    names = tuple(f"{variable.name} [{variable.unit}]" for variable in look.system.state)
+    names = tuple(f"{variable.name} [{variable.unit}]" for variable in display.system.state)
     colours = tuple(SERIES[index % len(SERIES)] for index in range(len(names)))
     residual = Curves((), names, colours, tuple(1.5 for _ in names))
     return [*entries, TimelineEntry(("residual",), residual, static=True)]
 
 
-def legend_names(look: DisplaySettings) -> tuple[str, ...]:
-    """The latents as the legend has them, with units."""
-    named = zip(_short(look.latent_names), look.latent_units, strict=True)
+def legend_names(display: DisplaySettings) -> tuple[str, ...]:
+    """Returns the names of the latents in the legend, with units."""
+    named = zip(_short(display.latent_names), display.latent_units, strict=True)
     return tuple(f"{name} [{unit}]" if unit not in ("", "1") else name for name, unit in named)
 
 
 def _short(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Without the effect's name, where that leaves them different."""
+    """Returns the names without the effect's name, if they stay distinct."""
     short = tuple(name.rpartition(".")[2] for name in names)
     return short if len(set(short)) == len(short) else names
 
@@ -54,16 +54,16 @@ def _styles(rows: tuple[tuple[str, int, float], ...]) -> Curves:
     return Curves((), tuple(row[0] for row in rows), tuple(row[1] for row in rows), tuple(row[2] for row in rows))
 
 
-def latent_entries(latent: LatentMessage, look: DisplaySettings) -> list[TimelineEntry]:
-    """Each entry of the latent with its standard deviation, named by the model."""
+def latent_entries(latent: LatentMessage, display: DisplaySettings) -> list[TimelineEntry]:
+    """Returns an entry for each latent, with its standard deviation."""
     entries = []
     for index, value in enumerate(latent.values[:_MOST_CURVES]):
-        known = index < len(look.latent_names)
-        name = look.latent_names[index] if known else f"latent {index}"
+        known = index < len(display.latent_names)
+        name = display.latent_names[index] if known else f"latent {index}"
         deviation = latent.deviations[index] if index < len(latent.deviations) else 0.0
         if _plottable(value):
             spread = deviation if 0.0 <= deviation < _LARGEST else 0.0
-            unit = look.latent_units[index] if known else ""
+            unit = display.latent_units[index] if known else ""
             entries.append(
                 TimelineEntry(("latent", name), Bands(value, spread, name, unit, SERIES[index % len(SERIES)]))
             )
@@ -71,26 +71,26 @@ def latent_entries(latent: LatentMessage, look: DisplaySettings) -> list[Timelin
 
 
 def barrier_entries(verdict: VerdictMessage) -> list[TimelineEntry]:
-    """h now and predicted, its threshold 0 and the margin; nothing of h where the filter did not compute it."""
+    """Returns h now and predicted, the margin and the threshold 0; a gap where the filter did not compute h."""
     unknown = verdict.status in _WITHOUT_BARRIER and verdict.h_now == verdict.h_next == 0.0
     now, ahead = (math.nan, math.nan) if unknown else (verdict.h_now, verdict.h_next)
     return [TimelineEntry(("barrier",), Curves((_gap(now), _gap(ahead), _gap(verdict.margin), 0.0)))]
 
 
-def action_entries(verdict: VerdictMessage, look: DisplaySettings) -> list[TimelineEntry]:
-    """Nominal action and filtered action of each entry of the action, between the actuator's limits."""
+def action_entries(verdict: VerdictMessage, display: DisplaySettings) -> list[TimelineEntry]:
+    """Returns nominal and filtered action with the actuator limits, for each component of the action."""
     entries = []
-    for index, variable in enumerate(look.system.action):
+    for index, variable in enumerate(display.system.action):
         nominal, filtered = (
             _gap(row[index]) if index < len(row) else math.nan for row in (verdict.nominal, verdict.action)
         )
-        values = (nominal, filtered, look.action_low[index], look.action_high[index])
+        values = (nominal, filtered, display.action_low[index], display.action_high[index])
         entries.append(TimelineEntry(("action", variable.name), Curves(values)))
     return entries
 
 
 def residual_entry(residual: tuple[float, ...]) -> TimelineEntry:
-    """Measured minus predicted state."""
+    """Returns the entry of the residual, the measured minus the predicted state."""
     return TimelineEntry(("residual",), Curves(tuple(_gap(value) for value in residual)))
 
 

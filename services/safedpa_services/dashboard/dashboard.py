@@ -1,4 +1,4 @@
-"""The dashboard's loop: take what arrived, draw it, say that one lives; and the same for what a recording holds."""
+"""The dashboard's loop: draws what arrives on the bus and sends heartbeats. Also draws recordings."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from safedpa.bus import (
     topic_of,
 )
 from safedpa.errors import MessageError
+from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import DisplaySettings
 
 if TYPE_CHECKING:
-    from safedpa_services.dashboard.painter import RerunRecording
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
 
 __all__ = ["Dashboard", "draw_recording"]
 
@@ -38,42 +38,44 @@ _HEARTBEAT_SECONDS = 0.25
 
 
 class Dashboard:
-    """Draws the fleet of a bus until it is stopped. It only listens: no one waits for it."""
+    """Draws the fleet of a bus until it is stopped. It only observes: no process waits for it."""
 
-    def __init__(self, bus: Bus, view: FleetView, painter: RerunRecording, robot: str = "*", detail: str = "") -> None:
+    def __init__(
+        self, bus: Bus, view: FleetView, recording: RerunRecording, robot: str = "*", detail: str = ""
+    ) -> None:
         self._bus = bus
         self._view = view
-        self._painter = painter
+        self._recording = recording
         self._detail = detail
         self._complete = bus.inbox((STATE, VERDICT, FINDING, MODEL, HEALTH), robot, keep_all=True)
         self._newest = bus.inbox((LATENT, SURROUNDINGS), robot)
-        self._arranged = 0
+        self._known_robots = 0
         self._steps = 0
         self._next_heartbeat = time.monotonic()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Turns until ``stopped`` says so; looks at it at least four times a second."""
+        """Runs until ``stopped``, which is checked at least four times a second."""
         while not stopped():
             started = time.monotonic()
             self.turn(_WAIT_SECONDS)
             rest = _TURN_SECONDS - (time.monotonic() - started)
             if rest > 0.0:
-                time.sleep(rest)  # several messages make one turn: it costs the machine less
+                time.sleep(rest)  # collects several messages per turn, which takes less CPU time
 
     def end(self, sentence: str) -> None:
-        """Draws what still arrived, and says why nothing more comes."""
+        """Draws the last messages, and shows ``sentence`` as the reason why nothing more arrives."""
         self.turn(0.0)
-        self._painter.draw(self._view.end(sentence, time.monotonic()))
+        self._recording.draw(self._view.end(sentence, time.monotonic()))
 
     def turn(self, longest_wait: float) -> None:
-        """Draws what arrived; waits up to ``longest_wait`` [s] for something to draw."""
+        """Draws what arrived, after waiting up to ``longest_wait`` [s] for messages."""
         waiting = self._complete.take(longest_wait)
         started = time.monotonic()
         frames = self._view.take(sorted([*waiting, *self._newest.take(0.0)], key=_order), started)
-        if len(self._view.fields) != self._arranged:
-            self._arranged = len(self._view.fields)
-            self._painter.arrange(self._view.fields)
-        self._painter.draw(frames)
+        if len(self._view.fields) != self._known_robots:
+            self._known_robots = len(self._view.fields)
+            self._recording.arrange(self._view.fields)
+        self._recording.draw(frames)
         self._steps += bool(frames)
         if started >= self._next_heartbeat:
             self._next_heartbeat = started + _HEARTBEAT_SECONDS
@@ -103,22 +105,22 @@ def _order(item: object) -> float:
 
 _TOPICS = (STATE, VERDICT, FINDING, MODEL, HEALTH, LATENT, SURROUNDINGS)
 _BATCH_SECONDS = 0.25
-"""Messages that are drawn together, by the clock of the recording."""
+"""Recorded time [s] whose messages are drawn together."""
 
 
-def draw_recording(files: Sequence[Path], look: DisplaySettings, path: Path) -> None:
-    """Writes all robots of the recordings to an .rrd file. Raises InputError when it cannot be written."""
-    from safedpa_services.dashboard.painter import RerunRecording
+def draw_recording(files: Sequence[Path], display: DisplaySettings, path: Path) -> None:
+    """Draws all robots of recordings into an .rrd file. Raises InputError if it cannot be written."""
+    from safedpa_services.dashboard.rerun_recording import RerunRecording
 
-    view, fleet, known = FleetView(look), "recording", 0
-    painter = RerunRecording(look, fleet, save=path, bind="127.0.0.1", grpc_port=None)
+    view, fleet, known = FleetView(display), "recording", 0
+    recording = RerunRecording(display, fleet, save=path, bind="127.0.0.1", grpc_port=None)
     for items in _batches(files):
         frames = view.take(list(items), items[-1].at)
         if len(view.fields) != known:
             known = len(view.fields)
-            painter.arrange(view.fields)
-        painter.draw(frames)
-    painter.close()
+            recording.arrange(view.fields)
+        recording.draw(frames)
+    recording.close()
 
 
 def _batches(files: Sequence[Path]) -> Iterator[list[ReceivedMessage]]:
@@ -133,7 +135,7 @@ def _batches(files: Sequence[Path]) -> Iterator[list[ReceivedMessage]]:
 
 
 def _received(files: Sequence[Path]) -> Iterator[ReceivedMessage]:
-    """As from the bus, with the time of recording [s] in place of the time of arrival."""
+    """Yields messages as if from the bus; the time of arrival is the time of recording [s]."""
     from safedpa.records.readers.mcap import read_payloads
 
     for path in files:

@@ -1,7 +1,7 @@
-"""Every robot of the fleet: what arrived in, frames out. Nothing here draws, waits or raises on a strange message.
+"""Turns the messages of a fleet into frames. Nothing here draws, blocks, or raises on an unexpected message.
 
-What is drawn when it changes is drawn again every second, a keyframe: viewers that come later get the newest data
-first, and of what is old only what the memory still holds. So the last second of data shows the whole present.
+Entries that are drawn only when they change are drawn again every second, as keyframes. A viewer that joins late gets
+the newest data first and only as much old data as the server's memory holds; the last second always shows everything.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, ReceivedMessage, RejectedMessage, StateMessage, Topic
-from safedpa_services.dashboard.look import DisplaySettings
+from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.palette import ORANGE
 from safedpa_services.dashboard.pendulum import phase_bounds
@@ -20,7 +20,7 @@ from safedpa_services.dashboard.world import field_of
 __all__ = ["DrawingRate", "DrawingThrottle", "FleetView", "Scene", "TimeLine"]
 
 SHORTEST_INTERVAL = 0.05
-"""s of robot time between two drawn messages of one kind."""
+"""Shortest robot time between two drawn messages of one kind [s]."""
 
 _BEHIND_SECONDS = 0.5
 _CAUGHT_UP_SECONDS = 0.1
@@ -29,14 +29,17 @@ _LARGEST_FACTOR = 64
 
 
 class DrawingRate:
-    """One number for the whole dashboard: every ``factor``-th picture is drawn. Doubles while behind."""
+    """The drawing rate of the dashboard: every ``factor``-th frame is drawn.
+
+    The factor doubles while drawing is behind.
+    """
 
     def __init__(self) -> None:
         self.factor = 1
         self._calm_since: float | None = None
 
     def observe(self, lag: float, now: float) -> bool:
-        """Takes how long [s] the oldest message had waited; True when the factor changed."""
+        """Takes the delay of the oldest message [s]; returns whether the factor changed."""
         before = self.factor
         if lag > _BEHIND_SECONDS:
             self.factor = min(2 * self.factor, _LARGEST_FACTOR)
@@ -52,14 +55,14 @@ class DrawingRate:
 
 
 class DrawingThrottle:
-    """Decides for one robot, by kind of message, and counts what was left out because drawing was behind."""
+    """Decides which messages of one robot are drawn, and counts those that are left out because drawing is behind."""
 
     def __init__(self) -> None:
         self._last: dict[str, float] = {}
         self.left_out = 0
 
     def draws(self, kind: str, robot_time: float, factor: int) -> bool:
-        """Whether a message stamped ``robot_time`` [s] is drawn."""
+        """Returns whether a message stamped ``robot_time`` [s] is drawn."""
         last = self._last.get(kind)
         passed = None if last is None else robot_time - last
         if passed is None or passed < 0.0 or passed > 0.9 * factor * SHORTEST_INTERVAL:
@@ -70,14 +73,14 @@ class DrawingThrottle:
 
 
 _LARGEST_TIME = 1e9
-"""s; about thirty years."""
+"""s; about thirty years. Limits what a wrong stamp does to the time line."""
 
 
 class TimeLine:
-    """t = robot time + offset of the robot's epoch.
+    """The time line of all robots: t = robot time + offset of the robot's epoch.
 
-    The first robot's offset is 0: its t is its robot time. A robot that appears later, or restarts, begins at the t
-    of now, so that the view of the last seconds shows every robot and no second life covers the first.
+    The first robot's offset is 0. A robot that appears later or restarts begins at the current t, so that the view of
+    the last seconds shows all robots, and a restarted robot does not overwrite its earlier data.
     """
 
     def __init__(self) -> None:
@@ -85,11 +88,11 @@ class TimeLine:
         self._newest: tuple[float, float] | None = None
 
     def now(self, clock: float) -> float:
-        """t at ``clock`` [s], the dashboard's monotonic clock; 0 before the first robot."""
+        """Returns t at ``clock`` [s] of the dashboard's monotonic clock; 0 before the first robot."""
         return 0.0 if self._newest is None else self._newest[0] + (clock - self._newest[1])
 
     def at(self, robot: str, epoch: int, robot_time: float, clock: float) -> float:
-        """t of a message that arrived at ``clock``."""
+        """Returns t of a message that arrived at ``clock``."""
         robot_time = max(-_LARGEST_TIME, min(robot_time, _LARGEST_TIME))
         key = (robot, epoch)
         if key not in self._offsets:
@@ -101,39 +104,39 @@ class TimeLine:
         return moment
 
     def offset(self, robot: str, epoch: int) -> float:
-        """t - robot time [s]; 0 for an epoch not heard of."""
+        """Returns t - robot time [s]; 0 for an unknown epoch."""
         return self._offsets.get((robot, epoch), 0.0)
 
 
 MOST_ROBOTS = 32
-"""Robots that are drawn; a flood of names must not fill the memory."""
+"""Number of robots that are drawn; bounds the memory against a flood of names."""
 
 _REPORTED_REFUSALS = 20
-"""Lines in the log about refused messages per robot; the rest is counted."""
+"""Logged refusals per robot; further ones are only counted."""
 
 KEYFRAME_SECONDS = 1.0
 _QUIET_SECONDS = 10.0
-"""When nothing at all was heard for so long the last keyframe is the newest there is, and no further one is drawn."""
+"""Without any message for this long, no further keyframe is drawn."""
 
 Scene = tuple[float, float, float, float]
-"""The field: lowest x, highest x, lowest y, highest y in m; of a pendulum, the bounds of its phase plane in rad."""
+"""Bounds of the shown field: lowest x, highest x, lowest y, highest y [m]; for a pendulum of its phase plane [rad]."""
 
 
 @dataclass
 class _RobotDisplay:
     view: RobotView
-    thinner: DrawingThrottle = field(default_factory=DrawingThrottle)
+    throttle: DrawingThrottle = field(default_factory=DrawingThrottle)
     epoch: int | None = None
     refused: int = 0
     newest: dict[str, float] = field(default_factory=dict)
-    """By topic: s on the time line of its last frame. A lane's keyframe belongs there, where no change comes before."""
+    """By topic: time of its last frame [s]. Keyframes are drawn at that time, so that none precedes a later change."""
 
 
 class FleetView:
     """Turns received messages into frames, oldest first."""
 
-    def __init__(self, look: DisplaySettings, fleet: str = "fleet") -> None:
-        self._look = look
+    def __init__(self, display: DisplaySettings, fleet: str = "fleet") -> None:
+        self._display = display
         self._fleet = fleet
         self._services: dict[str, str] = {}
         self._waiting = waiting_page(fleet, {})
@@ -144,13 +147,13 @@ class FleetView:
         self._time = TimeLine()
         self.pace = DrawingRate()
         self.fields: dict[str, Scene] = {}
-        """Robots that have sent a state, in order of appearance, with the field that their view shall show."""
+        """The shown field of each robot that has sent a state, in order of appearance."""
         self.refused = 0
 
     def take(self, items: list[ReceivedMessage | RejectedMessage], now: float) -> list[TimelineFrame]:
-        """Frames of what arrived until ``now`` [s], the dashboard's monotonic clock."""
+        """Returns the frames of messages that arrived until ``now`` [s] of the dashboard's monotonic clock."""
         lag = max((now - item.at for item in items if isinstance(item, ReceivedMessage)), default=0.0)
-        frames = [self._wait()]
+        frames = [self._waiting_frame()]
         frames += self._pace_note(now) if self.pace.observe(lag, now) else []
         self._heard = now if items else self._heard
         for item in items:
@@ -168,7 +171,7 @@ class FleetView:
         return [frame for frame in frames if frame.entries]
 
     def end(self, sentence: str, now: float) -> list[TimelineFrame]:
-        """The last frames: each robot's page says why nothing more comes."""
+        """Returns the last frames, which show ``sentence`` as the reason why nothing more arrives."""
         frames = []
         for name in self.fields:
             robot = self._robots[name]
@@ -176,14 +179,14 @@ class FleetView:
             at = max(robot.newest.values(), default=0.0)
             frames.append(self._frame(name, None, at, [TimelineEntry(("log",), Note(sentence, ORANGE))]))
         if not self.fields:
-            text = f"# It ended while it waited for a robot\n\n{sentence}"
+            text = f"# Ended while waiting for a robot\n\n{sentence}"
             frames.append(TimelineFrame(0.0, (TimelineEntry(("waiting",), MarkdownPage(text), static=True),)))
         return [*frames, *self._keyframes(now)]
 
     @property
     def left_out(self) -> int:
-        """Messages not drawn because drawing was behind."""
-        return sum(robot.thinner.left_out for robot in self._robots.values())
+        """Number of messages that were not drawn because drawing was behind."""
+        return sum(robot.throttle.left_out for robot in self._robots.values())
 
     def _take(self, item: ReceivedMessage) -> TimelineFrame:
         message, nothing = item.message, TimelineFrame(0.0, ())
@@ -192,42 +195,42 @@ class FleetView:
             return nothing
         entries: list[TimelineEntry] = []
         if isinstance(message, HealthMessage):
-            self._hear_of(f"{message.service} of {item.robot}", message.state)
+            self._note_service(f"{message.service} of {item.robot}", message.state)
         if robot is None:
             if len(self._robots) >= MOST_ROBOTS:
                 return nothing
-            robot = self._robots[item.robot] = _RobotDisplay(RobotView(self._look))
+            robot = self._robots[item.robot] = _RobotDisplay(RobotView(self._display))
             entries = robot.view.start()
         if isinstance(message, StateMessage):
-            self._know_field(item.robot, message)
+            self._note_field(item.robot, message)
             robot.epoch = message.epoch
-        at = self._moment(item, robot)
-        draw = item.topic is HEALTH or robot.thinner.draws(item.topic.name, message.robot_time, self.pace.factor)
+        at = self._time_of(item, robot)
+        draw = item.topic is HEALTH or robot.throttle.draws(item.topic.name, message.robot_time, self.pace.factor)
         return self._frame(item.robot, item.topic, at, entries + robot.view.take(message, item.at, draw=draw))
 
     def _take_fleet_health(self, item: ReceivedMessage) -> list[TimelineFrame]:
         message = item.message
         if not isinstance(message, HealthMessage) or message.service == "dashboard":
             return []
-        self._hear_of(message.service, message.state)
+        self._note_service(message.service, message.state)
         at = self._time.now(item.at)
         return [
             self._frame(name, HEALTH, at, robot.view.health.add(message, item.at, own=False))
             for name, robot in self._robots.items()
         ]
 
-    def _hear_of(self, service: str, state: str) -> None:
+    def _note_service(self, service: str, state: str) -> None:
         if service in self._services or len(self._services) < MOST_ROBOTS:
             self._services[service] = state
 
-    def _moment(self, item: ReceivedMessage, robot: _RobotDisplay) -> float:
+    def _time_of(self, item: ReceivedMessage, robot: _RobotDisplay) -> float:
         if item.topic is HEALTH or item.message.epoch != robot.epoch:
-            return self._time.now(item.at)  # a heartbeat may be of a robot's earlier life
+            return self._time.now(item.at)  # a heartbeat may be from before the robot's restart
         return self._time.at(item.robot, item.message.epoch, item.message.robot_time, item.at)
 
-    def _know_field(self, name: str, state: StateMessage) -> None:
+    def _note_field(self, name: str, state: StateMessage) -> None:
         if name not in self.fields:
-            own = phase_bounds(state, self._look) if self._look.is_pendulum else field_of(state)
+            own = phase_bounds(state, self._display) if self._display.is_pendulum else field_of(state)
             self.fields[name] = own or (-1.4, 1.4, -1.4, 1.4)
 
     def _refuse(self, item: RejectedMessage, now: float) -> TimelineFrame:
@@ -239,19 +242,19 @@ class FleetView:
         robot.refused += 1
         if robot.refused > _REPORTED_REFUSALS:
             return TimelineFrame(0.0, ())
-        last = " (further ones are not told)" if robot.refused == _REPORTED_REFUSALS else ""
+        last = " (further ones are not reported)" if robot.refused == _REPORTED_REFUSALS else ""
         note = Note(f"refused {item.reason[:200]}{last}", ORANGE, "WARN")
         return self._frame(item.robot, None, self._time.now(now), [TimelineEntry(("log",), note)])
 
     def _pace_note(self, now: float) -> list[TimelineFrame]:
         factor = self.pace.factor
-        text = "dashboard: every picture is drawn" if factor == 1 else f"dashboard: behind, draws one in {factor}"
+        text = "dashboard: every frame is drawn" if factor == 1 else f"dashboard: behind, draws one frame in {factor}"
         note = Note(f"{text}; {self.left_out} left out so far", ORANGE, "INFO" if factor == 1 else "WARN")
         at = self._time.now(now)
         return [self._frame(name, None, at, [TimelineEntry(("log",), note)]) for name in self.fields]
 
     def _frame(self, name: str, topic: Topic | None, at: float, entries: list[TimelineEntry]) -> TimelineFrame:
-        """Entries of one robot, which its page and its next keyframe hear of."""
+        """Returns a frame of one robot, and updates its page and the time of its next keyframe."""
         robot = self._robots[name]
         if topic is not None:
             robot.newest[topic.name] = max(at, robot.newest.get(topic.name, at))
@@ -273,8 +276,8 @@ class FleetView:
             frames.append(TimelineFrame(max(robot.newest.values(), default=0.0), _under(name, [page])))
         return frames
 
-    def _wait(self) -> TimelineFrame:
-        """The page that is shown while there is no robot, where it has changed."""
+    def _waiting_frame(self) -> TimelineFrame:
+        """Returns the page that is shown while there is no robot, if it changed."""
         page = self._waiting if self.fields else waiting_page(self._fleet, self._services, self._refusal)
         if page == self._waiting:
             return TimelineFrame(0.0, ())

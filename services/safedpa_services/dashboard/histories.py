@@ -1,7 +1,7 @@
-"""What the dashboard remembers of one robot next to its picture: findings, health of its services, residuals.
+"""Histories of one robot: findings of the diagnosis, health of its services, residuals.
 
-Findings: error and band, stage, model in force, and marks where these change. Health: what services say of themselves,
-and their silence. Residuals: what was measured less what was predicted.
+Findings are drawn as error and band, stage, model in force, and log lines where these change. Health is what services
+report, and their silence. A residual is a measured minus the predicted state.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from safedpa_services.dashboard.palette import (
     PURPLE,
     SERIES,
     SKY,
-    VERMILLION,
+    VERMILION,
     YELLOW,
 )
 from safedpa_services.dashboard.shapes import Curves, Note, States, StateSet, TimelineEntry
@@ -33,7 +33,7 @@ __all__ = ["STAGE_COLOURS", "FindingHistory", "HealthHistory", "ResidualHistory"
 STAGE_COLOURS: Final = {
     "learning": GREY,
     "watching": GREEN,
-    "raised": VERMILLION,
+    "raised": VERMILION,
     "searching": ORANGE,
     "candidates": YELLOW,
     "nothing": PURPLE,
@@ -41,13 +41,13 @@ STAGE_COLOURS: Final = {
 _ERROR: Final = Curves((), ("error over 1 s", "end of its band"), (SKY, ORANGE), (2.5, 1.5))
 _LARGEST = 1e6
 _MOST_MODELS = 16
-"""Colours of the model lane; further models share one."""
+"""Number of colours of the model lane; further models share the last one."""
 _LONGEST = 400
-"""Characters of a line in the log."""
+"""Characters of a log line."""
 
 
 class FindingHistory:
-    """Entries of one robot's findings and changes of the model."""
+    """Turns one robot's findings and model changes into entries."""
 
     def __init__(self) -> None:
         self._stage = ""
@@ -57,13 +57,13 @@ class FindingHistory:
         self._lane = ""
 
     def lanes(self) -> list[TimelineEntry]:
-        """The lanes of the diagnosis and the model as they are now."""
+        """Returns the current state of the lanes of diagnosis and model."""
         lanes = (("diagnosis", self._stage), ("model", self._lane))
         return [TimelineEntry(("verdict", name), States(state)) for name, state in lanes if state]
 
     @staticmethod
     def start() -> list[TimelineEntry]:
-        """Static entries: names and colours."""
+        """Returns the static entries with names and colours."""
         models = {f"model {number + 1}": (SKY if number % 2 == 0 else YELLOW) for number in range(_MOST_MODELS)}
         return [
             TimelineEntry(("diagnosis", "error"), _ERROR, static=True),
@@ -72,7 +72,7 @@ class FindingHistory:
         ]
 
     def add(self, message: FindingMessage | ModelMessage) -> list[TimelineEntry]:
-        """Error and band always; a mark and a line of the log where the stage or the model changes."""
+        """Returns error and band, and a lane change and a log line if the stage or the model changes."""
         return self._finding(message) if isinstance(message, FindingMessage) else self._change(message)
 
     def _finding(self, message: FindingMessage) -> list[TimelineEntry]:
@@ -89,10 +89,10 @@ class FindingHistory:
         return [*entries, TimelineEntry(("verdict", "diagnosis"), States(message.stage)), TimelineEntry(("log",), note)]
 
     def _change(self, message: ModelMessage) -> list[TimelineEntry]:
-        phrase = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
-        reported = phrase.get(message.step, message.step)
+        steps = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
+        step = steps.get(message.step, message.step)
         who = f", by {message.who}" if message.who else ""
-        text = f"model {message.fingerprint or message.replaces} {reported}: {message.why}{who}"
+        text = f"model {message.fingerprint or message.replaces} {step}: {message.why}{who}"
         return [TimelineEntry(("log",), Note(text[:_LONGEST], PURPLE, "WARN" if message.step == "drop" else "INFO"))]
 
     def _in_force(self, fingerprint: str) -> list[TimelineEntry]:
@@ -111,7 +111,7 @@ def _gap(value: float) -> float:
 
 
 SILENT_SECONDS = 1.0
-"""Four heartbeats."""
+"""A service is silent after four missing heartbeats."""
 
 _MOST_SERVICES = 16
 
@@ -121,17 +121,20 @@ class _Service:
     heard: float
     shown: str
     own: bool
-    """Whether it spoke of this robot, not of the fleet alone."""
+    """Whether it sent a heartbeat about this robot, not only about the fleet."""
 
 
 class HealthHistory:
-    """States as they change, step times at each heartbeat; ``now`` [s] is the dashboard's monotonic clock."""
+    """Turns heartbeats into changes of state and step times; ``now`` [s] is the dashboard's monotonic clock."""
 
     def __init__(self) -> None:
         self._services: dict[str, _Service] = {}
 
     def add(self, message: HealthMessage, now: float, *, own: bool = True) -> list[TimelineEntry]:
-        """Entries of one heartbeat; ``own`` False: of a service of the whole fleet, until it speaks of this robot."""
+        """Returns the entries of a heartbeat.
+
+        :param own: False for a heartbeat about the whole fleet, which is ignored once the service reports this robot
+        """
         name = message.service or "unnamed"
         entries: list[TimelineEntry] = []
         if name not in self._services:
@@ -149,15 +152,15 @@ class HealthHistory:
 
     @property
     def states(self) -> dict[str, str]:
-        """The state of each service as it is shown."""
+        """The shown state of each service."""
         return {name: service.shown for name, service in self._services.items()}
 
     def lanes(self) -> list[TimelineEntry]:
-        """The lane of each service as it is now."""
+        """Returns the current state of each service's lane."""
         return [TimelineEntry(("services", name), States(state)) for name, state in self.states.items() if state]
 
     def silences(self, now: float) -> list[TimelineEntry]:
-        """Entries of the services that fell silent since the last call."""
+        """Returns the entries of services that fell silent since the last call."""
         late = [item for item in self._services.items() if now - item[1].heard > SILENT_SECONDS]
         return [entry for name, service in late for entry in _change(name, service, "silent")]
 
@@ -181,10 +184,10 @@ _CACHED_TICKS = 8
 
 
 class ResidualHistory:
-    """Residuals r[k+1] = x[k+1] - predicted[k][0] of one robot and one epoch, angles the short way round.
+    """Residuals r[k+1] = x[k+1] - predicted[k][0] of one robot and one epoch, with angle differences in (-pi, pi].
 
-    A pair counts once, and only when the filter's action was in force over the period: the prediction is about that
-    action. What is older than a few ticks is forgotten.
+    A pair counts once, and only if the filter's action was in force over the period, because the prediction is for that
+    action. Entries older than a few ticks are dropped.
     """
 
     def __init__(self, system: System) -> None:
@@ -193,13 +196,13 @@ class ResidualHistory:
         self._measured: dict[int, tuple[float, ...]] = {}
 
     def add_state(self, state: StateMessage) -> tuple[float, ...] | None:
-        """The residual of this tick if its prediction has arrived, (states,)."""
+        """Returns the residual (states,) of this tick if its prediction has arrived."""
         if state.applied_by != "filter" or len(state.values) != len(self._system.state):
             return None
         return self._match(state.tick, self._measured, state.values)
 
     def add_verdict(self, verdict: VerdictMessage) -> tuple[int, tuple[float, ...]] | None:
-        """(tick, residual) of the next tick if its measurement has arrived already."""
+        """Returns (tick, residual) of the next tick if its measurement has arrived already."""
         if not verdict.predicted or len(verdict.predicted[0]) != len(self._system.state):
             return None
         residual = self._match(verdict.tick + 1, self._predicted, verdict.predicted[0])
@@ -210,15 +213,15 @@ class ResidualHistory:
     ) -> tuple[float, ...] | None:
         own[tick] = values
         measured, predicted = self._measured.get(tick), self._predicted.get(tick)
-        for book in (self._measured, self._predicted):
-            for old in [known for known in book if known <= tick - _CACHED_TICKS]:
-                del book[old]
+        for ticks in (self._measured, self._predicted):
+            for old in [known for known in ticks if known <= tick - _CACHED_TICKS]:
+                del ticks[old]
         if measured is None or predicted is None:
             return None
         del self._measured[tick], self._predicted[tick]
         return self._difference(measured, predicted)
 
     def _difference(self, measured: Sequence[float], predicted: Sequence[float]) -> tuple[float, ...]:
-        with np.errstate(all="ignore"):  # two huge numbers may differ by infinity; the curve then has a gap
+        with np.errstate(all="ignore"):  # the difference of huge numbers may overflow; the curve then has a gap
             change = self._system.difference(np.array(measured), np.array(predicted))
         return tuple(float(value) for value in change)

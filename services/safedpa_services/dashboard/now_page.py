@@ -1,4 +1,4 @@
-"""What a person reads first of one robot: how it is now, what is awaited and from whom, what was said last."""
+"""The text page of one robot: its state now, what it is waiting for, and the newest log lines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from safedpa.bus import FindingMessage, LatentMessage, Message, StateMessage, SurroundingsMessage, VerdictMessage
 from safedpa.safety.deadlock.detector import what_to_do
-from safedpa_services.dashboard.look import DisplaySettings
+from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.shapes import MarkdownPage, Note
 
 __all__ = ["NowPage", "waiting_page"]
@@ -18,15 +18,15 @@ _LONGEST = 300
 """Characters of a sentence."""
 _SILENT_SECONDS = 1.0
 _FIRST_SECONDS = 2.0
-"""Until then after the first state nothing is called missing."""
+"""Grace period after the first state in which nothing is reported as missing."""
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>#|~])")
 
 
 class NowPage:
-    """Of one robot; ``now`` [s] is the dashboard's monotonic clock."""
+    """The text page of one robot; ``now`` [s] is the dashboard's monotonic clock."""
 
-    def __init__(self, look: DisplaySettings) -> None:
-        self._look = look
+    def __init__(self, display: DisplaySettings) -> None:
+        self._display = display
         self._lines: deque[tuple[float, str]] = deque(maxlen=_MOST_LINES)
         self._state: StateMessage | None = None
         self._verdict: VerdictMessage | None = None
@@ -37,7 +37,7 @@ class NowPage:
         self._ended = ""
 
     def take(self, message: Message, now: float) -> None:
-        """Remembers a message that was heard at ``now``."""
+        """Stores a message that arrived at ``now``."""
         if isinstance(message, StateMessage):
             if self._state is None or self._state.epoch != message.epoch:
                 self._verdict, self._finding, self._seen, self._heard, self._since = None, None, None, {}, now
@@ -51,20 +51,20 @@ class NowPage:
         self._heard[type(message)] = now
 
     def add(self, at: float, note: Note) -> None:
-        """A line of the log, ``at`` [s] on the time line."""
+        """Adds a log line, at time ``at`` [s] of the time line."""
         self._lines.append((at, note.text[:_LONGEST]))
 
     def end(self, sentence: str) -> None:
-        """From now on the page begins with why nothing more comes; until the next state."""
+        """Puts ``sentence``, the reason why nothing more arrives, at the top of the page until the next state."""
         self._ended = sentence
 
     def page(self, now: float) -> MarkdownPage:
-        """The page as it is at ``now``."""
+        """Returns the page at ``now``."""
         parts = [f"**{_plain(self._ended)}**"] if self._ended else [*self._verdict_lines(), *self._waiting_lines(now)]
-        parts.append(self._numbers())
+        parts.append(self._summary())
         if self._lines:
-            reported = "\n".join(f"- {at:.1f} s: {_plain(text)}" for at, text in reversed(self._lines))
-            parts.append(f"Said last:\n\n{reported}")
+            log = "\n".join(f"- {at:.1f} s: {_plain(text)}" for at, text in reversed(self._lines))
+            parts.append(f"Last messages:\n\n{log}")
         return MarkdownPage("\n\n".join(part for part in parts if part))
 
     def _verdict_lines(self) -> list[str]:
@@ -73,41 +73,41 @@ class NowPage:
             return []
         lines = [f"**{_plain(verdict.status)}**: {_plain(verdict.sentence[:_LONGEST])}"]
         if verdict.stationary_reason:
-            stationary_for = f"**Stands for {verdict.stationary_for:.0f} s**, {_plain(verdict.stationary_reason)}."
-            lines.append(f"{stationary_for} {_plain(what_to_do(verdict.stationary_reason))}")
+            standing = f"**Stationary for {verdict.stationary_for:.0f} s**, {_plain(verdict.stationary_reason)}."
+            lines.append(f"{standing} {_plain(what_to_do(verdict.stationary_reason))}")
         return lines
 
     def _waiting_lines(self, now: float) -> list[str]:
         return [f"**Waiting for** {_plain(missing)}." for missing in self._missing(now)]
 
     def _missing(self, now: float) -> list[str]:
-        """Who should speak and does not, and what for."""
+        """Returns which messages are missing, and the consequence."""
         if self._state is None:
-            return ["the robot's first state: its heartbeat is heard, it does not drive yet"]
+            return ["the robot's first state: it sends heartbeats, but does not drive yet"]
         silent = now - self._heard.get(StateMessage, now)
         if silent > _SILENT_SECONDS:
-            return [f"the robot's states: silent for {silent:.0f} s; it has ended, or the link to it is broken"]
+            return [f"the robot's states: silent for {silent:.0f} s; it has ended, or its link is broken"]
         if now - self._since < _FIRST_SECONDS:
             return []
         missing = []
         if self._state.sources and now - self._heard.get(SurroundingsMessage, -1e9) > _SILENT_SECONDS:
-            missing.append("perception, without which a robot that sees for itself brakes")
+            missing.append("perception, without which a robot with sensors brakes")
         if now - self._heard.get(VerdictMessage, -1e9) > _SILENT_SECONDS:
-            missing.append("a verdict of the safety filter: without one the robot brakes by itself")
-        if self._look.latent_names and now - self._heard.get(LatentMessage, -1e9) > _SILENT_SECONDS:
-            missing.append("an estimate of the adaptation; the filter uses the model's own numbers meanwhile")
+            missing.append("a verdict of the safety filter, without which the robot brakes by itself")
+        if self._display.latent_names and now - self._heard.get(LatentMessage, -1e9) > _SILENT_SECONDS:
+            missing.append("an estimate of the adaptation; meanwhile the filter uses the model's default latent")
         if FindingMessage not in self._heard:
-            missing.append("the diagnosis, which no one needs to drive: the panes of the error are empty without it")
+            missing.append("the diagnosis, which is not needed for driving: the error panes are empty without it")
         return missing
 
-    def _numbers(self) -> str:
+    def _summary(self) -> str:
         state, verdict, finding = self._state, self._verdict, self._finding
         if state is None:
             return ""
         parts = [f"clock {state.robot_time:.1f} s", f"goals {state.goals_reached}", f"collisions {state.collisions}"]
         if verdict is not None:
-            unit = self._look.h_unit
-            parts.append(f"room left h {verdict.h_now:.2f}{unit}, margin {verdict.margin:.3f}{unit}")
+            unit = self._display.h_unit
+            parts.append(f"h {verdict.h_now:.2f}{unit}, margin {verdict.margin:.3f}{unit}")
         if self._seen is not None:
             parts += _sources_line(state.sources, self._seen)
         if finding is not None:
@@ -116,32 +116,31 @@ class NowPage:
 
 
 def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
-    """How old what each source measured is, what is wrong with one, and what a person marked and switched."""
+    """Returns the age of each source's data, problems, and zones and switches set by the user."""
     ages = [
-        f"{name} {'never heard' if age < 0.0 else f'{age:.2f} s old'}"
-        for name, age in zip(names, seen.ages, strict=False)
+        f"{name} {'no data' if age < 0.0 else f'{age:.2f} s old'}" for name, age in zip(names, seen.ages, strict=False)
     ]
     zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
     ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
-    return [reported[:_LONGEST] for reported in (*ages, *seen.problems, *zones, *ordered)]
+    return [text[:_LONGEST] for text in (*ages, *seen.problems, *zones, *ordered)]
 
 
-def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> MarkdownPage:
-    """While no robot has sent a state: what is awaited, who was heard, by name with its state, and what was refused."""
+def waiting_page(fleet: str, services: dict[str, str], refused: str = "") -> MarkdownPage:
+    """Returns the page that is shown until a robot sends a state: known processes with their states, and refusals."""
     parts = [
         "# Waiting for a robot",
-        f"No one has sent a state in fleet **{_plain(fleet)}** yet; a tab for each robot appears as soon as it speaks.",
+        f"No robot of fleet **{_plain(fleet)}** has sent a state yet. A tab appears for each robot that does.",
     ]
-    if heard:
-        listed = ", ".join(f"{_plain(name)} ({_plain(state)})" for name, state in sorted(heard.items()))
-        parts.append(f"Heard so far: {listed}. They wait for the robot too.")
+    if services:
+        listed = ", ".join(f"{_plain(name)} ({_plain(state)})" for name, state in sorted(services.items()))
+        parts.append(f"Processes found: {listed}. They are waiting for the robot, too.")
     else:
-        parts.append("Nothing at all is heard: start `safedpa up`, or check `--fleet` and `--connect`.")
+        parts.append("No process found: start `safedpa up`, or check `--fleet` and `--connect`.")
     if refused:
         parts.append(f"Refused: {_plain(refused[:_LONGEST])}.")
     return MarkdownPage("\n\n".join(parts))
 
 
 def _plain(text: str) -> str:
-    """As it stands, whatever signs of Markdown are in it."""
+    """Escapes Markdown."""
     return _MARKDOWN.sub(r"\\\1", " ".join(text.split()))

@@ -1,4 +1,4 @@
-"""Colours that colour-blind people tell apart: Okabe and Ito, Color Universal Design, 2008; as 0xRRGGBBAA."""
+"""Colours that colour-blind people can distinguish (Okabe and Ito, Color Universal Design, 2008), as 0xRRGGBBAA."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = [
     "SKY",
     "UNKNOWN_STATUS",
     "VERDICT_COLOURS",
-    "VERMILLION",
+    "VERMILION",
     "YELLOW",
     "faded",
 ]
@@ -30,11 +30,11 @@ SKY: Final = 0x56B4E9FF
 GREEN: Final = 0x009E73FF
 YELLOW: Final = 0xF0E442FF
 BLUE: Final = 0x0072B2FF
-VERMILLION: Final = 0xD55E00FF
+VERMILION: Final = 0xD55E00FF
 PURPLE: Final = 0xCC79A7FF
 
-SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILLION, YELLOW, INK, BLUE)
-"""Curves that stand side by side, in this order."""
+SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILION, YELLOW, INK, BLUE)
+"""Colours of the curves of one plot, in this order."""
 
 UNKNOWN_STATUS: Final = GREY
 RED: Final = 0xFF2D2DFF
@@ -44,14 +44,14 @@ VERDICT_COLOURS: Final = {
     Status.corrected.value: SKY,
     Status.relaxed.value: ORANGE,
     Status.violated.value: RED,
-    Status.fallback.value: VERMILLION,
+    Status.fallback.value: VERMILION,
     Status.disabled.value: PURPLE,
     Status.stopped.value: YELLOW,
 }
-HEALTH_COLOURS: Final = {"ready": SKY, "running": GREEN, "failing": VERMILLION, "silent": GREY}
-IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILLION, "none": GREY}
+HEALTH_COLOURS: Final = {"ready": SKY, "running": GREEN, "failing": VERMILION, "silent": GREY}
+IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILION, "none": GREY}
 
 
 def faded(colour: int, opacity: float) -> int:
-    """The colour with an opacity from 0 to 1."""
+    """Returns the colour with an opacity from 0 to 1."""
     return (colour & 0xFFFFFF00) | round(255 * opacity)

@@ -1,4 +1,4 @@
-"""What can be shown, without a word about who draws it: plain values that a test can look at."""
+"""Shapes as plain values, independent of the library that draws them."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Values of curves at one time, NaN where there is none."""
+    """Values of the curves of one plot at one time; NaN is a gap."""
 
     values: tuple[float, ...]
     names: tuple[str, ...] = ()
-    """With the unit; given once, with ``colours`` and ``widths`` [points], in a static entry without values."""
+    """Names with units. Names, ``colours`` and ``widths`` [points] are given once, in a static entry without values."""
     colours: tuple[int, ...] = ()
     widths: tuple[float, ...] = ()
 
@@ -47,21 +47,21 @@ class Bands:
 
 @dataclass(frozen=True, slots=True)
 class States:
-    """The state of a lane from now on; an empty one ends the lane."""
+    """The state of a lane from this time on; an empty state ends the lane."""
 
     state: str
 
 
 @dataclass(frozen=True, slots=True)
 class StateSet:
-    """Static: the colours of a lane's states."""
+    """The colours of a lane's states; static."""
 
     colours: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A line of the log."""
+    """A log line."""
 
     text: str
     colour: int
@@ -70,7 +70,7 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class MarkdownPage:
-    """A text in Markdown."""
+    """A Markdown text."""
 
     text: str
 
@@ -80,7 +80,7 @@ Shape = Discs | Rings | Lines | Curves | Bands | States | StateSet | Note | Mark
 
 @dataclass(frozen=True, slots=True)
 class TimelineEntry:
-    """One shape under a path; ``static``: holds at every time."""
+    """A shape with its path in the recording; ``static``: valid at all times."""
 
     path: tuple[str, ...]
     shape: Shape
@@ -89,7 +89,7 @@ class TimelineEntry:
 
 @dataclass(frozen=True, slots=True)
 class TimelineFrame:
-    """Entries of one moment, ``at`` [s] on the dashboard's time line."""
+    """Entries of one time ``at`` [s] on the dashboard's time line."""
 
     at: float
     entries: tuple[TimelineEntry, ...]

@@ -1,6 +1,6 @@
-"""The world from above: messages in, shapes out.
+"""Shapes of the world from above: field, obstacles, goal, robot, trail, prediction.
 
-Also what the sensors see of it: what is at rest, what may move, where someone may hide, what holds back.
+Also what perception sees: static and moving objects, hidden areas, zones, and the objects that limit the action.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from safedpa.bus import StateMessage, SurroundingsMessage, VerdictMessage
+from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.geometry import BodyPose, capsule, drawable, rectangle
-from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.palette import (
     GREY,
     INK,
@@ -20,7 +20,7 @@ from safedpa_services.dashboard.palette import (
     SKY,
     UNKNOWN_STATUS,
     VERDICT_COLOURS,
-    VERMILLION,
+    VERMILION,
     YELLOW,
     faded,
 )
@@ -38,25 +38,25 @@ __all__ = [
 
 _MOST_OBSTACLES = 256
 _LONGEST_STRETCH = 50.0
-"""m; a longer stopping distance is no car's and is not drawn."""
+"""Longest drawn stopping distance [m]; a longer one is an error."""
 
 _BODY_REAR, _BODY_FRONT, _BODY_WIDTH = -0.25, 1.25, 0.75
-"""Drawn body in wheelbases, from the middle of the rear axle."""
+"""Drawn body in wheelbases, from the centre of the rear axle."""
 _BALL, _NOSE = 0.1, 0.1
-"""m; radius of the point robot's ball, edge of its nose."""
+"""Radius of the point robot's ball and edge length of its nose [m]."""
 _WHEEL_LENGTH, _WHEEL_WIDTH, _TRACK = 0.30, 0.10, 0.62
 
 
 def field_of(state: StateMessage) -> tuple[float, float, float, float] | None:
-    """(lowest x, highest x, lowest y, highest y) when the message has a field that can be drawn."""
+    """Returns (lowest x, highest x, lowest y, highest y) [m]; None if the message has no field that can be drawn."""
     if len(state.field) != 4 or not drawable(*state.field):
         return None
     low_x, high_x, low_y, high_y = state.field
     return (low_x, high_x, low_y, high_y) if low_x < high_x and low_y < high_y else None
 
 
-def scene_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
-    """Field, obstacles, the rings that the filter keeps around them, goal: what changes seldom."""
+def scene_entries(state: StateMessage, display: DisplaySettings) -> list[TimelineEntry]:
+    """Returns what changes seldom: field, obstacles with the rings that the filter keeps free around them, goal."""
     entries = [TimelineEntry(("world", "goal"), _goal(state))]
     field = field_of(state)
     if field is not None:
@@ -66,7 +66,7 @@ def scene_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEn
     rows = [row for row in state.obstacles[:_MOST_OBSTACLES] if len(row) == 3 and drawable(*row) and row[2] >= 0.0]
     centres = tuple((row[0], row[1]) for row in rows)
     entries.append(TimelineEntry(("world", "obstacles"), Discs(centres, tuple(row[2] for row in rows), 0x6E7681FF)))
-    reach = look.clearance
+    reach = display.clearance
     if len(state.footprint) == 3 and drawable(*state.footprint):
         reach += abs(state.footprint[2])
     rings = Rings(centres, tuple(row[2] + reach for row in rows), faded(ORANGE, 0.7), 0.006)
@@ -80,30 +80,30 @@ def _goal(state: StateMessage) -> Rings:
     return Rings(tuple((x, y) for _ in radii), radii, YELLOW, 0.012)
 
 
-def body_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
-    """The robot itself: outline and wheels, load and hitch, the capsule that the filter keeps free."""
-    if look.is_pendulum:
+def body_entries(state: StateMessage, display: DisplaySettings) -> list[TimelineEntry]:
+    """Returns the robot: outline and wheels, load and hitch, and the capsule that the filter keeps free."""
+    if display.is_pendulum:
         return _pendulum(state)
     if len(state.values) < 2 or not drawable(*state.values[:2]):
         return []
-    if look.drawn is not None:
-        return [TimelineEntry(("world", name), shape) for name, shape in look.drawn(state).items()]
+    if display.drawn is not None:
+        return [TimelineEntry(("world", name), shape) for name, shape in display.drawn(state).items()]
     if len(state.values) < 3:
         return []
     pose = BodyPose(state.values[0], state.values[1], state.values[2])
-    if look.is_point:
+    if display.is_point:
         return _point(pose)
-    entries = [TimelineEntry(("world", "body"), _car(pose, state, look))]
-    swept = _swept(pose, state, look)
+    entries = [TimelineEntry(("world", "body"), _car(pose, state, display))]
+    swept = _swept(pose, state, display)
     if swept is not None:
         entries.append(TimelineEntry(("world", "swept"), swept))
-    load = _load(pose, state, look)
+    load = _load(pose, state, display)
     return [*entries, TimelineEntry(("world", "load"), load)]
 
 
-def _car(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines:
-    base = look.wheelbase or 0.3
-    steer = state.applied[1] if len(state.applied) == 2 and look.system.action_names[1] == "steer" else 0.0
+def _car(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines:
+    base = display.wheelbase or 0.3
+    steer = state.applied[1] if len(state.applied) == 2 and display.system.action_names[1] == "steer" else 0.0
     outline = pose.place(rectangle(_BODY_REAR * base, _BODY_FRONT * base, _BODY_WIDTH * base))
     nose = pose.place(((base, 0.0), (_BODY_FRONT * base, 0.0)))
     wheel = rectangle(-0.5 * _WHEEL_LENGTH * base, 0.5 * _WHEEL_LENGTH * base, _WHEEL_WIDTH * base)
@@ -115,26 +115,26 @@ def _car(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines:
 
 
 def _point(pose: BodyPose) -> list[TimelineEntry]:
-    """A ball with a box for a nose."""
+    """Returns the point robot: a ball with a box as its nose."""
     nose = pose.place(rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
     ball = Rings(((pose.x, pose.y),), (_BALL,), INK, 0.012)
     return [TimelineEntry(("world", "nose"), Lines((nose,), (YELLOW,), 0.012)), TimelineEntry(("world", "ball"), ball)]
 
 
-def _swept(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines | None:
-    swept = look.swept(state)
+def _swept(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines | None:
+    swept = display.swept(state)
     if swept is None or not drawable(*swept) or max(map(abs, swept)) > _LONGEST_STRETCH:
         return None
     rear, front, radius = swept
     return Lines((pose.place(capsule(rear, front, abs(radius))),), (faded(ORANGE, 0.7),), 0.006)
 
 
-def _load(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines:
+def _load(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines:
     if len(state.load_pose) != 5 or not drawable(*state.load_pose):
         return Lines((), (), 0.012)
     x, y, yaw, length, width = state.load_pose
     load = BodyPose(x, y, yaw)
-    hitch = (*pose.place(((_BODY_REAR * (look.wheelbase or 0.3), 0.0),)), *load.place(((0.5 * length, 0.0),)))
+    hitch = (*pose.place(((_BODY_REAR * (display.wheelbase or 0.3), 0.0),)), *load.place(((0.5 * length, 0.0),)))
     return Lines((load.place(rectangle(-0.5 * length, 0.5 * length, width)), hitch), (PURPLE, PURPLE), 0.012)
 
 
@@ -147,16 +147,16 @@ def _pendulum(state: StateMessage) -> list[TimelineEntry]:
 
 
 def history_entry(before: StateMessage, now: StateMessage, status: str) -> TimelineEntry | None:
-    """The stretch driven between two ticks in the colour of the verdict over it; None without a stretch."""
+    """Returns the path between two ticks in the colour of the verdict; None if a position cannot be drawn."""
     ends = [(state.values[0], state.values[1]) for state in (before, now) if len(state.values) >= 2]
     if len(ends) != 2 or not all(drawable(*end) for end in ends):
         return None
     colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return TimelineEntry(("world", "history"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
+    return TimelineEntry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
 
 
 def prediction_entry(verdict: VerdictMessage, position: Point | None) -> TimelineEntry:
-    """The predicted next positions as a line that starts at the position now."""
+    """Returns the predicted positions as a line from the current position."""
     ahead = [(row[0], row[1]) for row in verdict.predicted[:64] if len(row) >= 2 and drawable(*row[:2])]
     points = tuple(ahead if position is None else [position, *ahead])
     strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
@@ -164,26 +164,25 @@ def prediction_entry(verdict: VerdictMessage, position: Point | None) -> Timelin
 
 
 _MOST = 512
-"""Discs of a kind, and vertices of zones, that are drawn."""
+"""Largest number of drawn discs per kind, and of vertices of zones."""
 _MOST_ZONES = 64
-"""As many as perception's file may have."""
+"""Largest number of zones in a perception file."""
 _KINDS = ("points", "movers", "hidden")
 
 
 def seen_entries(seen: SurroundingsMessage) -> list[TimelineEntry]:
-    """Discs at rest, of what may move and rings where someone may hide, each as wide as is told; zones as they are."""
+    """Returns discs of static and of possibly moving objects, rings of hidden areas, and the borders of zones."""
     points, movers, hidden = (_discs(getattr(seen, name)) for name in _KINDS)
     return [
         TimelineEntry(("world", "seen", "at_rest"), Discs(*points, GREY)),
         TimelineEntry(("world", "seen", "hidden"), Rings(*hidden, faded(PURPLE, 0.55), 0.008)),
-        TimelineEntry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILLION, 0.75))),
+        TimelineEntry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILION, 0.75))),
         TimelineEntry(("world", "seen", "zones"), _zones(seen)),
     ]
 
 
 def _zones(seen: SurroundingsMessage) -> Lines:
-    """The border of each zone that counts: of a closed one as of what is in the way, of an ignored one as of nothing
-    that is believed."""
+    """Returns the borders of the active zones: closed ones in the colour of obstacles, ignored ones in another."""
     strips, colours, rows = [], [], [row for row in seen.borders[:_MOST] if len(row) == 3]
     for number, name in enumerate(seen.zones[:_MOST_ZONES]):
         corners = [(row[1], row[2]) for row in rows if row[0] == number]
@@ -194,7 +193,7 @@ def _zones(seen: SurroundingsMessage) -> Lines:
 
 
 def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> TimelineEntry:
-    """Lines from the robot to the discs that hold its action back; none where nothing does."""
+    """Returns lines from the robot to the discs that limit its action."""
     ends = [place for name in active for place in _named(name, seen)]
     strips = () if robot is None else tuple((robot, end) for end in ends)
     colours = tuple(INK if _kind(name) == _KINDS[0] else ORANGE for name in active if _named(name, seen))
@@ -202,7 +201,7 @@ def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot
 
 
 def _named(name: str, seen: SurroundingsMessage | None) -> list[Point]:
-    """Where the disc of this name is: of ``mover 3`` the fourth of the movers."""
+    """Returns the position of the disc with this name: ``mover 3`` is the fourth of the movers."""
     kind, index = _kind(name), name.rpartition(" ")[2]
     if seen is None or not kind or not index.isdigit():
         return []
@@ -211,7 +210,7 @@ def _named(name: str, seen: SurroundingsMessage | None) -> list[Point]:
 
 
 def _kind(name: str) -> str:
-    """In which field of the message a barrier of this name is; empty: in none."""
+    """Returns the field of the message that has the disc of a barrier with this name; empty if there is none."""
     kind = name.partition(" ")[0]
     return next((field for field in _KINDS if field in (kind, f"{kind}s")), "")
 

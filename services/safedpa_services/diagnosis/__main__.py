@@ -1,4 +1,4 @@
-"""``python -m safedpa_services.diagnosis``: tells of every robot of a fleet what its model lacks, and changes it."""
+"""``python -m safedpa_services.diagnosis``: finds out what the model of each robot lacks, and changes it on request."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from safedpa.bus.service.service_log import ServiceLog
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
+from safedpa.live.candidate_forecasts import forecast_with
 from safedpa.live.change import ModelChanges
-from safedpa.live.foresight import forecast_with
 from safedpa.live.node import DiagnosisNode
 from safedpa.live.versions import ModelVersion, VersionFolder
-from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import margin_text
+from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.diagnosis.process_worker import ProcessWorker
-from safedpa_services.serving import service_parser
+from safedpa_services.service_main import service_parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
-    os.nice(10)  # no one waits for it
+    os.nice(10)  # the control loop has priority
     worker = ProcessWorker(options.settings)
     node = _node(options, worker)
     try:
@@ -44,9 +44,9 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
 
 def _report(bus: Bus, robot: str, request: Request | None, answer: Answer) -> None:
-    """What was asked and what came of it, for the recording; who only looks is left out."""
+    """Publishes a request and its answer for the recorder; status requests are left out."""
     if request is None or request.do != STATUS:
-        with contextlib.suppress(BusError):  # closed meanwhile: then no one waits for the answer either
+        with contextlib.suppress(BusError):  # the bus was closed meanwhile
             bus.publish(ASKED, robot or NO_ROBOT, asked_message(request, answer))
 
 
@@ -62,17 +62,19 @@ def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:
 
 
 def _folder(model: PhysicsModel) -> Path | None:
-    """Where the weights of a learned model are."""
+    """Returns the folder of a learned model's weights; None for other models."""
     source = model.base.weights.source if isinstance(model.base, LearnedBase) else None
     return None if source is None else source.parent
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-diagnosis")
-    reported = "settings of the filter: file or name"
-    parser.add_argument("--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help=reported)
-    parser.add_argument("--margin", default="", metavar="FILE.toml", help="of the model, as the filter has it")
-    parser.add_argument("--versions", default="", metavar="FOLDER", help="keep the models that were agreed on there")
+    settings_help = "settings of the filter: file or name"
+    parser.add_argument("--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help=settings_help)
+    parser.add_argument(
+        "--margin", default="", metavar="FILE.toml", help="margin of the model, the same as the filter's"
+    )
+    parser.add_argument("--versions", default="", metavar="FOLDER", help="folder for the accepted models")
     return parser
 
 

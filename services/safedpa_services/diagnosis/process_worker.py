@@ -1,4 +1,4 @@
-"""Carries out works in processes of their own, so that the watch goes on and no tick of anybody waits."""
+"""Runs search and calibration jobs in separate processes, so that monitoring continues meanwhile."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
-from safedpa.robot import DEFAULT_ROBOT
+from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
+from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_outcome, write_work
 
 __all__ = ["ProcessWorker"]
 
 _MOST_STARTS = 3
 _LONGEST_SECONDS = 600.0
-"""On a busy machine a process that yields to everybody may take long; beyond this something is wrong with it."""
+"""A job runs at the lowest priority and may take long on a busy machine; beyond this limit it counts as failed."""
 
 
 @dataclass
@@ -34,7 +34,10 @@ class _WorkerJob:
 
 @final
 class ProcessWorker(AbstractWorker):
-    """One process a work, one work a robot. A process that dies is started again, three times at most."""
+    """Runs at most one job per robot, each in a process.
+
+    A process that dies is started again, up to three times in all.
+    """
 
     def __init__(self, settings: str = DEFAULT_ROBOT, clock: Callable[[], float] = time.monotonic) -> None:
         self._settings = settings
@@ -56,35 +59,35 @@ class ProcessWorker(AbstractWorker):
             return None
         found = read_outcome(job.folder) if code == 0 else None
         if found is None and code is not None and job.starts < _MOST_STARTS:
-            _ended(job.process)
+            _kill(job.process)
             job.process, job.starts = self._start(job.folder), job.starts + 1
             return None
-        phrase = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
+        reason = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
         self.cancel(robot)
-        return WorkOutcome(failure=f"its process {phrase}") if found is None else found
+        return WorkOutcome(failure=f"its process {reason}") if found is None else found
 
     def cancel(self, robot: str) -> None:  # noqa: D102
         job = self._jobs.pop(robot, None)
         if job is None:
             return
-        _ended(job.process)
+        _kill(job.process)
         shutil.rmtree(job.folder, ignore_errors=True)
 
     def busy(self, robot: str) -> bool:  # noqa: D102
         return robot in self._jobs
 
     def process_of(self, robot: str) -> int:
-        """The process id of a robot's work; 0 without one."""
+        """Returns the process id of a robot's job; 0 without one."""
         job = self._jobs.get(robot)
         return 0 if job is None else job.process.pid
 
     def close(self) -> None:
-        """Gives up every work."""
+        """Cancels all jobs."""
         for robot in tuple(self._jobs):
             self.cancel(robot)
 
     def _start(self, folder: Path) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "safedpa_services.diagnosis.working", str(folder)]
+        command = [sys.executable, "-m", "safedpa_services.diagnosis.search_worker", str(folder)]
         return subprocess.Popen(
             [*command, "--settings", self._settings],
             stdin=subprocess.PIPE,
@@ -94,8 +97,8 @@ class ProcessWorker(AbstractWorker):
         )
 
 
-def _ended(process: subprocess.Popen[bytes]) -> None:
-    """Kills a process and takes back what it held."""
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kills a process and releases its resources."""
     process.kill()
     process.wait()
     if process.stdin is not None:

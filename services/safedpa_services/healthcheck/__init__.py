@@ -1,1 +1,1 @@
-"""The health check: does one service of a fleet make progress, as heard on the bus?"""
+"""The health check for containers: does a service make progress, as observed on the bus? See ``__main__.py``."""

@@ -1,8 +1,8 @@
-"""``python -m safedpa_services.healthcheck SERVICE``: exit code 0 when it makes progress, 1 when it does not.
+"""``python -m safedpa_services.healthcheck SERVICE``: exit code 0 if the service makes progress, 1 if not.
 
-A service is judged by its heartbeats, which its working loop itself sends: a process that hangs sends none. Healthy is
-one of which two heartbeats of one process come within the time given, neither says ``failing``, and, where the later
-one says that it works for a robot, the steps counted have grown in between.
+A service is judged by its heartbeats, which its main loop sends: a hanging process sends none. It is healthy if two
+heartbeats of one process arrive within the given time, neither is ``failing``, and, if it serves a robot, the number of
+steps grew in between.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_op
 
 
 class HealthCheck:
-    """Hears the heartbeats of ``service`` from now on; ``robot`` limits them to one robot's."""
+    """Observes the heartbeats of ``service`` from its construction on; ``robot`` limits them to one robot."""
 
     def __init__(self, bus: Bus, service: str, robot: str = "*", clock: Callable[[], float] = time.monotonic) -> None:
         self._service = service
@@ -27,7 +27,7 @@ class HealthCheck:
         self._reason = ""
 
     def run(self, seconds: float) -> str:
-        """Why the service is not healthy, in words, or nothing as soon as it proved that it is."""
+        """Returns why the service is not healthy, after ``seconds``; an empty string as soon as it is healthy."""
         self._reason = f"{self._service}: no two heartbeats within {seconds:g} s"
         end = self._clock() + seconds
         while True:
@@ -49,23 +49,23 @@ class HealthCheck:
         if heartbeat.publish_time <= first.publish_time:
             return False
         if heartbeat.state == "running" and heartbeat.steps <= first.steps:
-            self._reason = f"{self._service}: alive, but it made no step after step {first.steps}"
+            self._reason = f"{self._service}: alive, but made no step after step {first.steps}"
             return False
         return True
 
 
 def health_parser() -> argparse.ArgumentParser:
-    """The options of the health check."""
-    parser = argparse.ArgumentParser(prog="safedpa-healthcheck", description="does a service make progress?")
+    """Returns a parser with the options of the health check."""
+    parser = argparse.ArgumentParser(prog="safedpa-healthcheck", description="check that a service makes progress")
     add_bus_options(parser)
     parser.add_argument("service", help="robot, adaptation, policy, safety_filter, recorder or dashboard")
-    parser.add_argument("--robot", default="*", help="hear the heartbeats for this robot alone")
-    parser.add_argument("--seconds", type=float, default=2.0, help="how long to wait for the proof")
+    parser.add_argument("--robot", default="*", help="only heartbeats about this robot")
+    parser.add_argument("--seconds", type=float, default=2.0, help="how long to wait for two heartbeats")
     return parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
-    """Listens until the service proved itself or the time is over; returns the exit code."""
+    """Waits until the service is known to be healthy or the time is over; returns the exit code."""
     del stop  # it ends by itself within --seconds
     with bus_from_options(options) as bus:
         reason = HealthCheck(bus, options.service, options.robot).run(options.seconds)

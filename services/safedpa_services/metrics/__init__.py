@@ -1,1 +1,1 @@
-"""What is said on the bus, as metrics in Prometheus's format: one process alongside the loop, which waits for nothing."""
+"""The metrics service: serves the state of a fleet to Prometheus; see ``exporter.py``."""

@@ -16,10 +16,10 @@ _SERVICE = "metrics"
 
 
 def metrics_parser() -> argparse.ArgumentParser:
-    """The options of the exporter."""
-    parser = argparse.ArgumentParser(prog="safedpa-metrics", description="a fleet's metrics for Prometheus")
+    """Returns a parser with the options of the exporter."""
+    parser = argparse.ArgumentParser(prog="safedpa-metrics", description="serve a fleet's metrics to Prometheus")
     add_bus_options(parser)
-    parser.add_argument("--robot", default="*", help="this robot alone")
+    parser.add_argument("--robot", default="*", help="only this robot")
     parser.add_argument("--port", type=int, default=9464, help="TCP port of the page /metrics; 0: any free one")
     parser.add_argument("--bind", default="127.0.0.1", help="address to listen at; 0.0.0.0 lets other machines scrape")
     return parser
@@ -28,7 +28,7 @@ def metrics_parser() -> argparse.ArgumentParser:
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
     need("metrics", what="the page of metrics")
-    os.nice(10)  # the loop comes first
+    os.nice(10)  # the control loop has priority
     with bus_from_options(options) as bus, log_lifetime(_SERVICE, stop):
         bus.announce(NO_ROBOT, _SERVICE, uuid.uuid4().hex[:12])
         Exporter(FleetOverview(bus, options.robot), options.bind, options.port).run(stop)

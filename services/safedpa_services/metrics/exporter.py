@@ -1,6 +1,6 @@
-"""The web page that Prometheus reads, and the heartbeat of the process that serves it.
+"""The page that Prometheus scrapes: metric families from the state of a fleet.
 
-From what is known of a fleet to metric families; asked by the web server's thread, told by the listener's.
+The main thread updates the state from the bus; the web server's thread reads it for each scrape, under a lock.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TURN_SECONDS = 0.25
 
 
 class Exporter:
-    """Serves ``http://ADDRESS:PORT/metrics`` from now on; ``port`` is the one that it got."""
+    """Serves ``http://ADDRESS:PORT/metrics`` from its construction on; ``port`` is the port in use."""
 
     def __init__(self, fleet: FleetOverview, address: str, port: int) -> None:
         from prometheus_client import CollectorRegistry, start_http_server
@@ -58,7 +58,7 @@ class Exporter:
             self._server.server_close()
 
     def turn(self) -> None:
-        """Takes in a quarter of a second of what is said, and tells the own health."""
+        """Processes the messages of a quarter of a second, then sends a heartbeat."""
         self._collector.listen(_TURN_SECONDS)
         self._turns += 1
         message = HealthMessage(
@@ -96,52 +96,56 @@ _ROBOT = ("robot",)
 _SERVICE = ("service", "pid")
 
 FAMILIES: dict[str, Family] = {
-    "safedpa_robot_up": Family(
-        "gauge", "1 while the robot is heard, 0 when it was silent for more than 1.5 s.", _ROBOT
+    "safedpa_robot_up": Family("gauge", "1 while the robot sends states, 0 after 1.5 s of silence.", _ROBOT),
+    "safedpa_robot_healthy": Family("gauge", "1 unless safedpa status reports trouble with the robot.", _ROBOT),
+    "safedpa_ticks_total": Family("counter", "Ticks received from the robot.", _ROBOT),
+    "safedpa_late_ticks_total": Family(
+        "counter", "Ticks without an action in time, in which the robot braked.", _ROBOT
     ),
-    "safedpa_robot_healthy": Family("gauge", "1 unless safedpa status tells of trouble with the robot.", _ROBOT),
-    "safedpa_ticks_total": Family("counter", "Ticks heard of the robot.", _ROBOT),
-    "safedpa_late_ticks_total": Family("counter", "Ticks for which no action came in time: the robot braked.", _ROBOT),
     "safedpa_verdicts_total": Family("counter", "Verdicts of the safety filter, by status.", ("robot", "status")),
-    "safedpa_collisions_total": Family("counter", "Contacts since the robot's start, as it tells them.", _ROBOT),
+    "safedpa_collisions_total": Family("counter", "Collisions since the robot's start, as reported by it.", _ROBOT),
     "safedpa_goals_total": Family("counter", "Goals reached since the robot's start.", _ROBOT),
     "safedpa_sense_to_act_seconds": Family(
         "histogram", "From publishing a state to accepting its action, by the robot's own clock.", _ROBOT
     ),
     "safedpa_message_age_seconds": Family(
-        "gauge", "Since the newest message of the topic came to this exporter.", ("robot", "topic")
+        "gauge", "Time since the exporter received the newest message of the topic.", ("robot", "topic")
     ),
     "safedpa_barrier_value": Family(
         "gauge", "Smallest barrier value h at the measured state; below 0: outside the safe set.", _ROBOT
     ),
     "safedpa_margin": Family("gauge", "Largest epsilon by which the barrier condition is tightened.", _ROBOT),
-    "safedpa_margin_coverage": Family("gauge", "Share of the last 500 steps in which the margin held.", _ROBOT),
-    "safedpa_margin_coverage_promised": Family("gauge", "Share of the steps that it was calibrated for.", _ROBOT),
-    "safedpa_model_error": Family("gauge", "Open-loop error over one second that the diagnosis tells.", _ROBOT),
-    "safedpa_model_error_band": Family("gauge", "Upper edge of that error's learned band; 0 while learning.", _ROBOT),
-    "safedpa_diagnosis_stage": Family("gauge", "1 for the stage of the diagnosis, by name.", ("robot", "stage")),
-    "safedpa_findings_total": Family("counter", "Findings since the diagnosis met the robot.", _ROBOT),
-    "safedpa_service_processes": Family(
-        "gauge", "Processes of the service whose heartbeats come and tell no failure.", ("service",)
+    "safedpa_margin_coverage": Family("gauge", "Fraction of the last 500 steps in which the margin held.", _ROBOT),
+    "safedpa_margin_coverage_promised": Family(
+        "gauge", "Fraction of steps that the margin was calibrated for.", _ROBOT
     ),
-    "safedpa_service_info": Family("gauge", "Always 1; the labels tell the version.", (*_SERVICE, "version")),
+    "safedpa_model_error": Family("gauge", "Open-loop prediction error over one second, from the diagnosis.", _ROBOT),
+    "safedpa_model_error_band": Family("gauge", "Upper edge of the error's learned band; 0 while learning.", _ROBOT),
+    "safedpa_diagnosis_stage": Family("gauge", "1 for the stage of the diagnosis, by name.", ("robot", "stage")),
+    "safedpa_findings_total": Family(
+        "counter", "Findings since the diagnosis first received a state of the robot.", _ROBOT
+    ),
+    "safedpa_service_processes": Family(
+        "gauge", "Processes of the service that send heartbeats and do not report a failure.", ("service",)
+    ),
+    "safedpa_service_info": Family("gauge", "Always 1; the label has the version.", (*_SERVICE, "version")),
     "safedpa_service_robots": Family("gauge", "Robots that the process serves.", _SERVICE),
-    "safedpa_heartbeat_age_seconds": Family("gauge", "Since the newest heartbeat.", _SERVICE),
+    "safedpa_heartbeat_age_seconds": Family("gauge", "Time since the newest heartbeat.", _SERVICE),
     "safedpa_steps_total": Family("counter", "Steps of the process; of the recorder, messages written.", _SERVICE),
     "safedpa_step_seconds": Family(
-        "histogram", "Time of a step, of the last one before each heartbeat, four a second.", ("service",)
+        "histogram", "Time of the last step before each heartbeat; four heartbeats per second.", ("service",)
     ),
-    "safedpa_stale_steps_total": Family("counter", "Steps without some input: missing or too old.", _SERVICE),
-    "safedpa_refused_messages_total": Family("counter", "Refused messages; of the router, denials.", _SERVICE),
-    "safedpa_recorder_acknowledged_total": Family("counter", "Messages known to be on disk.", ("pid",)),
-    "safedpa_recorder_free_bytes": Family("gauge", "Room left where the recorder writes.", ("pid",)),
-    "safedpa_unreadable_messages_total": Family("counter", "What came to this exporter and was no message.", ()),
+    "safedpa_stale_steps_total": Family("counter", "Steps with a missing or outdated input.", _SERVICE),
+    "safedpa_refused_messages_total": Family("counter", "Refused messages; of the router, denied ones.", _SERVICE),
+    "safedpa_recorder_acknowledged_total": Family("counter", "Messages that are on disk.", ("pid",)),
+    "safedpa_recorder_free_bytes": Family("gauge", "Free disk space where the recorder writes.", ("pid",)),
+    "safedpa_unreadable_messages_total": Family("counter", "Payloads that could not be decoded by the exporter.", ()),
 }
-"""By name, in the order in which they are told."""
+"""Metric families by name, in the order of the page."""
 
 
 class Histogram:
-    """How many values were at most each bound; the last bucket, of all, has no bound."""
+    """A cumulative histogram; the last bucket has no upper bound."""
 
     def __init__(self, bounds: Sequence[float]) -> None:
         self._bounds = tuple(bounds)
@@ -149,12 +153,12 @@ class Histogram:
         self.sum = 0.0
 
     def add(self, value: float) -> None:
-        """Counts one value; one equal to a bound lies below it."""
+        """Counts a value; upper bounds are inclusive."""
         self._counts[bisect_left(self._bounds, value)] += 1
         self.sum += value
 
     def buckets(self) -> list[tuple[str, float]]:
-        """(upper bound as text, count of the values at most so large), growing."""
+        """Returns (upper bound as text, number of values up to it), in ascending order."""
         found, total = [], 0
         for bound, count in zip((*map(str, self._bounds), "+Inf"), self._counts, strict=True):
             total += count
@@ -164,14 +168,14 @@ class Histogram:
 
 _SILENT_SECONDS = 1.5
 _GONE_SECONDS = 30.0
-"""A process that was silent for so long is told of no more; its successor has a number of its own."""
+"""A process that was silent this long is left out; its successor has another process id."""
 _STAGES = ("learning", "watching", "raised", "searching", "candidates", "nothing")
 Sample = tuple[str, tuple[str, ...], float]
 """Name of the family, values of its labels, value."""
 
 
 class FleetCollector:
-    """A collector of ``prometheus_client``: ``listen`` in a loop, ``collect`` whenever someone scrapes."""
+    """A collector of ``prometheus_client``: call ``listen`` in a loop; each scrape calls ``collect``."""
 
     def __init__(self, fleet: FleetOverview) -> None:
         self._fleet, self._lock = fleet, threading.Lock()
@@ -180,14 +184,14 @@ class FleetCollector:
         self._seen: dict[tuple[str, int], float] = {}
 
     def listen(self, wait: float) -> None:
-        """Takes in what is said within ``wait`` [s]."""
+        """Processes the messages that arrive within ``wait`` [s]."""
         time.sleep(wait)
         with self._lock:
             self._fleet.listen(0.0)
             self._fill_histograms()
 
     def collect(self) -> Iterator[AnyFamily]:
-        """Every family, with the samples of now."""
+        """Yields all families with their current samples."""
         with self._lock:
             samples = list(self._samples())
             histograms = self._histograms()
@@ -199,31 +203,31 @@ class FleetCollector:
 
     def _fill_histograms(self) -> None:
         for robot in self._fleet.robots.values():
-            reported, robot.new_latencies = robot.new_latencies, []
-            for latency in reported:
+            latencies, robot.new_latencies = robot.new_latencies, []
+            for latency in latencies:
                 self._latencies.setdefault(robot.name, Histogram(LATENCY_BUCKETS)).add(latency)
         for which, service in self._fleet.services.items():
             if self._seen.get(which) != service.at:
                 self._seen[which] = service.at
                 seconds = 1e-6 * service.health.step_microseconds
-                if seconds > 0.0:  # 0 tells that nothing was measured
+                if seconds > 0.0:  # 0: not measured
                     self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
         self._seen = {which: at for which, at in self._seen.items() if which in self._fleet.services}
-        self._latencies = {name: retained for name, retained in self._latencies.items() if name in self._fleet.robots}
+        self._latencies = {name: known for name, known in self._latencies.items() if name in self._fleet.robots}
 
     def _histograms(self) -> dict[str, list[tuple[str, list[tuple[str, float]], float]]]:
         """By family: (label, buckets, sum)."""
-        retained = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
+        histograms = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
         return {
-            name: [(label, reported.buckets(), reported.sum) for label, reported in sorted(table.items())]
-            for name, table in retained.items()
+            name: [(label, histogram.buckets(), histogram.sum) for label, histogram in sorted(table.items())]
+            for name, table in histograms.items()
         }
 
     def _samples(self) -> Iterator[Sample]:
         now = self._fleet.clock()
         for _, robot in sorted(self._fleet.robots.items()):
             yield from _of_robot(robot, now)
-        alive = Counter(known.name for known in self._fleet.services.values() if _works(known, now))
+        alive = Counter(known.name for known in self._fleet.services.values() if _is_working(known, now))
         for name in sorted({known.name for known in self._fleet.services.values()}):
             yield "safedpa_service_processes", (name,), float(alive[name])
         for _, service in sorted(self._fleet.services.items()):
@@ -267,7 +271,7 @@ def _of_finding(robot: RobotOverview) -> Iterator[Sample]:
         yield "safedpa_diagnosis_stage", (robot.name, stage), float(stage == finding.stage)
 
 
-def _works(service: ServiceOverview, now: float) -> bool:
+def _is_working(service: ServiceOverview, now: float) -> bool:
     return service.age(now) <= _SILENT_SECONDS and not service.failing
 
 
@@ -290,8 +294,8 @@ def _family(name: str, samples: list[Sample]) -> AnyFamily:
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
     described = FAMILIES[name]
-    made = CounterMetricFamily if described.kind == "counter" else GaugeMetricFamily
-    family = made(name, described.meaning, labels=described.labels)
+    kind = CounterMetricFamily if described.kind == "counter" else GaugeMetricFamily
+    family = kind(name, described.meaning, labels=described.labels)
     for _, labels, value in samples:
         family.add_metric(labels, value)
     return family

@@ -1,1 +1,1 @@
-"""The perception service."""
+"""The perception service, which finds obstacles in laser scans; its node is in ``safedpa.perception``."""

@@ -1,12 +1,12 @@
-"""``python -m safedpa_services.perception``: tells what is around every robot of a fleet, from its scans."""
+"""``python -m safedpa_services.perception``: publishes what is around each robot, from its laser scans."""
 
 from __future__ import annotations
 
 import argparse
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
-from safedpa_services.nodes import add_perception_options, perception
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.service_factories import add_perception_options, perception
+from safedpa_services.service_main import serve, service_parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

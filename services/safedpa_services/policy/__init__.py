@@ -1,1 +1,1 @@
-"""The policy service."""
+"""The policy service, which requests actions; its node is in ``safedpa.policy``."""

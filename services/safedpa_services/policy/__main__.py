@@ -1,12 +1,12 @@
-"""``python -m safedpa_services.policy``: requests actions that lead every robot of a fleet to its goal."""
+"""``python -m safedpa_services.policy``: requests actions that lead each robot to its goal."""
 
 from __future__ import annotations
 
 import argparse
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
-from safedpa_services.nodes import add_policy_options, policy
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.service_factories import add_policy_options, policy
+from safedpa_services.service_main import serve, service_parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

@@ -1,8 +1,8 @@
-"""Everything that is said on the bus, in order of arrival, into one file. A full disk stops the file, not the car.
+"""Records all messages of the bus into one file, in order of arrival. A full disk stops the recording, not the robot.
 
-A message is acknowledged when it is known to be on the disk (fsync): the health message says how many of those that
-this process received are, counted in order of arrival. Whatever happens afterwards to process, machine or network,
-these messages can be read.
+A message is acknowledged once it is on disk (fsync). The health message reports how many of the received messages are
+acknowledged, in order of arrival. Acknowledged messages remain readable if the process, the machine or the network
+fails afterwards.
 """
 
 from __future__ import annotations
@@ -15,7 +15,20 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, ReceivedMessage, SetupMessage
+from safedpa.bus import (
+    HEALTH,
+    LATENT,
+    NO_ROBOT,
+    NOMINAL,
+    SETUP,
+    SURROUNDINGS,
+    TOPICS,
+    VERDICT,
+    Bus,
+    HealthMessage,
+    ReceivedMessage,
+    SetupMessage,
+)
 from safedpa.bus.logging import log_event
 from safedpa.bus.messages.service_info import software_version
 from safedpa.errors import RecordingError
@@ -27,15 +40,18 @@ _SYNC_SECONDS = 0.5
 _TURN_SECONDS = 0.05
 _SETUP_SECONDS = 5.0
 _RETRY_SECONDS = 5.0
-_ROOM_BYTES = 64 * 1024 * 1024
-"""Of free disk, before a recording that broke off on a full one goes on in another file."""
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_RESUME_BYTES = 64 * 1024 * 1024
+"""Free disk space required before a recording resumes in a new file after the disk was full."""
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_REPLAYED = frozenset(topic.writer for topic in (LATENT, SURROUNDINGS, NOMINAL, VERDICT))
+"""Services that ``safedpa replay`` runs again, for which it needs their setup messages."""
 
 
 class Recorder:
-    """Writes messages until told to stop; says in its health how many are on the disk, and why it cannot write.
+    """Writes messages until stopped; its health message reports how many are on disk, and why it cannot write.
 
-    When the disk is full it waits for room and goes on in a file next to the first, which begins with all setups.
+    When the disk is full, it waits for free space and resumes in a new file next to the first. The new file begins with
+    all setup messages.
     """
 
     def __init__(self, bus: Bus, path: Path, setup: SetupMessage, robot: str = "*") -> None:
@@ -45,22 +61,35 @@ class Recorder:
         self._fleet = bus.inbox((SETUP,), NO_ROBOT, keep_all=True) if robot != "*" else None
         self._file: McapRecorder | None = McapRecorder(path, self._about)
         self._setups: dict[str, bytes] = {}
-        """The newest setup of every process, which is written once and at the begin of every file."""
+        """By key: the newest setup message. It is written once, and again at the start of every further file."""
+        self._services: set[str] = set()
+        """Services that sent a heartbeat."""
         self._error = ""
         self._is_full = False
         self._retained = 0
-        """Messages that are on the disk, in files before this one."""
+        """Acknowledged messages in earlier files."""
         self._written = self._refused = self._lost = self._dropped = 0
         self._next_retry = self._next_setup = 0.0
         bus.announce(NO_ROBOT, "recorder", setup.instance)
 
     @property
     def acknowledged(self) -> int:
-        """Messages that are on the disk, of those that were received."""
+        """Number of received messages that are on disk."""
         return self._retained + (0 if self._file is None else self._file.acknowledged)
 
+    @property
+    def missing(self) -> str:
+        """What the recording lacks, as a sentence; empty if it is complete."""
+        if self._error:
+            return self._error
+        if self._inbox.dropped:
+            return f"{self._inbox.dropped} messages lost"
+        recorded = {key.rsplit("/", 1)[1] for key in self._setups}
+        services = sorted((self._services & _REPLAYED) - recorded)
+        return f"no setup message of {', '.join(services)} arrived; 'safedpa replay' needs them" if services else ""
+
     def run(self, stopped: Callable[[], bool]) -> int:
-        """Records until ``stopped``; returns 0, or 1 when writing failed on the way."""
+        """Records until ``stopped``; returns 0, or 1 if the recording is incomplete."""
         next_sync = time.monotonic()
         while not stopped():
             self.turn(_TURN_SECONDS)
@@ -70,11 +99,11 @@ class Recorder:
         self.turn(0.0)
         self._guarded(McapRecorder.close)
         self._report_health(is_last=True)
-        return 1 if self._error else 0
+        return 1 if self.missing else 0
 
     def turn(self, wait: float) -> None:
-        """Writes what arrived within ``wait`` [s]."""
-        time.sleep(wait)  # not woken by every message: the loop has the processor first
+        """Writes the messages that arrive within ``wait`` [s]."""
+        time.sleep(wait)  # instead of waking up for every message, which would take CPU time from the control loop
         items = self._inbox.take(0.0)
         items += [] if self._fleet is None else self._fleet.take(0.0)
         for item in items:
@@ -85,25 +114,27 @@ class Recorder:
         if self._inbox.dropped > self._dropped:
             self._dropped = self._inbox.dropped
             log_event(
-                "recorder.lost", "messages came faster than they were written", level="error", service="recorder",
+                "recorder.lost", "messages arrived faster than they were written", level="error", service="recorder",
                 lost=self._dropped,
             )  # fmt: skip
 
     def sync(self) -> None:
-        """Waits for the disk and acknowledges; after a full disk, tries to go on."""
+        """Waits for the disk and acknowledges; after a full disk, tries to resume."""
         self._guarded(McapRecorder.sync)
         if self._file is None and self._is_full and time.monotonic() >= self._next_retry:
             self._next_retry = time.monotonic() + _RETRY_SECONDS
-            self._go_on()
+            self._resume()
         self._report_health()
         if time.monotonic() >= self._next_setup:
             self._next_setup = time.monotonic() + _SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, "recorder")
 
     def _take(self, item: ReceivedMessage) -> None:
+        if isinstance(item.message, HealthMessage):
+            self._services.add(item.message.service)
         if item.topic is SETUP:
             if self._setups.get(item.key) == item.payload:
-                return  # said again for those who joined late
+                return  # services repeat their setup for processes that join later
             self._setups[item.key] = item.payload
         published = int(1e9 * item.message.publish_time)
         arrived = time.time_ns() - int(1e9 * (time.monotonic() - item.at))
@@ -118,29 +149,35 @@ class Recorder:
         try:
             work(self._file)
         except RecordingError as error:
-            self._is_full = getattr(error.__cause__, "errno", None) in _FULL
+            self._is_full = getattr(error.__cause__, "errno", None) in _DISK_FULL
             self._retained += self._file.acknowledged
             self._error, self._file = str(error), None
             log_event("recorder.failed", self._error, level="error", service="recorder", written=self._written)
 
-    def _go_on(self) -> None:
-        """A new file next to the old one, as soon as there is room."""
-        if _free_bytes(self._path) < _ROOM_BYTES:
+    def _resume(self) -> None:
+        """Opens a new file next to the old one if there is enough free space."""
+        if _free_bytes(self._path) < _RESUME_BYTES:
             return
         try:
             self._file = McapRecorder(self._path, self._about)
-        except RecordingError:  # not yet
+        except RecordingError:  # tried again after _RETRY_SECONDS
             return
-        log_event("recorder.resumed", f"goes on next to {self._path}", service="recorder", lost=self._lost)
+        log_event(
+            "recorder.resumed",
+            f"the recording resumes in a new file next to {self._path}",
+            service="recorder",
+            lost=self._lost,
+        )
         now = time.time_ns()
         for key, payload in self._setups.items():
             self._guarded(partial(McapRecorder.write, key=key, payload=payload, log_time_ns=now, publish_time_ns=now))
         self._guarded(McapRecorder.sync)
-        self._retained -= 0 if self._file is None else self._file.acknowledged  # written before, so not counted again
+        # These setups were counted in the first file.
+        self._retained -= 0 if self._file is None else self._file.acknowledged
 
     def _report_health(self, *, is_last: bool = False) -> None:
-        """The last word tells of every failure on the way, also of one that was overcome."""
-        failing = self._file is None or (is_last and bool(self._error))
+        """The last health message is ``failing`` if the recording is incomplete, even if it resumed after a failure."""
+        failing = self._file is None or (is_last and bool(self.missing))
         message = HealthMessage(
             epoch=0,
             tick=0,
@@ -149,7 +186,7 @@ class Recorder:
             service="recorder",
             pid=os.getpid(),
             state="failing" if failing else "running",
-            detail=self._detail(),
+            detail=self._detail(is_last=is_last),
             steps=self._written,
             refused=self._refused,
             software=software_version(),
@@ -158,14 +195,14 @@ class Recorder:
         )
         self._bus.publish(HEALTH, NO_ROBOT, message, "recorder")
 
-    def _detail(self) -> str:
+    def _detail(self, *, is_last: bool) -> str:
         lost = self._lost + self._inbox.dropped
-        reported = f"{lost} messages lost" if lost else ""
+        text = f"{lost} messages lost" if lost else ""
         if self._error and self._file is not None:
-            reported = f"{reported}; goes on in {self._file.path.name}; {self._error}"
+            return f"{text}; resumed in {self._file.path.name}; {self._error}"
         if self._file is not None:
-            return reported
-        waits = f"; goes on when {_ROOM_BYTES >> 20} MiB are free" if self._is_full else ""
+            return text or (self.missing if is_last else "")
+        waits = f"; resumes when {_RESUME_BYTES >> 20} MiB are free" if self._is_full else ""
         return f"{self._error}{waits}"
 
 

@@ -1,6 +1,6 @@
-"""``python -m safedpa_services.ros_gateway``: a robot that speaks ROS 2, as a robot of the bus.
+"""``python -m safedpa_services.ros_gateway``: connects a robot that uses ROS 2 to the bus.
 
-A gateway as its file describes it: model, limits, the driver's type and hash, everything checked first.
+Builds the gateway from the robot's file. Model, limits, and the type and hash of the driver's topic are checked first.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from safedpa.bus.service.process import (
     run_process,
 )
 from safedpa.dynamics import load_model
-from safedpa.dynamics.own import load_own_of_environment
+from safedpa.dynamics.user_files import load_user_files
 from safedpa.errors import InputError
-from safedpa.robot import robot_named
 from safedpa.ros.encoding import hash_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.driven import why_not_driven
+from safedpa.systems.robots import robot_named
 from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway, Limits
 from safedpa_services.ros_gateway.health_publisher import HealthPublisher
@@ -40,33 +40,36 @@ from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
 from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, SensorInputs, goal_paths, pose_paths
 
-__all__ = ["checked_face", "make_gateway", "parser", "work"]
+__all__ = ["load_ros_interface", "make_gateway", "parser", "work"]
 
 _POLICY = "policy"
-"""Whose certificate is shown for the nominal action; it lies next to the robot's."""
+"""Role whose certificate is used to publish nominal actions; its files are in the same folder as the robot's."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """Options of the process."""
+    """Returns a parser with the options of the process."""
     found = argparse.ArgumentParser(prog="safedpa-ros-gateway")
     add_bus_options(found)
     found.add_argument("file", type=Path, metavar="ROBOT.toml", help="see docs/ros.md")
     found.add_argument(
-        "--policy-card", type=int, metavar="DESCRIPTOR", help="read the policy's certificate and key there"
+        "--policy-card",
+        type=int,
+        metavar="DESCRIPTOR",
+        help="descriptor of a pipe with the policy's certificate and key",
     )
     return found
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Drives until ``stop``; returns exit code 0."""
-    load_own_of_environment()
-    asked = load_robot_file(options.file)
+    load_user_files()
+    robot_file = load_robot_file(options.file)
     if options.certificates is not None and not options.role:
-        options.role = role_of_robot(asked.name)
+        options.role = role_of_robot(robot_file.name)
     with (
         bus_from_options(options) as bus,
-        _policy_bus(options, bus, with_policy=bool(asked.nominal.topic)) as policy_bus,
-        make_gateway(asked, bus, policy_bus) as gateway,
+        _policy_bus(options, bus, with_policy=bool(robot_file.nominal.topic)) as policy_bus,
+        make_gateway(robot_file, bus, policy_bus) as gateway,
         log_lifetime("robot", stop),
     ):
         gateway.run(stop)
@@ -75,7 +78,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
 @contextmanager
 def _policy_bus(options: argparse.Namespace, bus: Bus, *, with_policy: bool) -> Iterator[Bus]:
-    """The bus over which the robot's own policy requests: with certificates a robot's may not, the policy's may."""
+    """Yields the bus for nominal actions. With certificates, only the role ``policy`` may publish them."""
     card, options.policy_card = options.policy_card, None
     if not with_policy or (options.certificates is None and card is None):
         yield bus
@@ -88,100 +91,108 @@ def _policy_bus(options: argparse.Namespace, bus: Bus, *, with_policy: bool) -> 
 
 _GOAL = "geometry_msgs/msg/PoseStamped"
 _DRIVER_SECONDS = 10.0
-"""For the robot's driver to appear."""
+"""Time to wait for the robot's driver to appear."""
 
 
-def checked_face(asked: RobotFile) -> tuple[AbstractFace, Limits, float]:
-    """How this robot speaks ROS, its limits, its period. Raises InputError for what does not fit together."""
-    declared = robot_named(asked.robot)
-    model = load_model(asked.model or str(declared.model))
-    refusal = why_not_driven(model.system, asked.robot)
+def load_ros_interface(robot_file: RobotFile) -> tuple[AbstractFace, Limits, float]:
+    """Returns the robot's ROS interface, its action limits and its period [s].
+
+    Raises InputError if model, settings and message types do not fit together.
+    """
+    declared = robot_named(robot_file.robot)
+    model = load_model(robot_file.model or str(declared.model))
+    refusal = why_not_driven(model.system, robot_file.robot)
     if refusal:
-        raise InputError(f"model '{asked.model}': {refusal}")
+        raise InputError(f"model '{robot_file.model}': {refusal}")
     declared = declared.of_system(model.system)
     face = declared.ros_face(model)
     if face is None:
-        raise InputError(f"robot '{asked.robot}': it does not say how it speaks ROS; write its method 'ros_face'")
-    for key, kind in (("command", asked.command.type), ("nominal", asked.nominal.type)):
+        raise InputError(f"robot '{robot_file.robot}': got no ROS interface; implement its method 'ros_face'")
+    for key, kind in (("command", robot_file.command.type), ("nominal", robot_file.nominal.type)):
         if kind and kind not in face.commands:
             raise InputError(f"{key}.type: got '{kind}', wanted one of {', '.join(face.commands)}")
-    settings = settings_named(asked.settings or declared.settings_name)
+    settings = settings_named(robot_file.settings or declared.settings_name)
     limits = (tuple(settings.action_low), tuple(settings.action_high), tuple(settings.resting_action))
-    return face, limits, 1.0 / (asked.rate or declared.rate)
+    return face, limits, 1.0 / (robot_file.rate or declared.rate)
 
 
 @contextmanager
-def make_gateway(asked: RobotFile, bus: Bus, policy_bus: Bus | None = None) -> Iterator[Gateway]:
-    """The gateway, joined to both sides; it requests over another bus where one is given.
+def make_gateway(robot_file: RobotFile, bus: Bus, policy_bus: Bus | None = None) -> Iterator[Gateway]:
+    """Yields the gateway, connected to the bus and to ROS; nominal actions go over ``policy_bus`` if one is given.
 
-    Raises InputError and BusError before anything is sent to the robot.
+    Raises InputError or BusError before anything is sent to the robot.
     """
-    face, limits, period = checked_face(asked)
-    wire = asked.wire
+    face, limits, period = load_ros_interface(robot_file)
+    wire = robot_file.wire
     with RosLink(wire.endpoint, wire.domain, "bridge" if wire.form == "bridge" else "rmw_zenoh") as link:
-        command_type = asked.command.type or face.commands[0]
-        type_hash = asked.command.hash or _hash_wanted(link, asked, command_type)
-        bus.claim(asked.name, "robot", f"{time.time_ns():016x}-{secrets.token_hex(4)}")
-        reported = [
+        command_type = robot_file.command.type or face.commands[0]
+        type_hash = robot_file.command.hash or _driver_type_hash(link, robot_file, command_type)
+        bus.claim(robot_file.name, "robot", f"{time.time_ns():016x}-{secrets.token_hex(4)}")
+        publishers = [
             link.publisher(topic, kind) if topic else None
             for topic, kind in (
                 (wire.diagnostics, "diagnostic_msgs/msg/DiagnosticArray"),
                 (wire.markers, "visualization_msgs/msg/MarkerArray"),
             )
         ]
-        health_publisher = HealthPublisher(asked.name, asked.frame, face, reported[0], reported[1])
-        sensor_inputs = _sensor_inputs(link, asked, face, asked.nominal.type or command_type)
-        command = link.publisher(asked.command.topic, command_type, type_hash)
-        link.watched(asked.command.topic, PUBLISHER)  # from now on it is told
+        health_publisher = HealthPublisher(robot_file.name, robot_file.frame, face, publishers[0], publishers[1])
+        sensor_inputs = _sensor_inputs(link, robot_file, face, robot_file.nominal.type or command_type)
+        command = link.publisher(robot_file.command.topic, command_type, type_hash)
+        link.watched(robot_file.command.topic, PUBLISHER)  # subscribes to graph events now; later calls do not block
         yield Gateway(
-            bus, link, asked, face, limits, sensor_inputs, command, health_publisher, period, policy_bus=policy_bus
+            bus, link, robot_file, face, limits, sensor_inputs, command, health_publisher, period, policy_bus=policy_bus
         )
 
 
-def _sensor_inputs(link: RosLink, asked: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
-    """Everything that the file names, heard from now on."""
-    odometry = LatestMessage(asked.odometry.type, pose_paths(), asked.wire.frame)
-    driver = CommandEchoMonitor(asked.command.topic)
-    link.hear(asked.odometry.topic, asked.odometry.type, odometry.take)
-    link.overhear(asked.command.topic, driver.take)
+def _sensor_inputs(link: RosLink, robot_file: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
+    """Subscribes to all topics that the file names."""
+    odometry = LatestMessage(robot_file.odometry.type, pose_paths(), robot_file.wire.frame)
+    driver = CommandEchoMonitor(robot_file.command.topic)
+    link.hear(robot_file.odometry.topic, robot_file.odometry.type, odometry.take)
+    link.overhear(robot_file.command.topic, driver.take)
     nominal = goal = localised = None
-    if asked.nominal.topic:
+    if robot_file.nominal.topic:
         nominal = LatestMessage(nominal_type, face.paths(nominal_type))
-        link.hear(asked.nominal.topic, nominal_type, nominal.take)
-    if asked.goal.topic:
-        goal = LatestMessage(_GOAL, goal_paths(), asked.frame)
-        link.hear(asked.goal.topic, _GOAL, goal.take)
-    if asked.localisation.topic:
-        localised = TransformListener(asked.localisation.frame, asked.wire.frame)
-        link.hear(asked.localisation.topic, TRANSFORMS, localised.take)
-    scanners = tuple(Scanner(scan.frame) for scan in asked.scans)
-    for scan, scanner in zip(asked.scans, scanners, strict=True):
+        link.hear(robot_file.nominal.topic, nominal_type, nominal.take)
+    if robot_file.goal.topic:
+        goal = LatestMessage(_GOAL, goal_paths(), robot_file.frame)
+        link.hear(robot_file.goal.topic, _GOAL, goal.take)
+    if robot_file.localisation.topic:
+        localised = TransformListener(robot_file.localisation.frame, robot_file.wire.frame)
+        link.hear(robot_file.localisation.topic, TRANSFORMS, localised.take)
+    scanners = tuple(Scanner(scan.frame) for scan in robot_file.scans)
+    for scan, scanner in zip(robot_file.scans, scanners, strict=True):
         link.hear(scan.topic, SCAN_TYPE, scanner.take)
     return SensorInputs(odometry, driver, nominal, goal, localised, scanners)
 
 
-def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
-    """As the driver's own token asks. Raises InputError where it wants another type, or someone drives already."""
+def _driver_type_hash(link: RosLink, robot_file: RobotFile, command_type: str) -> str:
+    """Returns the type hash that the driver announces in its liveliness token.
+
+    Raises InputError if the driver uses another type, if there is no driver, or if another node publishes commands.
+    """
     if link.form != "rmw_zenoh":
         return hash_of(command_type)
-    topic = asked.command.topic
+    topic = robot_file.command.topic
     others = link.others_on(topic, PUBLISHER)
     if others:
         raise InputError(
-            f"{topic}: {others[0].node} publishes there already; have it publish {asked.nominal.topic}, which goes "
-            "through the filter, and let the gateway alone write the driver's topic"
+            f"{topic}: {others[0].node} publishes there; let it publish to {robot_file.nominal.topic}, which goes "
+            "through the filter: only the gateway may publish to the driver's topic"
         )
     end = time.monotonic() + _DRIVER_SECONDS
     while not (drivers := link.others_on(topic, SUBSCRIBER)):
         if time.monotonic() > end:
             raise InputError(
-                f"{topic}: no one listens there after {_DRIVER_SECONDS:.0f} s; start the robot's driver, correct the "
-                "topic, or name command.hash to drive all the same"
+                f"{topic}: no subscriber after {_DRIVER_SECONDS:.0f} s; start the robot's driver, correct the "
+                "topic, or set command.hash to drive without one"
             )
         time.sleep(0.2)
     for driver in drivers:
         if driver.type != command_type:
-            raise InputError(f"command.type: got '{command_type}', {driver.node} on {topic} wants '{driver.type}'")
+            raise InputError(
+                f"command.type: got '{command_type}', wanted '{driver.type}', the type of {driver.node} on {topic}"
+            )
     return drivers[0].hash
 
 

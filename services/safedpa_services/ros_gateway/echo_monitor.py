@@ -1,4 +1,4 @@
-"""Who else speaks on the driver's topic, by what is heard there: a publisher need not announce itself to be obeyed."""
+"""Detects commands of other publishers on the driver's topic, which the driver obeys even if they are not announced."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from safedpa.ros.graph import Attachment
 __all__ = ["CommandEchoMonitor"]
 
 _SILENT_SECONDS = 1.0
-"""s without a word after which it counts as gone."""
+"""Time without a message after which another publisher counts as gone [s]."""
 _ANSWER_SECONDS = 0.001
-"""At most so often a word is answered, anyone who floods the topic."""
+"""Shortest time between two answers [s]; limits the effect of a flood."""
 
 
 @final
 class CommandEchoMonitor:
-    """The last command that came from elsewhere; ``answer`` is called for each, on the network's thread."""
+    """Notes the last command of another publisher; ``answer`` is called for each, on the network's thread."""
 
     def __init__(self, topic: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._topic, self._clock = topic, clock
@@ -27,10 +27,10 @@ class CommandEchoMonitor:
         self._answered = -math.inf
         self.answer: Callable[[], None] = _nothing
 
-    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
-        """One message of another session, on the network's thread."""
+    def take(self, data: bytes, attachment: Attachment | None = None) -> None:
+        """Takes a message of another session, on the network's thread."""
         del data
-        sender = f"sender {alongside.sender.hex()[:8]}" if alongside is not None else "a sender without a name"
+        sender = f"sender {attachment.sender.hex()[:8]}" if attachment is not None else "unknown sender"
         now = self._clock()
         self._last = now, sender
         if now - self._answered >= _ANSWER_SECONDS:
@@ -39,12 +39,12 @@ class CommandEchoMonitor:
 
     @property
     def why(self) -> str:
-        """A sentence while someone speaks there; empty else."""
+        """Sentence about the other publisher; empty if there is none."""
         at, sender = self._last
         if self._clock() - at > _SILENT_SECONDS:
             return ""
-        return f"someone who shows no token ({sender}) publishes on {self._topic} too; find and end it"
+        return f"an unannounced publisher ({sender}) sends on {self._topic}, too; find and end it"
 
 
 def _nothing() -> None:
-    """Before anybody asked for answers."""
+    """Default of ``answer``."""

@@ -1,4 +1,4 @@
-"""What the robot's people are told in ROS: verdicts, what the gateway itself does, the path that is foreseen."""
+"""Publishes diagnostics and markers in ROS: verdicts, the state of the gateway, and the predicted path."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marke
 __all__ = ["HealthPublisher"]
 
 _MARKER_SECONDS = 0.1
-"""At most so often markers are sent."""
+"""Shortest time between two markers [s]."""
 
 
 @final
 class HealthPublisher:
-    """Speaks on the topics of diagnostics and markers, where the robot's file names them."""
+    """Publishes on the topics for diagnostics and markers, if the robot's file names them."""
 
     def __init__(
         self,
@@ -36,22 +36,22 @@ class HealthPublisher:
         self._next_marker = clock()
 
     def head(self, nanoseconds: int = 0) -> dict[str, Any]:
-        """A message's header: of that moment, else of now, in the frame of the surroundings."""
+        """Returns a message header in the frame of the surroundings, stamped with the given time (0: now)."""
         return {"stamp": stamp_of(nanoseconds or time.time_ns()), "frame_id": self._frame}
 
     def verdict(self, verdict: VerdictMessage) -> None:
-        """Tells a verdict of the filter, and the path that it foresees."""
+        """Publishes a verdict of the filter, and the predicted path."""
         if self._diagnostics is not None:
             self._diagnostics.put(diagnostics_of(self.head(), self._robot, verdict))
         if self._markers is not None and verdict.predicted and self._clock() >= self._next_marker:
             self._next_marker = self._clock() + _MARKER_SECONDS
             try:
                 places = [self._face.planar(row)[:2] for row in verdict.predicted]
-            except IndexError:  # of another model: a picture never ends a drive
+            except IndexError:  # states of another model: a marker must not end the drive
                 return
             self._markers.put({"markers": [path_marker(self.head(), places)]})
 
     def gateway(self, why: str, facts: dict[str, str]) -> None:
-        """Tells whether the filter drives; else ``why`` the gateway brakes."""
+        """Publishes the state of the gateway; ``why`` it brakes, empty if the filter drives."""
         if self._diagnostics is not None:
             self._diagnostics.put(gateway_diagnostics(self.head(), self._robot, why, facts))

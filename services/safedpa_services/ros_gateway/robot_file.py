@@ -1,6 +1,6 @@
-"""``robot.toml``: which robot, where it is reached, what it tells, who requests, and how it is driven.
+"""The robot file ``robot.toml``: kind of robot, ROS connection, topics, surroundings.
 
-What cannot be in it is told by key, before anything is joined or moved.
+Errors name the key. They are raised before the gateway joins the bus or moves the robot.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any, get_args, get_type_hints
 from safedpa.bus import STATE, key_of
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import finite_number, parse_toml, text_of_file, whole_number
-from safedpa.robot import robot_named
 from safedpa.ros.graph import NO_HASH
 from safedpa.ros.link import FORMS
 from safedpa.runtime.scene import MOST_OBSTACLES
+from safedpa.systems.robots import robot_named
 
 __all__ = [
     "CommandTopic",
@@ -42,115 +42,115 @@ FORMAT = 2
 
 @dataclass(frozen=True)
 class RosConnection:
-    """Where the robot's Zenoh router listens, and how its nodes write."""
+    """The robot's Zenoh router, and the encoding of ROS topics in Zenoh."""
 
     endpoint: str = "tcp/127.0.0.1:7447"
     domain: int = 0
     form: str = "rmw_zenoh"
     """``rmw_zenoh``, or ``bridge`` for zenoh-bridge-ros2dds."""
     diagnostics: str = "/diagnostics"
-    """Where verdicts are told; empty: nowhere."""
+    """Topic for verdicts; empty: not published."""
     markers: str = "/safedpa/markers"
-    """Where the path is drawn that the filter foresees; empty: nowhere."""
+    """Topic for markers of the predicted path; empty: not published."""
     frame: str = "odom"
 
 
 @dataclass(frozen=True)
 class OdometryTopic:
-    """Where the robot says that it is."""
+    """The robot's odometry."""
 
     topic: str
     type: str = "nav_msgs/msg/Odometry"
     ahead: float = 0.0
-    """m from the robot's reference point to the one that is told; of a car from its rear axle."""
+    """Distance from the robot's reference point (of a car the rear axle) to the odometry's point [m]."""
     largest_age: float = 0.1
-    """s; without a newer one for so long the robot brakes."""
+    """Largest age [s]; the robot brakes if there is no newer message."""
 
 
 @dataclass(frozen=True)
 class NominalActionTopic:
-    """What the robot's own policy would do; it goes through the filter."""
+    """Nominal actions of the robot's own policy, which go through the filter."""
 
     topic: str = ""
-    """Empty: a policy of this side requests (``safedpa serve --policy``)."""
+    """Empty: the nominal actions come from a policy on the bus (``safedpa serve --policy``)."""
     type: str = ""
-    """Empty: that of the command."""
+    """Message type; empty: that of the command."""
     largest_age: float = 0.5
 
 
 @dataclass(frozen=True)
 class CommandTopic:
-    """What its driver obeys. No one else may speak there."""
+    """Commands to the robot's driver. No other node may publish there."""
 
     topic: str
     type: str = ""
-    """Empty: the usual one of this robot."""
+    """Message type; empty: the default of this robot."""
     hash: str = ""
-    """Of the type; empty: as the driver's own token asks, else computed."""
+    """Type hash; empty: taken from the driver's liveliness token, else computed."""
 
 
 @dataclass(frozen=True)
 class GoalTopic:
-    """Where people say that it shall go, ``geometry_msgs/PoseStamped``; for a policy of this side."""
+    """Goal for a policy on the bus, a ``geometry_msgs/PoseStamped``."""
 
     topic: str = ""
 
 
 @dataclass(frozen=True)
 class LocalisationTopic:
-    """What corrects the odometry: transforms from the map to the odometry's frame."""
+    """Transforms from the map to the odometry's frame, which correct the odometry's drift."""
 
     topic: str = ""
     frame: str = "map"
-    """That of the surroundings and the goal, then."""
+    """Frame of the map; surroundings and goal are then in this frame."""
     largest_age: float = 1.0
-    """s; without a newer one for so long the robot brakes."""
+    """Largest age [s]; the robot brakes if there is no newer message."""
 
 
 @dataclass(frozen=True)
 class ScanTopic:
-    """A laser scanner, ``sensor_msgs/LaserScan``; with one nothing is told of obstacles: perception sees them."""
+    """A laser scanner, ``sensor_msgs/LaserScan``. With a scanner, perception detects obstacles; none are given here."""
 
     topic: str
     name: str = "laser"
     frame: str = ""
-    """Of its messages; others are refused. Empty: any."""
+    """Frame of its messages; others are refused. Empty: any."""
     mount: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """x ahead of the robot's reference point, y to its left [m], and the yaw of its angle 0 [rad]."""
+    """Position x ahead and y to the left of the robot's reference point [m], and yaw of its angle 0 [rad]."""
     delay: float = 0.0
-    """s from the middle of its turn to the arrival of its message."""
+    """Time from the middle of a scan to the arrival of its message [s]."""
 
 
 @dataclass(frozen=True)
 class ObstaclesTopic:
-    """What is around it and does not move, in the frame of the odometry."""
+    """Static surroundings, in the frame of the odometry or the map."""
 
     field: tuple[float, ...]
     """Lowest x, highest x, lowest y, highest y [m]."""
     footprint: tuple[float, ...]
-    """How far it reaches behind and ahead of its reference point, and its radius [m]."""
+    """Extent behind and ahead of the robot's reference point, and its radius [m]."""
     obstacles: tuple[tuple[float, ...], ...] = ()
-    """x, y, radius [m] each."""
+    """x, y, radius [m] of each obstacle."""
     goal: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServedRobot:
-    """Which robot the services are for."""
+    """A robot that the services are for."""
 
     robot: str
     name: str = "r1"
     model: str = ""
-    """Model file, or the name of one that ships; empty: that of the robot."""
+    """Model file, or the name of a shipped one; empty: the robot's default."""
     settings: str = ""
     margin: str = ""
     rate: float = 0.0
-    """Ticks per second; 0: the robot's own."""
+    """Ticks per second; 0: the robot's default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotFile(ServedRobot):
-    """One that speaks ROS 2: all of it."""
+    """A robot that uses ROS 2."""
 
     odometry: OdometryTopic
     command: CommandTopic
@@ -163,19 +163,22 @@ class RobotFile(ServedRobot):
 
     @property
     def frame(self) -> str:
-        """In which its pose, its goal and what is around it are told."""
+        """Frame of pose, goal and surroundings."""
         return self.localisation.frame if self.localisation.topic else self.wire.frame
 
 
 def load_robot_file(path: Path) -> RobotFile:
-    """The file of a robot that speaks ROS 2. Raises InputError naming it and the key."""
+    """Loads the file of a ROS 2 robot. Raises InputError naming file and key."""
     found = _loaded(path, lambda table: RobotFile)
     assert isinstance(found, RobotFile)
     return found
 
 
 def load_served_robot(path: Path) -> ServedRobot:
-    """The file of any robot: a RobotFile where it says anything of ROS. Raises InputError naming it and the key."""
+    """Loads the file of any robot; returns a RobotFile if it has keys for ROS.
+
+    Raises InputError naming file and key.
+    """
     own = {item.name for item in fields(RobotFile)} - {item.name for item in fields(ServedRobot)}
     return _loaded(path, lambda table: RobotFile if own & table.keys() else ServedRobot)
 
@@ -190,7 +193,7 @@ def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]
         if isinstance(found, RobotFile):
             check_robot_file(found)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', error)}); wanted one") from error
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return found
@@ -207,7 +210,7 @@ def _of(kind: Any, table: Mapping[str, Any], prefix: str) -> Any:
         if name in table:
             given[name] = _value(hints[name], table[name], f"{prefix}{name}")
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise InputError(f"{prefix}{name}: missing; docs/ros.md has a whole file")
+            raise InputError(f"{prefix}{name}: missing; docs/ros.md has a complete file")
     return kind(**given)
 
 
@@ -218,7 +221,7 @@ def _value(kind: Any, value: Any, key: str) -> Any:
         return _of(kind, value, f"{key}.")
     if kind is str:
         if not isinstance(value, str):
-            raise InputError(f"{key}: got {value!r}, wanted a text in quotes")
+            raise InputError(f"{key}: got {value!r}, wanted a string")
         return value
     if kind in (float, int):
         return finite_number(key, value) if kind is float else whole_number(key, value)
@@ -230,27 +233,27 @@ def _value(kind: Any, value: Any, key: str) -> Any:
 
 
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-"""A name of ROS without substitutions (design.ros2.org/articles/topic_and_service_names.html)."""
+"""A ROS topic name without substitutions (design.ros2.org/articles/topic_and_service_names.html)."""
 _HASH = re.compile(rf"RIHS01_[0-9a-f]{{64}}|{NO_HASH}")
 _LARGEST = 1e4
-"""m; no robot of a field of 10 km sees its walls."""
+"""Largest coordinate [m]."""
 _WIDEST = 100.0
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def check_served(found: ServedRobot) -> None:
-    """Raises InputError for a name that the bus cannot carry, a robot that no one knows, a rate that is none."""
+    """Raises InputError for an invalid name, an unknown kind of robot, or an invalid rate."""
     robot_named(found.robot)
     try:
         key_of("fleet", found.name, STATE)
     except InputError as error:
         raise InputError(f"name: {str(error).removeprefix('name ')}") from error
     if found.rate and not 1.0 <= found.rate <= 500.0:
-        raise InputError(f"rate: got {found.rate}, wanted 1 to 500 ticks per second, or none for the robot's own")
+        raise InputError(f"rate: got {found.rate}, wanted 1 to 500 ticks per second, or 0 for the robot's default")
 
 
 def check_robot_file(found: RobotFile) -> None:
-    """Raises InputError naming the key."""
+    """Raises InputError naming the key if the file is inconsistent."""
     _check_surroundings(found.surroundings)
     _check_wire(found)
     _check_ages(found)
@@ -259,10 +262,10 @@ def check_robot_file(found: RobotFile) -> None:
         _check_scan(scan)
     names = [scan.name for scan in found.scans]
     if len({*names}) < len(names):
-        raise InputError(f"scans.name: got {', '.join(names)}, wanted another one for each scanner")
+        raise InputError(f"scans.name: got {', '.join(names)}, wanted a different name for each scanner")
     if found.scans and found.surroundings.obstacles:
         raise InputError(
-            "surroundings.obstacles: got some next to [[scans]], wanted none: perception tells what is seen"
+            "surroundings.obstacles: got some together with [[scans]], wanted none: perception detects obstacles"
         )
 
 
@@ -271,23 +274,23 @@ def _check_surroundings(around: ObstaclesTopic) -> None:
         if len(values) != count:
             raise InputError(f"surroundings.{key}: got {len(values)} numbers, wanted {count}")
         if max(map(abs, values)) > _LARGEST:
-            raise InputError(f"surroundings.{key}: got {list(values)}, wanted m, {_LARGEST:g} at most")
+            raise InputError(f"surroundings.{key}: got {list(values)}, wanted at most {_LARGEST:g} m")
     west, east, south, north = around.field
     rear, front, radius = around.footprint
     if not 0.0 < radius <= _WIDEST or not -front <= rear <= _WIDEST or front > _WIDEST:
         raise InputError(
-            f"surroundings.footprint: got {list(around.footprint)}, wanted how far it reaches behind and ahead of its "
-            f"reference point, together 0 or more, and a radius above 0; m, {_WIDEST:g} at most"
+            f"surroundings.footprint: got {list(around.footprint)}, wanted the extents behind and ahead of the "
+            f"reference point, with a sum of 0 or more, and a radius above 0; at most {_WIDEST:g} m each"
         )
     if east - west <= 2.0 * radius or north - south <= 2.0 * radius:
         raise InputError(
             f"surroundings.field: got {list(around.field)}, wanted lowest x, highest x, lowest y, highest y in m, with "
-            f"room for a robot that is {2.0 * radius:g} m wide"
+            f"room for a robot of {2.0 * radius:g} m width"
         )
     if len(around.obstacles) > MOST_OBSTACLES:
         raise InputError(f"surroundings.obstacles: got {len(around.obstacles)}, wanted at most {MOST_OBSTACLES}")
     if any(len(one) != 3 or not 0.0 < one[2] <= _LARGEST for one in around.obstacles):
-        raise InputError("surroundings.obstacles: wanted x, y and a radius above 0 of each")
+        raise InputError("surroundings.obstacles: wanted x, y and a radius above 0 for each")
     if around.goal and not (len(around.goal) == 2 and west < around.goal[0] < east and south < around.goal[1] < north):
         raise InputError(f"surroundings.goal: got {list(around.goal)}, wanted x and y within the field, or none")
 
@@ -299,7 +302,7 @@ def _check_wire(found: RobotFile) -> None:
     if not 0 <= wire.domain <= 232:
         raise InputError(f"wire.domain: got {wire.domain}, wanted 0 to 232")
     if not re.fullmatch(r"[a-z-]+/[^\s#?]+", wire.endpoint):
-        raise InputError(f"wire.endpoint: got '{wire.endpoint}', wanted one such as tcp/robot:7447")
+        raise InputError(f"wire.endpoint: got '{wire.endpoint}', wanted an endpoint such as tcp/robot:7447")
 
 
 def _check_ages(found: RobotFile) -> None:
@@ -308,7 +311,7 @@ def _check_ages(found: RobotFile) -> None:
         if not 0.0 < age <= 2.0:
             raise InputError(f"{key}.largest_age: got {age}, wanted more than 0 and at most 2 s")
     if not abs(found.odometry.ahead) <= _WIDEST:
-        raise InputError(f"odometry.ahead: got {found.odometry.ahead}, wanted m, {_WIDEST:g} at most")
+        raise InputError(f"odometry.ahead: got {found.odometry.ahead}, wanted at most {_WIDEST:g} m")
     if found.odometry.type not in (_ODOMETRY, _ODOMETRY.replace("/msg", "")):
         raise InputError(f"odometry.type: got '{found.odometry.type}', wanted {_ODOMETRY}")
 
@@ -321,22 +324,24 @@ def _check_topics(found: RobotFile) -> None:
         "goal": found.goal.topic,
         "localisation": found.localisation.topic,
     }
-    notice = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
-    heard = [*topics.items(), *(("scans", scan.topic) for scan in found.scans)]
-    for key, topic in [*((f"{key}.topic", topic) for key, topic in heard), *notice.items()]:
+    published = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
+    received = [*topics.items(), *(("scans", scan.topic) for scan in found.scans)]
+    for key, topic in [*((f"{key}.topic", topic) for key, topic in received), *published.items()]:
         if not _TOPIC.fullmatch(topic) and (topic or key in ("odometry.topic", "command.topic", "scans.topic")):
             raise InputError(f"{key}: got '{topic}', wanted a topic such as /odom: letters, digits, '_' and '/'")
-    for key, topic in notice.items():  # over a bridge its bytes would be taken for a command
+    for key, topic in published.items():  # over a bridge, the driver would interpret such a message as a command
         if topic.strip("/") == found.command.topic.strip("/"):
-            raise InputError(f"{key}: got the command's own topic, '{topic}': the driver obeys what comes there")
+            raise InputError(
+                f"{key}: got '{topic}', the topic of the command, which the driver obeys; choose another topic"
+            )
     if found.nominal.topic.strip("/") == found.command.topic.strip("/"):
         raise InputError(
-            f"nominal.topic: got the command's own, '{found.command.topic}': the policy would speak past the filter; have "
-            "it publish another one, drive_in say"
+            f"nominal.topic: got '{found.command.topic}', the topic of the command, past the filter; let the policy "
+            "publish to another one, such as drive_in"
         )
     if found.localisation.topic and found.localisation.frame.strip("/") in ("", found.wire.frame.strip("/")):
         raise InputError(
-            f"localisation.frame: got '{found.localisation.frame}', wanted the map's, another than the odometry's, "
+            f"localisation.frame: got '{found.localisation.frame}', wanted the map's frame, not the odometry's, "
             f"'{found.wire.frame}' (wire.frame)"
         )
     if found.command.hash and not _HASH.fullmatch(found.command.hash):

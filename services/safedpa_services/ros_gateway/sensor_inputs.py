@@ -1,7 +1,7 @@
-"""The newest of what the robot tells and its policy requests, with its age by this machine's own clock.
+"""The newest messages of the robot and its policy, with their age by this machine's clock.
 
-The clocks of messages are not believed: a stamp may jump. What counts is when a message arrived, and that its stamp
-differs from the one before: a publisher that repeats itself tells nothing new.
+Stamps of messages are not trusted as times, because they may jump. The age counts from the arrival of a message whose
+stamp differs from the one before: a repeated message is not newer data.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from safedpa.records.readers.bags.messages import yaw_of
 from safedpa.ros.decoding import Decoder, DecodingError
 from safedpa.ros.definitions import Definitions, numeric_fields
 from safedpa.ros.graph import Attachment
-from safedpa_services.ros_gateway.alone import TWO_SPEAK, PublisherMonitor
 from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.localisation import TransformListener
+from safedpa_services.ros_gateway.publisher_monitor import TWO_PUBLISHERS, PublisherMonitor
 from safedpa_services.ros_gateway.scanner import Scanner
 
 __all__ = ["LatestMessage", "PoseAndTwist", "SensorInputs", "goal_paths", "pose_paths"]
@@ -29,7 +29,7 @@ _STAMP = "header.stamp"
 
 @dataclass(frozen=True)
 class PoseAndTwist:
-    """Where the robot is, and how it moves, in its own frame."""
+    """Pose of the robot [m, rad], and its velocity in its own frame [m/s, rad/s]."""
 
     x: float
     y: float
@@ -39,13 +39,13 @@ class PoseAndTwist:
 
     @staticmethod
     def of(numbers: tuple[float, ...], ahead: float) -> PoseAndTwist:
-        """From what ``pose_paths`` names; the point that is told lies ``ahead`` m of the reference point."""
+        """Builds it from the fields of ``pose_paths``; the odometry's point is ``ahead`` [m] of the reference point."""
         x, y, speed, yaw_rate, *quaternion = numbers
         yaw = yaw_of(quaternion[0], quaternion[1], quaternion[2], quaternion[3])
         return PoseAndTwist(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw, speed, yaw_rate)
 
     def seen_from(self, frame: tuple[float, float, float]) -> PoseAndTwist:
-        """The same in the frame in which its own stands at ``frame``: x, y [m], yaw [rad]."""
+        """Transforms the pose to the parent frame, in which its own frame is at ``frame``: x, y [m], yaw [rad]."""
         east, north, turn = frame
         cosine, sine = math.cos(turn), math.sin(turn)
         x, y = east + cosine * self.x - sine * self.y, north + sine * self.x + cosine * self.y
@@ -53,43 +53,44 @@ class PoseAndTwist:
 
 
 def pose_paths() -> tuple[str, ...]:
-    """Fields of ``nav_msgs/Odometry``."""
+    """Returns the fields to read from ``nav_msgs/Odometry``."""
     turn = tuple(f"pose.pose.orientation.{axis}" for axis in "xyzw")
     return ("pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.angular.z", *turn)
 
 
 def goal_paths() -> tuple[str, ...]:
-    """Fields of ``geometry_msgs/PoseStamped`` that say where to go."""
+    """Returns the fields to read from the goal, a ``geometry_msgs/PoseStamped``."""
     return ("pose.position.x", "pose.position.y")
 
 
 class LatestMessage:
-    """The newest message of one topic as numbers; others are gone. Safe between threads."""
+    """The newest message of a topic as numbers; thread-safe."""
 
     def __init__(
         self, type_name: str, paths: tuple[str, ...], frame: str = "", clock: Callable[[], float] = time.monotonic
     ) -> None:
         definitions = Definitions()
-        there = numeric_fields(definitions, type_name)
-        self._stamped = _STAMP in there
-        alongside = [_STAMP, "header.frame_id"] if self._stamped else []
-        self._skip = len(alongside)
-        self._decode = Decoder(definitions, type_name, (*alongside, *paths))
+        known_fields = numeric_fields(definitions, type_name)
+        self._stamped = _STAMP in known_fields
+        header = [_STAMP, "header.frame_id"] if self._stamped else []
+        self._skip = len(header)
+        self._decode = Decoder(definitions, type_name, (*header, *paths))
         self._frame, self._clock = frame, clock
         self._lock = threading.Lock()
         self._numbers: tuple[float, ...] = ()
         self._changed = -math.inf
         self._stamp = -1
-        self._alone = PublisherMonitor()
+        self._publishers = PublisherMonitor()
         self.refused = 0
-        """Messages that could not be read, were of another frame, or held what is no number of this world."""
+        """Number of refused messages: unreadable, of another frame, of a second publisher, or with implausible
+        numbers."""
         self.why = ""
 
-    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
-        """One message, on the network's thread."""
+    def take(self, data: bytes, attachment: Attachment | None = None) -> None:
+        """Takes a message, on the network's thread."""
         at = self._clock()
-        if not self._alone.heard(alongside, at):
-            self._refuse(TWO_SPEAK)
+        if not self._publishers.accept(attachment, at):
+            self._refuse(TWO_PUBLISHERS)
             return
         try:
             values = self._decode(data)
@@ -98,7 +99,7 @@ class LatestMessage:
             return
         numbers = tuple(float(value) for value in values[self._skip :])
         if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in numbers):
-            self._refuse("a number is not finite, or so large that no one believes it")
+            self._refuse("a number is not finite or implausibly large")
             return
         if self._stamped and self._frame and values[1].strip("/") != self._frame.strip("/"):
             self._refuse(f"its frame is '{values[1][:60]}', wanted '{self._frame}'")
@@ -116,16 +117,16 @@ class LatestMessage:
         self.why = why
 
     def read(self) -> tuple[tuple[float, ...], float, int]:
-        """The numbers, their age [s] and stamp [ns]; infinitely old before the first, and while two speak."""
+        """Returns the numbers, their age [s] (infinite before the first and with two publishers) and stamp [ns]."""
         with self._lock:
-            if self._alone.doubled(self._clock()):
+            if self._publishers.has_two(self._clock()):
                 return self._numbers, math.inf, self._stamp
             return self._numbers, self._clock() - self._changed, self._stamp
 
 
 @dataclass(frozen=True)
 class SensorInputs:
-    """Everything that the gateway hears; what the robot's file does not name is None."""
+    """All inputs of the gateway from ROS; None for topics that the robot's file does not name."""
 
     odometry: LatestMessage
     driver: CommandEchoMonitor
@@ -136,11 +137,11 @@ class SensorInputs:
 
     @property
     def refused(self) -> int:
-        """Messages that were not believed."""
-        heard = (self.odometry, self.nominal, self.goal, self.localised, *self.scanners)
-        return sum(one.refused for one in heard if one is not None)
+        """Number of refused messages."""
+        inputs = (self.odometry, self.nominal, self.goal, self.localised, *self.scanners)
+        return sum(one.refused for one in inputs if one is not None)
 
-    def not_believed(self, scans: Sequence[str]) -> dict[str, str]:
-        """Why the newest message of goal, nominal action or a scanner, by its name in ``scans``, was refused, where it was."""
-        heard = {"goal": self.goal, "nominal": self.nominal, **dict(zip(scans, self.scanners, strict=True))}
-        return {f"{name}_refused": one.why for name, one in heard.items() if one is not None and one.why}
+    def refusals(self, scans: Sequence[str]) -> dict[str, str]:
+        """Returns why the newest messages of goal, nominal action or scanners (named by ``scans``) were refused."""
+        inputs = {"goal": self.goal, "nominal": self.nominal, **dict(zip(scans, self.scanners, strict=True))}
+        return {f"{name}_refused": one.why for name, one in inputs.items() if one is not None and one.why}

@@ -1,4 +1,4 @@
-"""``python -m safedpa_services.router``: passes messages on between the processes of a fleet that may exchange them."""
+"""``python -m safedpa_services.router``: routes messages between the processes of a fleet, with access control."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from safedpa_services.router.router import Router, read_revocation_list
 from safedpa_services.router.watchdog import LoopWatchdog
 
 REVOKED = "revoked.txt"
-"""In the folder of certificates: names of certificates that are good for nothing any more, one a line."""
+"""File in the folder of certificates with the names of revoked certificates, one per line."""
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
@@ -35,7 +35,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         log_event(
             "router.open",
             f"routes fleet '{options.fleet}' on {', '.join(settings.listen)}"
-            f"{', plain text, no one is denied anything' if options.plain else ''}",
+            f"{', plain text without access control' if options.plain else ''}",
             level="warning" if options.plain else "info",
             service=ROUTER,
             robots=", ".join(options.robot),
@@ -48,7 +48,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 def _settings(options: argparse.Namespace) -> ZenohSettings:
     listen, connect = tuple(options.listen), tuple(options.connect)
     if not listen:
-        raise InputError("--listen: got none, wanted where to accept connections, such as tls/0.0.0.0:7447")
+        raise InputError("--listen: got none, wanted an endpoint such as tls/0.0.0.0:7447")
     limits = tuple(size_limits(options.fleet))
     rates = tuple(rate_limits(options.fleet, options.robot))
     if options.plain:
@@ -65,7 +65,7 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
 
 
 def _link(text: str) -> tuple[str, tuple[str, ...]]:
-    """``router.west=r1,r2``: name of the certificate, and the robots of which it may bring messages."""
+    """Parses ``router.west=r1,r2``: name of a router's certificate, and the robots whose messages it may forward."""
     name, _, robots = text.partition("=")
     return name, tuple(robots.split(",")) if robots else ()
 
@@ -77,8 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--connect", action="append", default=[], metavar="ENDPOINT", help="another router of the fleet"
     )
-    parser.add_argument("--certificates", type=Path, metavar="DIR", help="of 'safedpa certificates'")
-    parser.add_argument("--role", default=ROUTER, help="whose certificate to show; default: router")
+    parser.add_argument("--certificates", type=Path, metavar="DIR", help="folder from 'safedpa certificates'")
+    parser.add_argument("--role", default=ROUTER, help="role whose certificate to use; default: router")
     add_credentials_option(parser)
     parser.add_argument(
         "--robot", action="append", default=[], metavar="NAME", help="a robot that may join; repeatable"
@@ -88,11 +88,9 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="router.NAME[=ROBOT,...]",
-        help="another router that may be linked, and the robots of which it may bring messages; default: all",
+        help="another router that may connect, and the robots whose messages it may forward; default: all",
     )
-    parser.add_argument(
-        "--plain", action="store_true", help="no certificates: everybody who connects may do everything"
-    )
+    parser.add_argument("--plain", action="store_true", help="no certificates: every client may do everything")
     return parser
 
 

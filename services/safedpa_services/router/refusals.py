@@ -1,9 +1,9 @@
-"""What the router refused, read out of Zenoh's own log, since Zenoh tells neither the sender nor anybody else.
+"""Reports what the router refused, by parsing Zenoh's log: Zenoh reports refusals nowhere else.
 
-Zenoh's interceptors write, on the thread that handles a message, first the decision on its key (``... is unauthorized
-to Put (ingress) on KEY``) and then, if the message goes no further, ``Msg intercepted!``. A decision alone says
-nothing: many are made and kept in advance. A message that is allowed and yet goes no further was larger than its topic
-allows. What is withheld on the way out is no attempt of anybody, and is not told.
+For each message, Zenoh's interceptors log the decision on its key (``... is unauthorized to Put (ingress) on KEY``) and
+then, if the message is dropped, ``Msg intercepted!``, on the same thread. A decision alone means nothing, because many
+are computed and cached in advance. A message that is authorised but dropped was larger than its topic allows. Messages
+dropped on egress are not reported: they are no attempt by a client.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LOG_DIRECTIVES = ",".join(
         "zenoh_transport::unicast::establishment=debug",
     )
 )
-"""What Zenoh must write for this; the decisions are at its finest level."""
+"""Log filter for Zenoh; the decisions are logged at level trace only."""
 
 _LINE = re.compile(r"\S+\s+(TRACE|DEBUG|INFO|WARN|ERROR)\s+(?:\S+ )?ThreadId\((\d+)\) (\S+?): (.*)")
 _DECISION = re.compile(r"(?:Using cached result: )?(\w+) (?:on (\S+) )?is (un)?authorized to (.+) \((\w+)\) on (\S+)")
@@ -53,29 +53,29 @@ class _Decision:
 
 
 _UNKNOWN = _Decision("", "", "ingress", "", allowed=False)
-"""Of a message that went no further while the line about its key was lost."""
+"""Stands for a dropped message whose decision line was lost."""
 
 
 class Refusals:
-    """Takes Zenoh's log line by line, and tells and counts what was refused."""
+    """Parses Zenoh's log line by line; logs and counts refusals."""
 
     def __init__(self) -> None:
         self.name_of: Callable[[str], str] = lambda session: ""
-        """Gives the certificate's common name of a session by its Zenoh id, empty when it is not known."""
+        """Returns the common name of a session's certificate by its Zenoh id; empty if unknown."""
         self._names: OrderedDict[str, str] = OrderedDict()
         self._last: dict[str, _Decision] = {}
         self.counts: Counter[str] = Counter()
-        """By kind of event."""
+        """Number of refusals by kind of event."""
         self.newest = ""
-        """The last refusal in words."""
+        """Sentence about the last refusal."""
 
     @property
     def total(self) -> int:
-        """Everything refused so far."""
+        """Number of refusals so far."""
         return sum(self.counts.values())
 
     def hear(self, line: str) -> None:
-        """Takes one line of Zenoh's log."""
+        """Parses one line of Zenoh's log."""
         found = _LINE.match(line)
         if found is None:
             return
@@ -107,9 +107,9 @@ class Refusals:
         decision = self._last.pop(thread, _UNKNOWN)
         if decision.flow != "ingress":
             return
-        name = self._names.get(decision.session) or self.name_of(decision.session) or "somebody"
+        name = self._names.get(decision.session) or self.name_of(decision.session) or "an unknown client"
         if decision is _UNKNOWN:
-            sentence = "a message was held back: it came too often, or Zenoh's log had no room to say whose it was"
+            sentence = "a message of an unknown client was dropped: it exceeded its rate, or its log line was lost"
             self._refused("bus.held_back", sentence, name, decision)
         elif decision.allowed and decision.act == "Put":
             self._refused(
@@ -144,9 +144,9 @@ class Refusals:
             log_event("bus.handshake_refused", self.newest, level="warning")
 
 
-_GULP_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 20
 _MOST_UNREAD = 8 << 20
-"""bytes; what is older is passed over."""
+"""bytes; older log lines are skipped."""
 _LONGEST_LINE = 1 << 16
 _PAUSE_SECONDS = 0.02
 _REPORTED_SECONDS = 1.0
@@ -155,12 +155,12 @@ _PUNCH_HOLE, _KEEP_SIZE = 2, 1
 
 
 def capture_zenoh_log(directives: str, hear: Callable[[str], None]) -> None:
-    """From now on, for the whole process, hands every line of Zenoh's log to ``hear``, on a thread of its own.
+    """Passes every line of Zenoh's log to ``hear`` from now on, on a separate thread.
 
-    Must be called before the first session is opened; takes standard output for itself. Between them lies a file in
-    memory, and no pipe: anyone who writes to a full pipe waits for its reader or is told of an error, and of each error
-    Zenoh would tell standard error, again waiting, while messages of the loop stand behind it. What a flood writes
-    faster than it is read is passed over, and that is told once a second. The messages are refused all the same.
+    Call it before the first session is opened. It redirects standard output, where Zenoh writes its log, to a file in
+    memory. A pipe would not do: a full pipe blocks Zenoh or returns an error, which Zenoh reports on standard error,
+    blocking again, while messages of the control loop wait. If a flood of refusals is logged faster than it is read,
+    lines are skipped, which is logged once a second; the messages are refused nevertheless.
     """
     import zenoh
 
@@ -173,47 +173,49 @@ def capture_zenoh_log(directives: str, hear: Callable[[str], None]) -> None:
 
 @final
 class LogFile:
-    """A file in memory that grows at one end and is given back at the other as it is read."""
+    """A file in memory that is appended to, and whose memory is released as it is read."""
 
     def __init__(self, most_unread: int = _MOST_UNREAD) -> None:
         self.descriptor = os.memfd_create("zenoh-log", os.MFD_CLOEXEC)
         fcntl.fcntl(self.descriptor, fcntl.F_SETFL, os.O_APPEND)
         self._most_unread = most_unread
         self._read, self._rest = 0, b""
-        self.passed_over = 0
-        """bytes that no one read."""
+        self.skipped = 0
+        """Number of skipped bytes."""
 
     def lines(self) -> list[str]:
-        """Whole lines that came since the last call, a gulp of them at most; never waits."""
+        """Returns the complete lines since the last call, at most 1 MiB of them; never blocks."""
         behind = os.fstat(self.descriptor).st_size - self._read
         if behind > self._most_unread:
             self._read, self._rest = self._read + behind, b""
-            self.passed_over += behind
-        gulp = os.pread(self.descriptor, _GULP_BYTES, self._read)
-        self._read += len(gulp)
-        if gulp or behind > self._most_unread:
-            self._give_back()
-        *lines, rest = (self._rest + gulp).split(b"\n")
+            self.skipped += behind
+        chunk = os.pread(self.descriptor, _CHUNK_BYTES, self._read)
+        self._read += len(chunk)
+        if chunk or behind > self._most_unread:
+            self._release()
+        *lines, rest = (self._rest + chunk).split(b"\n")
         self._rest = rest[-_LONGEST_LINE:]
         return [line.decode(errors="replace").rstrip() for line in lines]
 
-    def _give_back(self) -> None:
+    def _release(self) -> None:
         size = ctypes.c_int64(self._read)
         ctypes.CDLL(None).fallocate(self.descriptor, _PUNCH_HOLE | _KEEP_SIZE, ctypes.c_int64(0), size)
 
 
 def _read(file: LogFile, hear: Callable[[str], None]) -> None:
-    """In gulps, behind everything else: at every line a reader would be woken next to the messages' own way."""
+    """Reads the log periodically at low priority: waking up for each line would delay the messages."""
     thread = threading.get_native_id()
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))  # --realtime is for the messages
+        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))  # --realtime applies to the messages only
         os.setpriority(os.PRIO_PROCESS, thread, _NICE)
-    pause, reported, looks = threading.Event(), 0, 0
+    pause, logged, looks = threading.Event(), 0, 0
     while True:
         for line in file.lines():
             hear(line)
         looks += 1
-        if file.passed_over > reported and looks * _PAUSE_SECONDS >= _REPORTED_SECONDS:
-            reported, looks = file.passed_over, 0
-            log_event("bus.log_overrun", "more was refused than could be told", level="warning", service="router")
+        if file.skipped > logged and looks * _PAUSE_SECONDS >= _REPORTED_SECONDS:
+            logged, looks = file.skipped, 0
+            log_event(
+                "bus.log_overrun", "more messages were refused than could be logged", level="warning", service="router"
+            )
         pause.wait(_PAUSE_SECONDS)

@@ -1,4 +1,4 @@
-"""What the router does besides routing: it says that it lives, how much it refused, and who is there twice."""
+"""What the router does besides routing: heartbeats, duplicate certificates and revoked certificates."""
 
 from __future__ import annotations
 
@@ -21,41 +21,43 @@ __all__ = ["DuplicateCertificates", "RevocationList", "Router", "read_revocation
 
 _HEARTBEAT_SECONDS = 0.25
 _LOOKS = 4
-"""After so many in a row a second process is none that was lost: that one is gone within the lease of half a second."""
+"""Consecutive looks after which a second session counts as a duplicate. A lost session disappears within the lease of
+0.5 s."""
 
 _OPENING_LOOKS = 8
-"""In which those come who knocked while there was no router: each again after 0.4 s at most."""
+"""Looks after the start in which all sessions count as equally old: clients retry every 0.4 s while there is no
+router."""
 
 _MOST_SESSIONS = 4096
-"""That are remembered."""
+"""Sessions that are remembered."""
 Members = Callable[[], Iterable[tuple[str, str]]]
-"""(Zenoh id, common name) of every session that is linked."""
+"""Returns (Zenoh id, common name) of every connected session."""
 CutOff = Callable[[set[str]], int]
-"""Ends the links of sessions, by their Zenoh ids; how many there were."""
+"""Closes the links of sessions with these Zenoh ids; returns their number."""
 
 
 class DuplicateCertificates:
-    """Finds certificates that two processes show at once: a copy in wrong hands, or a service that was started twice.
+    """Finds certificates that two processes use at once: a stolen copy, or a service that was started twice.
 
-    The one that was there first stays; ``cut_off`` ends the links of the others. Of those that came together when the
-    router began no one knows which is the copy: both stay, and it is told. A session whose link is lost and comes back
-    is no newcomer: a router that was stationary loses all of them at once, and they come back in any order.
+    The first session stays; ``cut_off`` closes the links of later ones. If both connected right after the router's
+    start, the copy cannot be determined: both stay, and the event is logged. A session that reconnects keeps its age,
+    because a router that was suspended loses all sessions at once and they return in any order.
 
-    Only roles that announce themselves are one process each: people and health checks come and go in any number.
+    Only roles that announce themselves are checked; operators and health checks may connect any number of times.
     """
 
     def __init__(self, members: Members, cut_off: CutOff = lambda sessions: 0) -> None:
         self._members, self._cut_off = members, cut_off
         self._looks: dict[str, int] = {}
-        """By name, in how many looks in a row it was there twice."""
+        """By name: number of consecutive looks with two sessions."""
         self._since: dict[str, int] = {}
-        """By session, the number of the look that saw it first; who was seen last stands last."""
+        """By session: number of the look that saw it first; ordered by the last time it was seen."""
         self._number = 0
         self._copies: set[str] = set()
-        """Sessions that were cut off, and come back by themselves."""
+        """Sessions that were cut off; they reconnect automatically."""
 
     def look(self) -> list[str]:
-        """Names that have been there twice for some looks; each is told as ``bus.twice``."""
+        """Returns names with duplicate sessions; each is logged as ``bus.duplicate_certificate``."""
         self._number += 1
         sessions: dict[str, set[str]] = {}
         for session, name in self._members():
@@ -83,12 +85,12 @@ class DuplicateCertificates:
         cut = self._cut_off(later) if later else 0
         self._copies |= later
         what = "the later one is cut off" if cut else "one of them is a copy"
-        sentence = f"{len(sessions)} processes show the certificate of {name}: {what}"
-        log_event("bus.twice", sentence, level="warning", service=name)
+        sentence = f"{len(sessions)} processes use the certificate of {name}: {what}"
+        log_event("bus.duplicate_certificate", sentence, level="warning", service=name)
 
 
 class RevocationList:
-    """Ends the links of certificates whose names stand in a file, one a line; it is read again when it changes."""
+    """Closes the links of certificates that a file lists, one name per line; the file is read again when it changes."""
 
     def __init__(self, path: Path | None, members: Members, cut_off: CutOff) -> None:
         self._path, self._members, self._cut_off = path, members, cut_off
@@ -96,7 +98,7 @@ class RevocationList:
         self.names: frozenset[str] = frozenset()
 
     def look(self) -> int:
-        """How many links it ended now."""
+        """Closes the links of revoked certificates; returns their number."""
         if self._path is None:
             return 0
         self._read()
@@ -104,11 +106,11 @@ class RevocationList:
         if not sessions:
             return 0
         cut = self._cut_off(sessions)
-        log_event("bus.revoked", f"{cut} links of revoked certificates were ended", level="warning", service=ROUTER)
+        log_event("bus.revoked", f"{cut} links of revoked certificates were closed", level="warning", service=ROUTER)
         return cut
 
     def _read(self) -> None:
-        """A file that cannot be read revokes no one more than before."""
+        """Reads the file if it changed; if that fails, the previous list stays in force."""
         assert self._path is not None
         with contextlib.suppress(OSError, UnicodeDecodeError, SafedpaError):
             changed = self._path.stat().st_mtime_ns
@@ -118,7 +120,7 @@ class RevocationList:
 
 
 def read_revocation_list(path: Path) -> frozenset[str]:
-    """The names in a file of revoked certificates; none where there is no file."""
+    """Returns the names in a file of revoked certificates; none if there is no file."""
     try:
         lines = text_of_file(path, "toml_bytes").splitlines()
     except FileNotFoundError:
@@ -127,7 +129,7 @@ def read_revocation_list(path: Path) -> frozenset[str]:
 
 
 class Router:
-    """Sends the heartbeats of a router's own session, with the number and the newest of its refusals."""
+    """Sends the router's heartbeats, with the number of refusals and the newest one."""
 
     def __init__(
         self,
@@ -138,13 +140,13 @@ class Router:
         revoked: Path | None = None,
     ) -> None:
         self._bus, self._refusals = bus, refusals
-        self._twins = DuplicateCertificates(members, cut_off)
+        self._duplicates = DuplicateCertificates(members, cut_off)
         self._revoked = RevocationList(revoked, members, cut_off)
         self._twice: list[str] = []
         self._beats = 0
 
     def run(self, stopped: Callable[[], bool], watchdog: LoopWatchdog) -> None:
-        """Beats until ``stopped`` says so; each beat is told to ``watchdog``."""
+        """Sends heartbeats until ``stopped``; each also resets ``watchdog``."""
         pause = threading.Event()
         while not stopped():
             self.beat()
@@ -153,9 +155,9 @@ class Router:
         watchdog.end()
 
     def beat(self) -> None:
-        """One heartbeat, and now and then a look at who is there."""
+        """Checks the sessions and sends one heartbeat."""
         self._beats += 1
-        self._twice = self._twins.look()
+        self._twice = self._duplicates.look()
         self._revoked.look()
         message = HealthMessage(
             epoch=0,

@@ -1,4 +1,4 @@
-"""Ends a process whose work has come to a stand, so that anyone who started it starts it again."""
+"""Ends a process whose main loop hangs, so that its supervisor restarts it."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ __all__ = ["LoopWatchdog"]
 
 _LOOK_SECONDS = 0.25
 _LOOKS = 20
-"""In a row without a beat. They are counted, not timed: who was stopped from outside beats again before they are up."""
+"""Consecutive looks without a beat. Counted instead of timed: a suspended process beats again before they are over."""
 
 
 @final
 class LoopWatchdog:
-    """Hears the beats of a loop, and calls ``stands`` where none came while it looked ``looks`` times."""
+    """Calls ``on_stall`` if a loop did not call ``beat`` during ``looks`` consecutive looks."""
 
     def __init__(
         self,
-        stationary_for: Callable[[], None] = lambda: os._exit(1),
+        on_stall: Callable[[], None] = lambda: os._exit(1),
         *,
         look_seconds: float = _LOOK_SECONDS,
         looks: int = _LOOKS,
     ) -> None:
-        self._stationary, self._look_seconds, self._looks = stationary_for, look_seconds, looks
+        self._on_stall, self._look_seconds, self._looks = on_stall, look_seconds, looks
         self._beats = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)
         self._thread.start()
 
     def beat(self) -> None:
-        """The loop goes on."""
+        """Signals that the loop is running."""
         self._beats += 1
 
     def end(self) -> None:
-        """Watches no more."""
+        """Ends the watchdog."""
         self._ended.set()
 
     def _watch(self) -> None:
-        still, seen = 0, self._beats
+        stalled, seen = 0, self._beats
         while not self._ended.wait(self._look_seconds):
-            still, seen = (still + 1, seen) if self._beats == seen else (0, self._beats)
-            if still >= self._looks:
+            stalled, seen = (stalled + 1, seen) if self._beats == seen else (0, self._beats)
+            if stalled >= self._looks:
                 seconds = self._looks * self._look_seconds
-                sentence = f"the router's own work has was stationary for {seconds:.0f} s: it ends, to be restarted"
-                log_event("router.stands", sentence, level="error", service="router")
-                self._stationary()
+                sentence = f"the router's main loop has hung for {seconds:.0f} s; the process ends, to be restarted"
+                log_event("router.stalled", sentence, level="error", service="router")
+                self._on_stall()
                 return

@@ -1,12 +1,12 @@
-"""``python -m safedpa_services.safety_filter``: turns nominal actions into actions that keep every robot of a fleet safe."""
+"""``python -m safedpa_services.safety_filter``: corrects nominal actions so that each robot stays safe."""
 
 from __future__ import annotations
 
 import argparse
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
-from safedpa_services.nodes import add_filter_options, safety_filter
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.service_factories import add_filter_options, safety_filter
+from safedpa_services.service_main import serve, service_parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

@@ -1,1 +1,1 @@
-"""Adaptation, policy and safety filter of many robots in one process."""
+"""The stack: adaptation, policy and safety filter in one process, for fleets of many robots; see ``__main__.py``."""

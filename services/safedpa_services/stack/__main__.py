@@ -1,7 +1,7 @@
 """``python -m safedpa_services.stack``: adaptation, policy and safety filter in one process, for fleets.
 
-What the three say to each other does not travel, and is read once; everybody else sees and hears the same as of three
-processes. They also end together: an error of one ends all, and the robots' watchdogs brake meanwhile.
+Messages between the three stay in the process and are decoded once. For all other processes the stack looks like three
+services. An error in one of the three ends the process, and the robots' watchdogs brake until it is restarted.
 """
 
 from __future__ import annotations
@@ -13,22 +13,23 @@ from functools import lru_cache
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 from safedpa.errors import InputError
-from safedpa_services.nodes import adaptation, add_filter_options, add_policy_options, policy, safety_filter
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.service_factories import adaptation, add_filter_options, add_policy_options, policy, safety_filter
+from safedpa_services.service_main import serve, service_parser
 
 _ALL = "1/1"
 _CACHED = 1024
-"""Names: every message asks, and names may come from anybody."""
+"""Robot names whose assignment is cached: it is looked up for every message. Bounded, because any client can send
+names."""
 
 
 def assigned_robots(share: str) -> Callable[[str], bool]:
-    """Which robots fall to a stack that is ``share``, such as ``2/3`` for the second of three.
+    """Returns whether a robot is assigned to the stack ``share``, such as ``2/3`` for the second of three stacks.
 
-    crc32(name) mod 3 = 1. Raises InputError when it is no such share.
+    A robot belongs to the stack number crc32(name) mod 3, counted from 0. Raises InputError if ``share`` is malformed.
     """
     number, _, of = share.partition("/")
     if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
-        raise InputError(f"--share: got '{share}', wanted a number and how many there are, such as 1/2")
+        raise InputError(f"--share: got '{share}', wanted NUMBER/COUNT, such as 1/2 for the first of two")
     own, all_of_them = int(number) - 1, int(of)
     return lru_cache(maxsize=_CACHED)(lambda robot: zlib.crc32(robot.encode()) % all_of_them == own)
 
@@ -43,5 +44,7 @@ if __name__ == "__main__":
     parser = service_parser("safedpa-stack")
     add_policy_options(parser)
     add_filter_options(parser)
-    parser.add_argument("--share", default=_ALL, metavar="N/OF", help="of several stacks: serve the N-th part alone")
+    parser.add_argument(
+        "--share", default=_ALL, metavar="N/OF", help="serve the N-th part of the fleet only, of OF parts"
+    )
     run_process(work, parser, RealtimePriority.FILTER)

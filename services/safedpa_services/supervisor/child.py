@@ -1,4 +1,4 @@
-"""One supervised process: started, watched, restarted, ended; its output goes to a file of its own."""
+"""One supervised process: start, restart and end; its output goes to a log file of its own."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ __all__ = ["Child"]
 _FIRST_PAUSE_SECONDS = 0.1
 _LONGEST_PAUSE_SECONDS = 5.0
 _STARTING_PRIORITY = 1
-"""Of a process of the loop until it asks for its own: before all that is not of the loop, and behind the loop. So a
-busy machine does not keep the robot braking while a service comes back."""
+"""Real-time priority of a starting process until it sets its own: above all other processes, below the running loop. A
+restarted service is then ready soon on a busy machine, while the robot brakes."""
 _HEALTHY_SECONDS = 10.0
-"""After living for so long a process is started again without a pause."""
+"""A process that lived this long is restarted without a pause."""
 _PROGRAM = re.compile(r"^safedpa-[a-z_-]+: ")
 
 
 @dataclass
 class Child:
-    """A Python module run as a process of its own.
+    """A Python module that runs as a process of its own.
 
-    It leads a process group, so that an interrupt from the terminal reaches the supervisor alone, which ends everything
-    in order. Its standard input is a pipe from the supervisor and closes with it: nothing is left behind even if the
-    supervisor is killed.
+    The process leads a process group: Ctrl-C in the terminal reaches only the supervisor, which ends all processes in
+    order. Its standard input is a pipe from the supervisor. The pipe closes with the supervisor, even if that is
+    killed, and the process then ends.
     """
 
     name: str
@@ -42,51 +42,53 @@ class Child:
     arguments: tuple[str, ...]
     log: Path
     essential: bool = True
-    """Whether the loop ends when this one cannot be brought up; one that only looks on is left out then."""
+    """Whether the loop fails if this process cannot be started; the loop runs without a process that is not
+    essential."""
     heartbeat: bool = True
-    """Whether it tells its health on the bus."""
+    """Whether it sends health messages on the bus."""
     waits: bool = False
-    """Whether it makes itself ready at its start and begins its work when told to, by ``begin``."""
+    """Whether it prepares itself after its start and begins its work only on ``begin``."""
     restarts: int = 0
     environment: Mapping[str, str] = field(default_factory=dict)
-    """What it is told and other users of the machine must not read, as they can its arguments."""
-    card: PemCredentials | None = None
-    """Its certificate and key, which no other process shall see: handed to it by a pipe, at each start."""
-    further: Mapping[str, PemCredentials] = field(default_factory=dict)
-    """By the option that takes it: cards of other roles for which this one process speaks as well."""
+    """Secrets for the process. Other users of the machine can read its arguments, but not its environment."""
+    credentials: PemCredentials | None = None
+    """Its certificate and key, passed through a pipe at each start so that no other process can read them."""
+    extra_credentials: Mapping[str, PemCredentials] = field(default_factory=dict)
+    """By command-line option: credentials of further roles of this process."""
 
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0
         self._died = 0.0
         self._pause = 0.0
-        self._asked = False
-        self._reported = False
+        self._is_terminating = False
+        self._is_released = False
+        """Whether ``begin`` was called."""
 
     @property
     def pid(self) -> int:
-        """Of the process that runs now or ran last; 0 before the first start."""
+        """Process id of the current or the last process; 0 before the first start."""
         return self._process.pid if self._process else 0
 
     @property
-    def begun(self) -> bool:
-        """Whether its work has begun, or at least may have."""
-        return self.pid != 0 and (self._reported or not self.waits)
+    def has_begun(self) -> bool:
+        """Whether its work has begun or may have begun."""
+        return self.pid != 0 and (self._is_released or not self.waits)
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """Exit code; None while it runs and before the first start."""
         return self._process.poll() if self._process else None
 
     def start(self) -> None:
         """Starts the process; a later call starts it again."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
-        command += ["--await-word"] if self.waits and not self._reported else []
-        cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
+        command += ["--await-word"] if self.waits and not self._is_released else []
+        credentials = {**({} if self.credentials is None else {"--card": self.credentials}), **self.extra_credentials}
         if self._process is not None and self._process.stdin is not None:
-            self._process.stdin.close()  # of the one that died
-        with self._opened_log() as log, _handed(cards) as descriptors:
-            command += [word for option, descriptor in descriptors.items() for word in (option, str(descriptor))]
+            self._process.stdin.close()  # the pipe of the process that died
+        with self._opened_log() as log, _credential_pipes(credentials) as descriptors:
+            command += [part for option, descriptor in descriptors.items() for part in (option, str(descriptor))]
             self._process = subprocess.Popen(
                 command,
                 pass_fds=tuple(descriptors.values()),
@@ -104,29 +106,32 @@ class Child:
                 },
             )
         if "--realtime" in self.arguments:
-            with contextlib.suppress(OSError, AttributeError):  # not permitted: an ordinary process, then
+            with contextlib.suppress(OSError, AttributeError):  # without the permission it runs at normal priority
                 os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
-        self._died, self._asked = 0.0, False
+        self._died, self._is_terminating = 0.0, False
 
     def _opened_log(self) -> BinaryIO:
-        """To write to; what takes nothing where the log cannot be had: a loop without logs is better than none."""
-        with contextlib.suppress(OSError):  # someone may have removed the folder of the run
+        """Opens the log for appending; the null device if that fails, because the loop must run even without logs."""
+        with contextlib.suppress(OSError):  # the user may have removed the folder of the run
             self.log.parent.mkdir(parents=True, exist_ok=True)
             return self.log.open("ab")
         return Path(os.devnull).open("ab")
 
     def begin(self) -> None:
-        """Starts its work: by a word to the process that waits for it, else by starting the process."""
-        self._reported = True
+        """Begins its work: signals the process if it waits, or starts it."""
+        self._is_released = True
         if self._process is None:
             self.start()
         elif self.waits and self._process.stdin is not None:
-            with contextlib.suppress(OSError):  # it died meanwhile; what is started in its place does not wait
+            with contextlib.suppress(OSError):  # it died meanwhile; its successor does not wait
                 os.write(self._process.stdin.fileno(), b"begin\n")
 
     def restart_if_due(self) -> bool:
-        """Starts a process that died, after a pause that grows with quick deaths; True when it did so now."""
+        """Restarts a process that died; returns whether it was restarted now.
+
+        The pause before a restart doubles, from 0.1 s to 5 s, while the process dies within 10 s of its start.
+        """
         now = time.monotonic()
         if self._died == 0.0:
             self._died = now
@@ -143,27 +148,27 @@ class Child:
         return True
 
     def last_text(self) -> str:
-        """The last line that it wrote, without its program's name; events and accounts, which are JSON, left out."""
+        """Returns the last line of its log without the program's name; JSON lines, such as events, are skipped."""
         lines: list[str] = []
         with contextlib.suppress(OSError):
             lines = self.log.read_text(errors="replace").splitlines()
         lines = [line for line in lines if line.strip() and not line.startswith("{")]
-        return _PROGRAM.sub("", lines[-1]) if lines else "it said nothing"
+        return _PROGRAM.sub("", lines[-1]) if lines else "it wrote no message"
 
     def terminate(self) -> None:
-        """Asks it to end, once: a second signal would end it at once."""
-        if self.exit_code is None and self._process is not None and not self._asked:
-            self._asked = True
+        """Sends SIGTERM once; a second signal would skip its orderly shutdown."""
+        if self.exit_code is None and self._process is not None and not self._is_terminating:
+            self._is_terminating = True
             self._process.terminate()
 
     def kill(self) -> None:
-        """Ends it and its group at once, whatever it does."""
+        """Kills it and its process group."""
         if self.exit_code is None and self._process is not None:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
 
     def end(self, patience: float) -> None:
-        """Asks it to end, waits up to ``patience`` [s], then kills it and its group."""
+        """Sends SIGTERM, waits up to ``patience`` [s], then kills it and its process group."""
         if self._process is None:
             return
         self.terminate()
@@ -177,11 +182,11 @@ class Child:
 
 
 @contextlib.contextmanager
-def _handed(cards: Mapping[str, PemCredentials]) -> Iterator[dict[str, int]]:
-    """The descriptors at which a process finds its cards; this process closes its own when the other one has them."""
+def _credential_pipes(credentials: Mapping[str, PemCredentials]) -> Iterator[dict[str, int]]:
+    """Yields, by option, the descriptors of pipes that hold the credentials; closes this process's ends afterwards."""
     with contextlib.ExitStack() as closing:
         descriptors = {}
-        for option, card in cards.items():
-            descriptors[option] = card.pipe()
+        for option, held in credentials.items():
+            descriptors[option] = held.pipe()
             closing.callback(os.close, descriptors[option])
         yield descriptors

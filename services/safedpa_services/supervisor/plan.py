@@ -1,4 +1,4 @@
-"""Which processes a loop consists of, with which options, and where their files go."""
+"""The plan of a run: which processes it has, with which options, and where their files go."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 from safedpa.bus import ZenohSettings
 from safedpa.bus.security.access_control import ROUTER, role_of_robot
 from safedpa.errors import InputError
+from safedpa_services.supervisor.certificate_store import OPERATOR, CertificateStore
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.securing import OPERATOR, CertificateStore
 
 __all__ = ["Plan"]
 
 _POLICY = "policy"
-"""Whose certificate a robot's own policy shows for its nominal action."""
+"""Role whose certificate the gateway uses to publish the nominal actions of the robot's own policy."""
 _TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One robot's loop, as the person asked for it."""
+    """The control loop of one robot, or of several of a kind, as given by the command line."""
 
     robot: str
     name: str
@@ -37,34 +37,34 @@ class Plan:
     settings: str
     margin: str
     controller: str
-    """Name of the policy's controller; empty: the one that the model allows."""
+    """Name of the policy's controller; empty: the default for the model."""
     fleet: str
     endpoint: str
-    """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
+    """Endpoint at which the supervisor listens; every process connects to it and discovers the others there."""
     folder: Path
     diagnosis: bool = False
     """Whether a diagnosis runs alongside the loop."""
     workbench_port: int = 0
-    """Where the workbench serves its page; 0: no workbench."""
+    """Port of the workbench's page; 0: no workbench."""
     page_token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
-    """Who has it may look at the workbench and ask the diagnosis there."""
+    """Grants access to the workbench's page, including requests to the diagnosis."""
     surroundings: tuple[str, ...] = ()
-    """Further options of the robot's process."""
+    """Options of the robot's process that only some robots have."""
     change: str = ""
-    """What changes about the robot while it drives; empty: nothing."""
+    """Fault that occurs during the drive; empty: none."""
     change_after: float = 0.0
-    """s until then, by the robot's clock."""
+    """Robot time of the fault [s]."""
 
     sensor_inputs: bool = False
-    """Whether the robot has sensors of its own, and perception runs alongside the loop."""
+    """Whether the robot has sensors and the loop therefore has perception."""
     perception: str = ""
-    """Its settings, sources and zones: a file; empty: the defaults."""
+    """File with the settings, sources and zones of perception; empty: the defaults."""
     robots: int = 1
-    """How many drive side by side, each in a scene of its own, all served by the same services."""
-    wallet: CertificateStore | None = None
-    """A certificate and key for every role: everything goes through a router over mutual TLS; None: plain text."""
-    door: str = ""
-    """Where that router listens, if not at the endpoint to which the processes of this machine connect."""
+    """Number of robots, each in a scene of its own, all served by the same services."""
+    certificates: CertificateStore | None = None
+    """With certificates, all messages go through a router over mutual TLS; None: plain text between the processes."""
+    listen: str = ""
+    """Endpoint at which the router listens, if it differs from ``endpoint``."""
 
     @property
     def recording(self) -> Path:
@@ -73,7 +73,7 @@ class Plan:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the robots on the bus: the name counted on, as r1, r2, r3."""
+        """Names of the robots on the bus, numbered from ``name``: r1, r2, r3."""
         if self.robots == 1:
             return (self.name,)
         stem = self.name.rstrip("0123456789")
@@ -82,7 +82,7 @@ class Plan:
 
     @property
     def summary(self) -> Path:
-        """What the first robot says of itself at its end, as JSON."""
+        """JSON file with the summary that the first robot writes at its end."""
         return self._summary(0)
 
     def _summary(self, index: int) -> Path:
@@ -90,16 +90,16 @@ class Plan:
 
     @property
     def other_summaries(self) -> dict[str, Path]:
-        """The same of the other robots, by name."""
+        """Summary files of the other robots, by name."""
         return {name: self._summary(index) for index, name in enumerate(self.names) if index}
 
     @property
     def _scheduling(self) -> list[str]:
-        """In real time the loop comes before everything else on the machine; what only looks on does not."""
+        """In real time the control loop gets real-time priority; processes that only observe do not."""
         return [] if self.lockstep else ["--realtime"]
 
     def services(self) -> list[Child]:
-        """Every process but the robot."""
+        """Returns all processes except the robots."""
         model = ("--model", self.model)
         controller = ("--controller", self.controller) if self.controller else ()
         unfiltered = () if self.filtered else ("--off",)
@@ -116,14 +116,14 @@ class Plan:
         ]
         if self.sensor_inputs:
             file = ("--perception", self.perception) if self.perception else ()
-            retained = ("--orders", str(self.folder / "senses.json"))
+            orders = ("--orders", str(self.folder / "senses.json"))
             children.insert(
-                1, self._child("perception", "safedpa_services.perception", *file, *retained, *self._scheduling)
+                1, self._child("perception", "safedpa_services.perception", *file, *orders, *self._scheduling)
             )
         if self.diagnosis:
-            retained = ("--versions", str(self.folder / "models"))
+            versions = ("--versions", str(self.folder / "models"))
             children.append(
-                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *retained, essential=False)
+                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *versions, essential=False)
             )
         if self.dashboard:
             saved = ("--save", str(self.folder / "dashboard.rrd"))
@@ -132,14 +132,14 @@ class Plan:
             )
         if self.workbench_port:
             children.append(self._workbench())
-        return children if self.wallet is None else [self._router(self.wallet), *children]
+        return children if self.certificates is None else [self._router(self.certificates), *children]
 
-    def _router(self, wallet: CertificateStore) -> Child:
-        """Starts first and ends last."""
-        bus = ("--fleet", self.fleet, "--listen", self.door or self.endpoint)
-        shown, card = wallet.shown(ROUTER)
-        options = (*bus, *shown, "--robot", self.name, *self._scheduling)
-        return Child("router", "safedpa_services.router", options, self.folder / "router.log", card=card)
+    def _router(self, certificates: CertificateStore) -> Child:
+        """Returns the router, which starts first and ends last."""
+        bus = ("--fleet", self.fleet, "--listen", self.listen or self.endpoint)
+        identity, credentials = certificates.options_of(ROUTER)
+        options = (*bus, *identity, "--robot", self.name, *self._scheduling)
+        return Child("router", "safedpa_services.router", options, self.folder / "router.log", credentials=credentials)
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
@@ -150,29 +150,32 @@ class Plan:
 
     @property
     def workbench_address(self) -> str:
-        """The live page, with the token that opens it; empty without one."""
+        """URL of the live page with its token; empty without a workbench."""
         port = self.workbench_port
         return f"http://127.0.0.1:{port}/live?token={self.page_token}" if port else ""
 
     def with_page_alone(self) -> Plan:
-        """The same without the dashboard; the live page stays."""
+        """Returns this plan without the dashboard; the live page stays."""
         return replace(self, dashboard=False)
 
     def own_session(self) -> ZenohSettings:
-        """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""
-        if self.wallet is None:
+        """Returns how the supervisor joins: in plain text it listens for the others, with TLS it is an operator."""
+        if self.certificates is None:
             return ZenohSettings(listen=(self.endpoint,))
-        return ZenohSettings("client", (), (self.endpoint,), self.wallet.identity(OPERATOR))
+        return ZenohSettings("client", (), (self.endpoint,), self.certificates.identity(OPERATOR))
 
     def gateway(self, file: Path, *, with_policy: bool) -> Child:
-        """The robot's process where it speaks ROS 2: the gateway. ``with_policy``: its own policy's topic is subscribed to there."""
+        """Returns the gateway, the robot's process for a ROS 2 robot.
+
+        :param with_policy: whether the gateway forwards the nominal actions of the robot's own policy
+        """
         child = self._child("robot", "safedpa_services.ros_gateway", str(file))
-        if self.wallet is not None and self.wallet.cards and with_policy:
-            child.further = {"--policy-card": self.wallet.cards[_POLICY]}
+        if self.certificates is not None and self.certificates.credentials and with_policy:
+            child.extra_credentials = {"--policy-card": self.certificates.credentials[_POLICY]}
         return child
 
     def robot_process(self, index: int = 0) -> Child:
-        """The robot, or another one next to it, whose scene has the next seed."""
+        """Returns the process of a simulated robot; the seed of its scene is ``seed + index``."""
         options = ["--robot", self.robot, "--name", self.names[index], "--load", self.load]
         options += ["--seed", str(self.seed + index), "--rate", repr(self.rate), "--seconds", repr(self.seconds)]
         options += ["--summary", str(self._summary(index))]
@@ -186,16 +189,17 @@ class Plan:
 
     def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]
-        card = None
-        if self.wallet is not None:
-            shown, card = self.wallet.shown(role_of_robot(self.name) if name == "robot" else name)
-            bus += shown
+        credentials = None
+        if self.certificates is not None:
+            role = role_of_robot(self.name) if name == "robot" else name
+            identity, credentials = self.certificates.options_of(role)
+            bus += identity
         log = self.folder / f"{name.replace(' ', '-')}.log"
-        return Child(name, module, (*arguments, *bus), log, essential, heartbeat, card=card)
+        return Child(name, module, (*arguments, *bus), log, essential, heartbeat, credentials=credentials)
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:
-        """A folder for one run, ``<time>-<name>`` under ``parent``; raises InputError when it cannot be made."""
+        """Creates a folder ``<time>-<name>`` for one run; raises InputError if that fails."""
         stamp = time.strftime("%Y%m%d-%H%M%S")
         for attempt in range(100):
             folder = parent / (f"{stamp}-{name}" + (f"-{attempt}" if attempt else ""))
@@ -204,6 +208,6 @@ class Plan:
             except FileExistsError:
                 continue
             except OSError as error:
-                raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from error
+                raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another --out") from error
             return folder
-        raise InputError(f"{parent}: holds a hundred runs of this second; choose another --out")
+        raise InputError(f"{parent}: got a hundred runs of this second; choose another --out")

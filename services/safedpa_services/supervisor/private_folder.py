@@ -1,8 +1,8 @@
-"""A folder of one run, for this user alone, that is gone when the run is, whichever way it ends.
+"""A temporary folder for one run that only this user can read, and that is removed however the run ends.
 
-It lies in memory where the system has such a place, so a loss of power takes it along. A small process of its own
-removes it when the run's process is gone, also where that one was killed; and what a killed machine left behind goes
-when the next run begins.
+The folder is in memory if the system has a memory file system, so it does not survive a loss of power. A small process
+removes it when the run's process ends, even if that is killed. Folders that were left behind nevertheless are removed
+by the next run.
 """
 
 from __future__ import annotations
@@ -23,42 +23,45 @@ from safedpa.errors import InputError
 __all__ = ["private_folder"]
 
 _PREFIX = "safedpa-run-"
-_HELD = "held"
-"""A file in the folder, locked for as long as the run lives."""
-_SWEEP = "import os,shutil,sys;os.read(0,1);shutil.rmtree(sys.argv[1],True)"
+_LOCK = "held"
+"""File in the folder that the run locks; an unlocked folder was left behind."""
+_CLEANUP = "import os,shutil,sys;os.read(0,1);shutil.rmtree(sys.argv[1],True)"
+"""Waits until standard input closes, then removes the folder."""
 
 
 @contextmanager
 def private_folder() -> Iterator[Path]:
-    """The folder. Raises InputError where none can be made."""
+    """Yields the folder. Raises InputError if it cannot be created."""
     parent = _parent()
-    _remove_forgotten(parent)
+    _remove_abandoned(parent)
     try:
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent))  # with mode 0700
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent))  # created with mode 0700
     except OSError as error:
-        raise InputError(f"{parent}: no folder can be made there ({error.strerror}); name one by TMPDIR") from error
-    held = _locked(folder / _HELD)
-    sweeper = subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _SWEEP, str(folder)],
+        raise InputError(
+            f"{parent}: cannot create a folder there ({error.strerror}); set TMPDIR to another one"
+        ) from error
+    lock = _locked(folder / _LOCK)
+    cleaner = subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _CLEANUP, str(folder)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends our group leaves it alone
+        start_new_session=True,  # a signal to our process group must not end it
         cwd="/",
     )
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        if held is not None:
-            os.close(held)
-        if sweeper.stdin is not None:
-            sweeper.stdin.close()
-        sweeper.wait()
+        if lock is not None:
+            os.close(lock)
+        if cleaner.stdin is not None:
+            cleaner.stdin.close()
+        cleaner.wait()
 
 
 def _parent() -> Path:
-    """In memory and this user's own, where there is such a place."""
+    """Returns TMPDIR if set, else a memory file system, else the system's temporary folder."""
     if os.environ.get("TMPDIR"):
         return Path(os.environ["TMPDIR"])
     for name in (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm"):
@@ -68,7 +71,7 @@ def _parent() -> Path:
 
 
 def _locked(path: Path) -> int | None:
-    """A descriptor that holds the file; None where someone else does, or it cannot be opened."""
+    """Returns a descriptor that holds a lock on the file; None if it is locked already or cannot be opened."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError:
@@ -81,14 +84,14 @@ def _locked(path: Path) -> int | None:
     return descriptor
 
 
-def _remove_forgotten(parent: Path) -> None:
-    """Folders of this user that no one holds any more."""
+def _remove_abandoned(parent: Path) -> None:
+    """Removes folders of this user that no process has locked."""
     with contextlib.suppress(OSError):
         for folder in parent.glob(f"{_PREFIX}*"):
             about = folder.lstat()
-            if about.st_uid != os.getuid() or folder.is_symlink() or not (folder / _HELD).exists():
+            if about.st_uid != os.getuid() or folder.is_symlink() or not (folder / _LOCK).exists():
                 continue
-            held = _locked(folder / _HELD)
-            if held is not None:
+            lock = _locked(folder / _LOCK)
+            if lock is not None:
                 shutil.rmtree(folder, ignore_errors=True)
-                os.close(held)
+                os.close(lock)

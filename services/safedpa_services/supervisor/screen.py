@@ -1,4 +1,4 @@
-"""Shows the view live on a terminal, plain lines in a pipe, nothing when asked to be quiet."""
+"""Shows a run: a live view on a terminal, plain lines in a pipe, nothing if quiet."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.warnings import Warnings
-from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_services.supervisor.log_warnings import LogWarnings
+from safedpa_services.supervisor.run_monitor import RunMonitor
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,26 +34,28 @@ def screen(
     quiet: bool,
     page: str = "",
 ) -> Iterator[Callable[[], None]]:
-    """Yields a function to call often; it redraws at most four times a second. ``folder`` is the run's.
+    """Yields a function to call often; it redraws at most four times a second.
 
-    The address of the ``page`` is told once it answers there.
+    :param hints: lines that tell the user where the recording is and how to join
+    :param folder: folder of the run
+    :param page: address of the workbench, shown as soon as it accepts connections
     """
     if quiet:
-        yield Warnings((robot, *services), folder).look
+        yield LogWarnings((robot, *services), folder).look
         return
-    from rich.live import Live  # here, so that anyone who draws nothing does not wait for it at the start
+    from rich.live import Live  # a slow import that a quiet run does not need
 
     from safedpa_services.supervisor.view import render_view
     from safedpa_services.terminal import SanitizedRenderable, terminal
 
-    door = _Page(page)
+    workbench = _Page(page)
     console = terminal(stderr=True)
     if not console.is_terminal:
         for hint in hints:
             console.print(hint, soft_wrap=True)
-        yield _Announcement(watch, door, console, Warnings((robot, *services), folder, _printer(console)))
+        yield _Announcement(watch, workbench, console, LogWarnings((robot, *services), folder, _printer(console)))
         return
-    warnings = Warnings((robot, *services), folder)
+    warnings = LogWarnings((robot, *services), folder)
     drawn = 0.0
     with Live(console=console, auto_refresh=False) as live:
 
@@ -62,7 +64,9 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                view = render_view(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest)
+                view = render_view(
+                    watch, services, robot, [*_live_view(watch), *workbench.lines(), *hints], warnings.newest
+                )
                 live.update(SanitizedRenderable(view), refresh=True)
 
         yield redraw
@@ -73,9 +77,9 @@ def _printer(console: Console) -> Callable[[str], None]:
 
 
 class _Announcement:
-    """Tells each address once, as soon as something answers there, and warnings as they come."""
+    """Prints each address once, as soon as it accepts connections, and warnings as they arrive."""
 
-    def __init__(self, watch: RunMonitor, page: _Page, console: Console, warnings: Warnings) -> None:
+    def __init__(self, watch: RunMonitor, page: _Page, console: Console, warnings: LogWarnings) -> None:
         self._watch, self._page, self._console, self._warnings = watch, page, console, warnings
         self._reported: set[str] = set()
 
@@ -89,7 +93,7 @@ class _Announcement:
 
 
 class _Page:
-    """An address of this machine that is worth telling once someone answers there."""
+    """An address on this machine that is shown once it accepts connections."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -97,7 +101,7 @@ class _Page:
         self._next_look = 0.0
 
     def lines(self) -> list[str]:
-        """The address with its name; nothing while no one answers."""
+        """Returns a line with the address; nothing while it accepts no connections."""
         if not self._address:
             return []
         if not self._answers and time.monotonic() >= self._next_look:
@@ -107,7 +111,7 @@ class _Page:
 
 
 def answers(address: str) -> bool:
-    """Whether someone serves a page there, on this machine."""
+    """Returns whether a server on this machine accepts connections at an address."""
     parts = urlsplit(address)
     try:
         socket.create_connection((parts.hostname or "127.0.0.1", parts.port or 80), _PROBE_SECONDS).close()
@@ -117,6 +121,6 @@ def answers(address: str) -> bool:
 
 
 def _live_view(watch: RunMonitor) -> list[str]:
-    """Where to look, once the dashboard has said so."""
-    heard = watch.health.get("dashboard")
-    return [f"live view {heard[0].detail}"] if heard is not None and heard[0].detail else []
+    """Returns the dashboard's address once its health message contains it."""
+    known = watch.health.get("dashboard")
+    return [f"live view {known[0].detail}"] if known is not None and known[0].detail else []

@@ -1,4 +1,4 @@
-"""Keeps the processes of a loop alive: the robot drives when all services are ready, and its end is the end."""
+"""Runs the processes of a control loop: starts the robot when all services are ready, restarts what dies, ends all."""
 
 from __future__ import annotations
 
@@ -8,60 +8,64 @@ from dataclasses import dataclass
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_services.supervisor.run_monitor import RunMonitor
 
 __all__ = ["Supervisor"]
 
 _READY_SECONDS = 30.0
-"""Until a service is heard that died meanwhile."""
+"""Time for the first heartbeat of a service that died and was restarted."""
 _STARTING_SECONDS = 120.0
-"""The same for one that still starts: all do at once, at first with nothing compiled, on whatever else is busy."""
+"""Time for the first heartbeat of a service. All start at once, possibly without compiled bytecode on a busy
+machine."""
 _TURN_SECONDS = 0.05
 _ROBOT_PATIENCE_SECONDS = 8.0
-"""A robot brakes to a standstill before it ends."""
+"""Time for a robot to end; it brakes to a standstill first."""
 _BRAKING_SECONDS = 5.0
 _OTHERS_PATIENCE_SECONDS = 5.0
-"""After the first robot's end, for the others to come to theirs."""
+"""Time for the other robots to end after the first."""
 _SERVICE_PATIENCE_SECONDS = 6.0
-"""The filter takes up to 5 s to see robots stand that it serves next to this loop's."""
+"""Time for a service to end; the filter waits up to 5 s until all robots that it serves are stationary."""
 _HUNG_SECONDS = 10.0
-"""Without a heartbeat, of which there are four a second; a busy machine keeps one waiting for a second or two."""
+"""A service without a heartbeat for this long is hung. Four are sent per second; a busy machine delays them by 1 to 2
+s."""
 _LAST = ("recorder", "router")
+"""End last: the recorder records the end of the other services, and all messages go through the router."""
 _BAD_INPUT = 2
 
 
 @dataclass
 class Supervisor:
-    """Runs the services and the robot until the robot ends by itself or ``stopped`` says so."""
+    """Runs the services and the robot until the robot ends by itself or ``stopped`` returns true."""
 
     services: list[Child]
     robot: Child | None
-    """None: a robot that is started by others, and whose end is not the services'."""
+    """None: the robot is not started here, and the services do not end with it."""
     watch: RunMonitor
     stopped: Callable[[], bool]
     on_turn: Callable[[], None]
-    """Called many times a second, to show what is going on."""
+    """Called many times a second; updates the display."""
     hurried: Callable[[], bool] = lambda: False
-    """Whether to end everything at once, in whatever state it is."""
+    """Whether to end everything immediately, without braking."""
     others: Sequence[tuple[Child, RunMonitor]] = ()
-    """Further robots that drive next to the first, whose end is the end."""
+    """Further robots. The run ends with the first robot."""
 
     def run(self) -> int:
-        """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
+        """Returns the robot's exit code, or 0 if stopped. All processes have ended when this returns or raises.
 
-        Raises SafedpaError when a service that the loop needs cannot be brought up, InputError when it or the robot
-        refuses its input before anything drives.
+        Raises SafedpaError if an essential service cannot be started, and InputError if a service or the robot rejects
+        its input before the robot drives.
         """
         try:
-            early = [robot for robot in self._robots if robot.waits]  # it takes as long to be ready as they do
+            # Robots that wait for ``begin`` start together with the services, because they take as long to be ready.
+            early = [robot for robot in self._robots if robot.waits]
             for child in (*early, *self.services):
-                if child.pid == 0:  # the router runs already
+                if child.pid == 0:  # the router is running already
                     child.start()
             self._await_services()
             if not self.stopped():
                 for child in self._robots:
                     child.begin()
-            return self._attend()
+            return self._run_until_end()
         finally:
             self._end()
 
@@ -83,15 +87,15 @@ class Supervisor:
                     raise SafedpaError(f"{child.name}: not ready after {waited:.0f} s: {child.last_text()}")
 
     def _silent(self) -> list[Child]:
-        """Services that the loop needs and that were not heard yet."""
+        """Returns the essential services from which no heartbeat has arrived."""
         return [child for child in self.services if child.essential and child.name not in self.watch.health]
 
-    def _attend(self) -> int:
+    def _run_until_end(self) -> int:
         while not self.stopped():
             self._turn()
             for child in self._robots:
                 if child.exit_code not in (None, 0, 1):
-                    self._revive(child)
+                    self._restart(child)
             code = None if self.robot is None else self.robot.exit_code
             if code in (0, 1):
                 self._await_others()
@@ -99,7 +103,7 @@ class Supervisor:
         return 0
 
     def _await_others(self) -> None:
-        """Those that drive for as long a time, by clocks of their own."""
+        """Waits for the other robots, which drive for the same time by their own clocks."""
         end = time.monotonic() + _OTHERS_PATIENCE_SECONDS
         while not self.stopped() and time.monotonic() < end and any(c.exit_code is None for c, _ in self.others):
             self._turn()
@@ -110,22 +114,26 @@ class Supervisor:
             watch.listen(0.0)
         for child in self.services:
             if child.exit_code is not None:
-                self._revive(child)
+                self._restart(child)
             elif child.essential and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
-                child.kill()  # a process that lives and does not work is as good as dead; it is restarted
+                child.kill()  # the next turn restarts it
         self.on_turn()
 
-    def _revive(self, child: Child) -> None:
-        """Starts it again. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
+    def _restart(self, child: Child) -> None:
+        """Restarts a process.
+
+        A process that rejected its input before the robot drives will do so again, which ends the run if it is
+        essential. Once the robot drives, every process is restarted.
+        """
         if child is self.robot and child.exit_code == _BAD_INPUT and "robot" not in self.watch.health:
-            raise InputError(child.last_text())  # it never drove: no one would hear why
-        if child.exit_code != _BAD_INPUT or any(robot.begun for robot in self._robots):
+            raise InputError(child.last_text())
+        if child.exit_code != _BAD_INPUT or any(robot.has_begun for robot in self._robots):
             child.restart_if_due()
         elif child.essential:
             raise InputError(child.last_text())
 
     def _end(self) -> None:
-        """The robot stands first, then it ends, then the services, and the recorder last: it hears everything."""
+        """Stops the robots, then ends robots, services, and last recorder and router."""
         self._brake()
         for child in self._robots:
             child.terminate()
@@ -138,15 +146,15 @@ class Supervisor:
         for child in others:
             child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
         self.watch.listen(_TURN_SECONDS)
-        for child in reversed(self.services):  # a router comes first and goes last
+        for child in reversed(self.services):  # the router is first in the list and ends last
             child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
-        self.watch.listen(_TURN_SECONDS)  # the recorder's last word
+        self.watch.listen(_TURN_SECONDS)  # the recorder's last health message
 
     def _patience(self, seconds: float) -> float:
         return 0.0 if self.hurried() else seconds
 
     def _brake(self) -> None:
-        """Has the filter brake while everything still runs; where it does not answer, the robot does so by itself."""
+        """Orders the filter to stop the robots. If it does not answer, the robot brakes itself when it ends."""
         driving = [pair for pair in zip(self._robots, self._watches, strict=False) if _drives(pair[0])]
         braking = [pair for pair in driving if not self.hurried() and pair[1].stop_robot()]
         end = time.monotonic() + _BRAKING_SECONDS
@@ -155,8 +163,8 @@ class Supervisor:
             for watch in self._watches:
                 watch.listen(0.0)
             self.on_turn()
-            braking = [(child, watch) for child, watch in braking if _drives(child) and not watch.stationary_for()]
+            braking = [(child, watch) for child, watch in braking if _drives(child) and not watch.has_obeyed_stop()]
 
 
 def _drives(child: Child) -> bool:
-    return child.begun and child.exit_code is None
+    return child.has_begun and child.exit_code is None

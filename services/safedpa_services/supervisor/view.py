@@ -1,4 +1,4 @@
-"""The terminal view of a running loop: robot, verdicts, health of every process."""
+"""The terminal view of a run: robot, verdicts, health of every process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.text import Text
 
 from safedpa.bus import StateMessage
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_services.supervisor.run_monitor import RunMonitor
 
 __all__ = ["render_view"]
 
@@ -23,10 +23,10 @@ _COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
 def render_view(
     watch: RunMonitor, services: Sequence[Child], robot: Child, hints: Sequence[str], warnings: Iterable[str] = ()
 ) -> Group:
-    """A headline, the table of processes, hints where to look, and the newest warnings."""
+    """Renders a headline, the table of processes, hints for the user, and the newest warnings."""
     return Group(
         _headline(watch),
-        *_standing(watch),
+        *_stationary(watch),
         _finding(watch),
         _processes(watch, services, robot),
         *(Text(hint, style=_hint_style(hint)) for hint in hints),
@@ -38,12 +38,12 @@ def _hint_style(hint: str) -> str:
     return "bold cyan" if hint.startswith("live view") else "dim"
 
 
-def _standing(watch: RunMonitor) -> list[Text]:
-    """For how long the robot has stood and why, once that is told."""
+def _stationary(watch: RunMonitor) -> list[Text]:
+    """Returns how long the robot has been stationary and why, if the verdict reports a reason."""
     verdict = watch.verdict
     if verdict is None or not verdict.stationary_reason:
         return []
-    return [Text(f"stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}", style="yellow")]
+    return [Text(f"stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}", style="yellow")]
 
 
 def _headline(watch: RunMonitor) -> Text:
@@ -62,7 +62,7 @@ def _headline(watch: RunMonitor) -> Text:
 
 
 def _motion(state: StateMessage) -> str:
-    """The car's speed, the pendulum's angle, or of another robot the first entry of its state."""
+    """Returns the speed of a car, the angle of a pendulum, or the first state of another robot."""
     if len(state.values) == 4:
         return f"{state.values[3]:+.2f} m/s"
     if state.corridor:
@@ -71,7 +71,7 @@ def _motion(state: StateMessage) -> str:
 
 
 def _finding(watch: RunMonitor) -> Text:
-    """What the diagnosis says, once it has said something."""
+    """Returns the newest finding of the diagnosis."""
     finding = watch.finding
     if finding is None:
         return Text("")
@@ -89,20 +89,20 @@ def _processes(watch: RunMonitor, services: Sequence[Child], robot: Child) -> Ta
 
 
 def _row(watch: RunMonitor, child: Child) -> tuple[str | Text, ...]:
-    heard = watch.health.get(child.name)
+    known = watch.health.get(child.name)
     if child.exit_code is not None:
         state = Text("ended", style="red")
     elif not child.heartbeat:
         state = Text("running", style="green")
-    elif heard is None:
+    elif known is None:
         state = Text("starting", style="yellow")
     elif watch.silent_for(child.name) > _SILENT_SECONDS:
         state = Text("silent", style="red")
     else:
-        state = Text(heard[0].state, style="red" if heard[0].state == "failing" else "green")
-    if heard is None:
+        state = Text(known[0].state, style="red" if known[0].state == "failing" else "green")
+    if known is None:
         return (child.name, state, str(child.pid), "", "", "", "", str(child.restarts), "")
-    message = heard[0]
+    message = known[0]
     return (
         child.name,
         state,

@@ -1,4 +1,4 @@
-"""Opens a page in a person's browser without telling its token to other users of the machine."""
+"""Opens a page in the user's browser without revealing its token to other users of the machine."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from pathlib import Path
 
 __all__ = ["show"]
 
-_SECONDS = 60.0
+_KEEP_SECONDS = 60.0
 
 
 def show(address: str) -> None:
-    """By way of a file that only this user can read: the arguments of a browser are everybody's to read."""
-    handle, name = tempfile.mkstemp(prefix="safedpa-page-", suffix=".html")  # made with mode 0600
+    """Opens an address through a redirecting file: other users can read a browser's arguments, but not this file."""
+    handle, name = tempfile.mkstemp(prefix="safedpa-page-", suffix=".html")  # created with mode 0600
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         file.write(f'<meta http-equiv="refresh" content="0; url={html.escape(address)}">')
     threading.Thread(target=webbrowser.open, args=(Path(name).as_uri(),), daemon=True).start()
-    timer = threading.Timer(_SECONDS, _remove, (name,))
+    timer = threading.Timer(_KEEP_SECONDS, _remove, (name,))
     timer.daemon = True
     timer.start()
 

@@ -1,7 +1,7 @@
-"""Stands before every page and socket: names, origins, the token of this run, sizes, and what browsers must refuse.
+"""Access control for the web pages: host names, origins, the token of this run, request sizes and security headers.
 
-The token is part of the address that is printed. Anyone who opens it gets it as a cookie, which no script can read and
-which the browser sends to this page alone; everything else is refused before the page's framework sees it.
+The token is part of the printed address. The browser that opens it gets the token as a cookie, which scripts cannot
+read and which is sent to this page only. All other requests are refused before they reach the web framework.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HEALTHY = "/healthy"
-"""Answers without a token that the page is served; says nothing else."""
+"""Path of the health check: answers without a token, and only that the page is served."""
 _LOGIN = "/login"
 _UPLOAD = "/_nicegui/client/"
 _WRONG_PASSWORD_SECONDS = 1.0
@@ -46,13 +46,13 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host} wss://{host}; "
     "object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'self'"
 )
-"""The page's framework compiles its templates in the browser, hence the two words for scripts; nothing is loaded from,
-or sent to, any other host."""
+"""The web framework compiles its templates in the browser, which needs 'unsafe-inline' and 'unsafe-eval' for scripts.
+Nothing is loaded from or sent to any other host."""
 
 
 @dataclass(frozen=True)
 class AccessPolicy:
-    """Who comes in: under which names, with which token, and whether a password brings it."""
+    """Under which host names the page is served, with which token, and optionally a password to obtain it."""
 
     hosts: Hosts
     port: int
@@ -62,24 +62,24 @@ class AccessPolicy:
 
     @property
     def cookie(self) -> str:
-        """Its name: cookies do not tell ports apart."""
+        """Name of the cookie. It contains the port, because browsers share cookies between ports."""
         return f"safedpa_{self.port}"
 
     def address(self, host: str, path: str) -> str:
-        """What a person opens."""
-        asked = "" if self.password else f"?token={self.token}"
-        return f"{self.scheme}://{host}:{self.port}{path}{asked}"
+        """Returns the address that the user opens."""
+        query = "" if self.password else f"?token={self.token}"
+        return f"{self.scheme}://{host}:{self.port}{path}{query}"
 
 
 class Guard:
-    """An ASGI middleware."""
+    """ASGI middleware that lets authorised requests through and answers all others."""
 
-    def __init__(self, app: App, door: AccessPolicy) -> None:
-        self._app, self._door = app, door
+    def __init__(self, app: App, policy: AccessPolicy) -> None:
+        self._app, self._policy = app, policy
         self._one_at_a_time = asyncio.Lock()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Lets a request through, or answers it."""
+        """Passes a request on, or answers it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -89,40 +89,46 @@ class Guard:
             await self._refuse(scope, send, 403, reason)
         elif scope["type"] == "http" and scope["path"] == HEALTHY:
             await _answer(send, 204, b"")
-        elif scope["type"] == "http" and scope["path"] == _LOGIN and self._door.password:
+        elif scope["type"] == "http" and scope["path"] == _LOGIN and self._policy.password:
             await self._log_in(scope, receive, send)
-        elif _same(self._asked(scope), self._door.token) and scope["type"] == "http" and scope["method"] == "GET":
+        elif (
+            _equal(self._token_in_query(scope), self._policy.token)
+            and scope["type"] == "http"
+            and scope["method"] == "GET"
+        ):
             await self._give_cookie(scope, send)
-        elif not _same(self._shown(headers), self._door.token):
+        elif not _equal(self._token_in_cookie(headers), self._policy.token):
             await self._refuse(scope, send, 401, "open the address that was printed when this page was started")
         else:
             await self._let_through(scope, receive, send, headers)
 
     def _foreign(self, scope: Scope, headers: dict[str, list[str]]) -> str:
-        """Why a request is not from a page of our own; empty where it is."""
+        """Returns why a request does not come from our own page; empty if it does."""
         hosts, origins = headers.get("host", []), headers.get("origin", [])
-        if len(hosts) != 1 or not self._door.hosts.allow(hosts[0]):
-            return "this page is not served under that name; name it with --name"
-        if len(origins) > 1 or (origins and not self._door.hosts.same_origin(origins[0], hosts[0], self._door.scheme)):
-            return "another page may not ask this one"
+        if len(hosts) != 1 or not self._policy.hosts.allow(hosts[0]):
+            return "this page is not served under that host name; allow it with --name"
+        if len(origins) > 1 or (
+            origins and not self._policy.hosts.same_origin(origins[0], hosts[0], self._policy.scheme)
+        ):
+            return "requests from other pages are not allowed"
         site = headers.get("sec-fetch-site", ["none"])[0]
         navigates = scope["type"] == "http" and headers.get("sec-fetch-mode") == ["navigate"]
         if site not in ("none", "same-origin") and not (navigates and scope["method"] == "GET"):
-            return "another page may not ask this one"
+            return "requests from other pages are not allowed"
         return ""
 
     @staticmethod
-    def _asked(scope: Scope) -> str:
-        """The token in the address."""
+    def _token_in_query(scope: Scope) -> str:
+        """Returns the token in the address."""
         return dict(_fields(bytes(scope.get("query_string", b"")))).get("token", "")
 
-    def _shown(self, headers: dict[str, list[str]]) -> str:
-        """The token in the cookie."""
+    def _token_in_cookie(self, headers: dict[str, list[str]]) -> str:
+        """Returns the token in the cookie."""
         try:
             jar = SimpleCookie("; ".join(headers.get("cookie", []))[:8192])
         except CookieError:
             return ""
-        return str(jar[self._door.cookie].value) if self._door.cookie in jar else ""
+        return str(jar[self._policy.cookie].value) if self._policy.cookie in jar else ""
 
     async def _give_cookie(self, scope: Scope, send: Send) -> None:
         query = _fields(scope["query_string"])
@@ -132,9 +138,13 @@ class Guard:
         await self._redirect(send, path, by_a_link=by_a_link)
 
     async def _redirect(self, send: Send, path: str, *, by_a_link: bool = False) -> None:
-        """``by_a_link``: the browser keeps the cookie back as long as it follows a link of another page."""
-        secure = "; Secure" if self._door.scheme == "https" else ""
-        cookie = f"{self._door.cookie}={self._door.token}; HttpOnly; SameSite=Strict; Path=/{secure}"
+        """Redirects and sets the cookie.
+
+        ``by_a_link``: a browser that follows a link from another page withholds a SameSite=Strict cookie on a redirect,
+        but not on a page that refreshes itself.
+        """
+        secure = "; Secure" if self._policy.scheme == "https" else ""
+        cookie = f"{self._policy.cookie}={self._policy.token}; HttpOnly; SameSite=Strict; Path=/{secure}"
         headers = {"Set-Cookie": cookie, "Cache-Control": "no-store"}
         if by_a_link:
             page = f'<meta http-equiv="refresh" content="0; url={html.escape(path)}">'.encode()
@@ -143,18 +153,18 @@ class Guard:
             await _answer(send, 303, b"", {**headers, "Location": path})
 
     async def _log_in(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One try a second, anyone who tries."""
+        """Answers the login form. A wrong password delays all further attempts by one second."""
         if scope["method"] != "POST":
             await _answer(send, 200, _FORM, {"Content-Type": "text/html; charset=utf-8"})
             return
         body = await _body(receive, 4096)
         given = dict(_fields(body, "utf-8")).get("password", "")
         async with self._one_at_a_time:
-            if _same(given, self._door.password):
+            if _equal(given, self._policy.password):
                 await self._redirect(send, "/")
                 return
             await asyncio.sleep(_WRONG_PASSWORD_SECONDS)
-        log_event("page.wrong_password", "someone gave a wrong password", level="warning", service="workbench")
+        log_event("page.wrong_password", "a wrong password was entered", level="warning", service="workbench")
         await _answer(send, 401, _FORM, {"Content-Type": "text/html; charset=utf-8"})
 
     async def _refuse(self, scope: Scope, send: Send, code: int, reason: str) -> None:
@@ -162,26 +172,26 @@ class Guard:
         log_event("page.refused", f"{reason}: {client}", level="warning", service="workbench", code=code)
         if scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
-        elif code == 401 and self._door.password:
+        elif code == 401 and self._policy.password:
             await _answer(send, 303, b"", {"Location": _LOGIN})
         else:
             await _answer(send, code, f"{reason}\n".encode())
 
     async def _let_through(self, scope: Scope, receive: Receive, send: Send, headers: dict[str, list[str]]) -> None:
-        most = self._most(scope)
-        reported = headers.get("content-length", ["0"])[0]
-        if scope["type"] == "http" and (not reported.isdecimal() or int(reported[:19]) > most):
+        most = self._size_limit(scope)
+        declared = headers.get("content-length", ["0"])[0]
+        if scope["type"] == "http" and (not declared.isdecimal() or int(declared[:19]) > most):
             await self._refuse(scope, send, 413, f"wanted at most {most} bytes")
             return
         host = headers["host"][0]
-        came = 0
+        received = 0
 
         async def measured() -> Message:
-            nonlocal came
+            nonlocal received
             message = await receive()
             content = message.get("body") or message.get("bytes") or (message.get("text") or "").encode()
-            came = came + len(content) if scope["type"] == "http" else len(content)
-            if came > most:
+            received = received + len(content) if scope["type"] == "http" else len(content)
+            if received > most:
                 log_event("page.refused", f"more than {most} bytes", level="warning", service="workbench", code=413)
                 return {"type": "http.disconnect"} if scope["type"] == "http" else {"type": "websocket.disconnect"}
             return message
@@ -199,7 +209,7 @@ class Guard:
         await self._app(scope, measured, with_policy)
 
     @staticmethod
-    def _most(scope: Scope) -> int:
+    def _size_limit(scope: Scope) -> int:
         if scope["type"] == "websocket":
             return limit("socket_bytes")
         uploads = scope["method"] == "POST" and scope["path"].startswith(_UPLOAD)
@@ -212,7 +222,7 @@ _FORM = (
 )
 
 
-def _same(given: str, wanted: str) -> bool:
+def _equal(given: str, wanted: str) -> bool:
     return hmac.compare_digest(given.encode(), wanted.encode())
 
 
@@ -224,7 +234,7 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
 
 
 def _fields(query: bytes, encoding: str = "latin-1") -> list[tuple[str, str]]:
-    """Of an address or a form; none where there are too many."""
+    """Parses the fields of a query or a form; returns none if there are too many."""
     try:
         return urllib.parse.parse_qsl(query.decode(encoding, "replace")[:4096], max_num_fields=32)
     except ValueError:

@@ -1,8 +1,7 @@
-"""Under which names a page may be asked for.
+"""Host names under which a page is served: protection against DNS rebinding.
 
-A foreign page can have its own name resolve to this machine (DNS rebinding); the browser then sends that name, and
-the answer to it would be readable to the foreign page. So names that no one named are refused. A numeric address
-cannot be made to resolve to something else.
+A foreign page can make its own host name resolve to this machine. The browser then sends that name, and the foreign
+page could read the answer. Requests for unknown host names are therefore refused. Numeric addresses cannot be rebound.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ _HOST = re.compile(r"(\[[0-9a-fA-F:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A
 
 
 def is_loopback(bind: str) -> bool:
-    """Whether an address to listen on is reached from this machine alone."""
+    """Returns whether an address to listen on can be reached from this machine only."""
     return bind == "localhost" or ((address := _address(bind)) is not None and address.is_loopback)
 
 
 class Hosts:
-    """The names by which what listens at ``bind`` is reached, and ``names``. Raises InputError for what is no name."""
+    """The allowed host names of a server at ``bind``, including ``names``. Raises InputError for an invalid name."""
 
     def __init__(self, bind: str, names: Iterable[str] = ()) -> None:
         self._loopback = is_loopback(bind)
@@ -33,7 +32,7 @@ class Hosts:
             self._names.add(_checked(bind))
 
     def allow(self, header: str) -> bool:
-        """Whether a request with this header ``Host`` is for us."""
+        """Returns whether a request with this ``Host`` header is allowed."""
         found = _HOST.fullmatch(header)
         if found is None:
             return False
@@ -44,7 +43,7 @@ class Hosts:
         return address is not None and (address.is_loopback or not self._loopback)
 
     def same_origin(self, origin: str, host: str, scheme: str) -> bool:
-        """Whether a header ``Origin`` is this very page's."""
+        """Returns whether an ``Origin`` header is that of this page."""
         return origin.lower() == f"{scheme}://{host}".lower() and self.allow(host)
 
 
@@ -58,5 +57,5 @@ def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 def _checked(name: str) -> str:
     found = _HOST.fullmatch(name)
     if found is None or found[3]:
-        raise InputError(f"--name: got '{name[:80]}', wanted the name of a machine, such as robots.example, no port")
+        raise InputError(f"--name: got '{name[:80]}', wanted a host name without port, such as robots.example")
     return found[1].lower()

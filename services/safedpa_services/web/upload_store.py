@@ -1,4 +1,4 @@
-"""Which files a page may open: recordings, models and column maps below the folders that were named at the start."""
+"""The files that a page may open: recordings and models in the folders given at the start."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ _MAGIC = {
 
 
 class FileStore:
-    """Files below ``folders``. What a link points to counts, not where the link lies."""
+    """Files in ``folders`` and their subfolders; symbolic links are resolved first."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self._folders = list(dict.fromkeys(folder.resolve() for folder in folders))
 
     @classmethod
     def of(cls, files: Iterable[str], folders: Iterable[Path]) -> FileStore:
-        """Of the folders named, and those of the files that were named; without any, of the current one."""
+        """Returns a store of the given folders and of the folders of the given files; by default the current folder."""
         named = [*folders, *(Path(file).resolve().parent for file in files)]
         return cls(named or [Path()])
 
     @property
     def phrase(self) -> str:
-        """The folders, for people."""
+        """The folders as text."""
         return ", ".join(map(str, self._folders))
 
     def with_folder(self, folder: Path) -> FileStore:
-        """The same, and what lies in this folder."""
+        """Returns a store with a further folder."""
         return FileStore([*self._folders, folder])
 
     def recordings(self, lines: Iterable[str]) -> list[str]:
-        """Paths of recordings from paths and patterns. Raises RunError naming the first that may not be opened."""
+        """Resolves paths and glob patterns to recordings. Raises RunError naming the first that may not be opened."""
         found: list[str] = []
         for line in lines:
             pattern = self._readable(line)
@@ -59,11 +59,14 @@ class FileStore:
             matches = sorted(itertools.islice(glob.iglob(pattern), _MOST_FILES)) if self._may_look(pattern) else []
             found += [self.recording(path) for path in matches or [pattern]]
             if len(found) >= _MOST_FILES:
-                raise RunError(f"{readable(line)}: names {_MOST_FILES} files and more; name fewer")
+                raise RunError(f"{readable(line)}: got {_MOST_FILES} files or more; name fewer")
         return list(dict.fromkeys(found))
 
     def recording(self, path: str) -> str:
-        """The path of a recording. Raises RunError where it is outside, is none, or does not begin as one does."""
+        """Returns the path of a recording.
+
+        Raises RunError unless it is in a folder of the store and has the right content.
+        """
         found = self._below(path, RECORDINGS, _RECORDING)
         with found.open("rb") as file:
             start = file.read(_START_BYTES)
@@ -73,13 +76,13 @@ class FileStore:
         return str(found)
 
     def model(self, name: str, shipped: Iterable[str]) -> str:
-        """The path of a model's file, or the name of one that ships. Raises InputError otherwise."""
+        """Returns the path of a model file, or the name of a shipped model. Raises InputError otherwise."""
         if name in shipped or name.removesuffix(".toml") in shipped:
             return name
         return str(self._below(name, _MODELS, "a model file (.toml), or the name of one that ships"))
 
     def _below(self, path: str, endings: tuple[str, ...], wanted: str) -> Path:
-        """The same refusal whatever is wrong, so that no one learns what lies elsewhere."""
+        """Resolves a path. Every failure raises the same error, which does not reveal which files exist elsewhere."""
         try:
             found = Path(os.path.realpath(self._readable(path), strict=True))
             inside = next((folder for folder in self._folders if found.is_relative_to(folder)), None)
@@ -91,7 +94,10 @@ class FileStore:
         return found
 
     def _may_look(self, pattern: str) -> bool:
-        """Whether all that a pattern can match lies below: its parts before the first wildcard do, none leads up."""
+        """Returns whether all matches of a pattern are in the folders: its fixed part is, and it has neither ..
+
+        nor **.
+        """
         parts = Path(pattern).parts
         if ".." in parts or "**" in pattern:
             return False
@@ -103,10 +109,10 @@ class FileStore:
     def _readable(line: str) -> str:
         text = line.strip()
         if "\0" in text or len(text) > 4096:
-            return "\1"  # a name that no file has
+            return "\1"  # no file has this name
         try:
             return str(Path(text).expanduser()) if text else ""
-        except RuntimeError:  # the home of no one
+        except RuntimeError:  # ~user of an unknown user
             return "\1"
 
     def _refusal(self, path: str, wanted: str) -> InputError:

@@ -1,8 +1,7 @@
-"""The program of Rerun's web viewer, to be served from here.
+"""The files of Rerun's web viewer, to be served by our own web servers.
 
-The library's own server for it listens on every interface of the machine, and says nothing of where it may listen.
-So the program is fetched once, when it is first asked for, from Rerun's command line listening on the loopback
-interface for that moment, and served by anyone who has the page.
+Rerun's own server for them listens on all network interfaces and cannot be restricted. The files are therefore fetched
+once, on first use, from Rerun's command line, which listens on the loopback interface for that moment.
 """
 
 from __future__ import annotations
@@ -38,20 +37,21 @@ VIEWER_POLICY = (
     "style-src 'self' 'unsafe-inline'; connect-src 'self' blob: data:{more}; worker-src 'self' blob:; "
     "object-src 'none'; base-uri 'self'; frame-ancestors 'self'"
 )
-"""Of the viewer's page: the browser refuses every other host, which the viewer would ask for news and fonts."""
+"""Content security policy of the viewer's page. It blocks other hosts, from which the viewer would load news and
+fonts."""
 
 
 class Viewer:
-    """The viewer's files, fetched with the first question; may be asked by several threads."""
+    """The viewer's files, fetched on first use; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._files: dict[str, bytes] = {}
 
     def file(self, name: str) -> tuple[bytes, str] | None:
-        """Content and type of a file, ``""`` of the page itself; None where there is no such file.
+        """Returns content and type of a file, ``""`` being the page itself; None if there is no such file.
 
-        Raises SafedpaError where Rerun's command line cannot be started.
+        Raises SafedpaError if Rerun's command line cannot be started.
         """
         wanted = "" if name == "index.html" else name
         if wanted not in _FILES:
@@ -65,7 +65,7 @@ class Viewer:
 def _fetched() -> dict[str, bytes]:
     port = free_port()
     with tempfile.TemporaryDirectory(prefix="safedpa-viewer-") as home:
-        # a home of its own: the program would keep settings, and tell its makers of the session after the first
+        # a separate home: otherwise the program writes settings there and, from the second run on, sends analytics
         environment = {"PATH": os.environ.get("PATH", ""), "HOME": home, "XDG_CONFIG_HOME": home, "RUST_LOG": "error"}
         process = subprocess.Popen(
             _command(port),
@@ -82,11 +82,11 @@ def _fetched() -> dict[str, bytes]:
 
 
 def _command(port: int) -> list[str]:
-    """Rerun's command line; where it is not installed, as in our images, the library in a process that ends at once."""
+    """Returns the command of Rerun's server or, if that is not installed (as in our images), of its library."""
     found = find_spec("rerun_cli")
     program = None if found is None or found.origin is None else Path(found.origin).parent / "rerun"
     if program is not None and program.exists():
-        no_answer = "rerun+http://127.0.0.1:9/proxy"  # with an address to look at it serves no data itself
+        no_answer = "rerun+http://127.0.0.1:9/proxy"  # with an address of data it does not start a data server
         return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_answer]
     return [
         sys.executable,
@@ -105,4 +105,6 @@ def _fetch(address: str, process: subprocess.Popen[bytes]) -> bytes:
             content: bytes = answer.read(_LARGEST_BYTES)
             return content
         time.sleep(0.05)
-    raise SafedpaError("viewer: Rerun's command line did not serve its viewer; is the port range of this machine full?")
+    raise SafedpaError(
+        "viewer: Rerun's command line did not serve the viewer's files; check that a free port is left on this machine"
+    )

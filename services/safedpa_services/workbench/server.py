@@ -1,4 +1,4 @@
-"""The web server of the workbench: one bench for all browser tabs, everything served from this machine."""
+"""The web server of the workbench: one session for all browser tabs, with every file served from this machine."""
 
 from __future__ import annotations
 
@@ -25,33 +25,32 @@ from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.elements import apply_page_style
-from safedpa_services.workbench.live_link import LiveLink
-from safedpa_services.workbench.live_page import LivePage
+from safedpa_services.workbench.live.bus_link import LiveLink
+from safedpa_services.workbench.live.page import LivePage
+from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.page import WorkbenchPage
-from safedpa_services.workbench.page_address import PageServerOptions
-from safedpa_services.workbench.replay_link import ReplayLink
-from safedpa_services.workbench.rerun_view import RerunViewerServer
+from safedpa_services.workbench.panels.elements import apply_page_style
+from safedpa_services.workbench.rerun_viewer import RerunViewerServer
+from safedpa_services.workbench.server_options import PageServerOptions
+from safedpa_services.workbench.session.controller import SessionController
 
-__all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
+__all__ = ["DEFAULT_PORT", "choose_port", "serve"]
 
 DEFAULT_PORT = 8080
-_MOST_PORTS = 50
-_OPEN = (
-    "serves on {host}: every machine that reaches this one can ask for the page; who has the way in may change models"
-)
+_MAX_PORTS = 50
+_EXPOSED = "serves on {host}: other machines can request the page, and anyone with the token can change models"
 _LISTEN_SECONDS = 0.1
-_LOOK_SECONDS, _MOST_LOOKS = 0.02, 500
-_LAST_WORD_SECONDS = 4.0
-"""For the browsers to say that they show the end of the drive."""
+_PROBE_SECONDS, _MAX_PROBES = 0.02, 500
+_END_MESSAGE_SECONDS = 4.0
+"""s that the server waits at the end of a drive, until the browsers have confirmed that they show the end."""
 _RECONNECT_SECONDS = 30.0
-"""s for which a page that lost its connection is kept. A browser that is silent for 0.4 of it counts as lost: on a busy
-machine, or while it asks something of a person, it may be, and a page that is loaded again loses what was typed."""
+"""s for which a page is kept after its connection was lost; a browser that is silent for 0.4 of it counts as lost.
+
+A browser is silent on a busy machine or while a native dialog is open; reloading the page would lose typed text."""
 
 
 def serve(
-    bench: Bench,
+    controller: SessionController,
     serving: PageServerOptions,
     *,
     browser: bool,
@@ -59,38 +58,40 @@ def serve(
     stop: StopSignal | None = None,
     announce: Callable[[str], None] = lambda where: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"),
 ) -> None:
-    """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well.
+    """Serves the page until Ctrl-C or ``stop``; with a bus, or a recording of one, also the live page.
 
-    Only who has the token comes in, and recordings are opened below the named folders alone.
+    Requests without the token are refused. Only recordings below the allowed folders can be opened.
     """
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
-    door, choice = RerunViewerServer(), bench.choice
-    _keep_tracebacks_in(bench.out / "workbench.log")
+    viewer_server, choice = RerunViewerServer(), controller.choice
+    _redirect_tracebacks(controller.out / "workbench.log")
     upload_store = FileStore.of(
         (*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders
     )
-    app.add_middleware(Guard, door=serving.door)
+    app.add_middleware(Guard, policy=serving.access_policy)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
         apply_page_style(style)
-        page = WorkbenchPage(bench, door, upload_store, live=link is not None)
+        page = WorkbenchPage(controller, viewer_server, upload_store, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
 
-    app.on_shutdown(bench.close)
+    app.on_shutdown(controller.close)
     if link is not None:
         _serve_live(link, style)
     where = serving.address("/" if link is None else "/live")
     if not is_loopback(serving.host):
-        click.echo(f"Workbench: {_OPEN.format(host=serving.host)}", err=True)
-    app.on_startup(lambda: _reported_when_it_answers(serving, where, announce, browser=browser))
+        click.echo(f"Workbench: {_EXPOSED.format(host=serving.host)}", err=True)
+    app.on_startup(lambda: _announce_when_ready(serving, where, announce, browser=browser))
     if stop is not None:
-        app.on_startup(lambda: stop.listen_to_signals(app.shutdown))  # the web server's own way out leaves no last word
+        app.on_startup(
+            lambda: stop.listen_to_signals(app.shutdown)
+        )  # the web server's own signal handler would skip the end message
         threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
-    with contextlib.suppress(KeyboardInterrupt):  # which is how a person ends it
+    with contextlib.suppress(KeyboardInterrupt):  # the regular way to stop the server
         ui.run(
             host=serving.host,
             port=serving.port,
@@ -106,16 +107,16 @@ def serve(
         )
 
 
-async def _reported_when_it_answers(
+async def _announce_when_ready(
     serving: PageServerOptions, where: str, announce: Callable[[str], None], *, browser: bool
 ) -> None:
-    """The web server listens a moment after it has started up; an address that is told earlier is refused."""
+    """Announces the address once the server accepts connections: it starts to listen only after its startup hook."""
     host = "127.0.0.1" if serving.host in ("0.0.0.0", "", "::") else serving.host
-    for _ in range(_MOST_LOOKS):
+    for _ in range(_MAX_PROBES):
         try:
             _, writer = await asyncio.open_connection(host, serving.port)
         except OSError:
-            await asyncio.sleep(_LOOK_SECONDS)
+            await asyncio.sleep(_PROBE_SECONDS)
             continue
         writer.close()
         break
@@ -139,15 +140,15 @@ def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
 def _end_with(stop: StopSignal, link: LiveLink | ReplayLink | None) -> None:
     stop.wait()
     if link is not None:
-        link.ended, until = True, time.monotonic() + _LAST_WORD_SECONDS
-        while link.untold and time.monotonic() < until:
+        link.ended, until = True, time.monotonic() + _END_MESSAGE_SECONDS
+        while link.pages_to_notify and time.monotonic() < until:
             time.sleep(0.05)
     app.shutdown()
 
 
-def chosen_port(host: str, port: int | None) -> int:
-    """The port asked for, or the first free one from 8080 on; raises InputError when it is taken."""
-    for number in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MOST_PORTS):
+def choose_port(host: str, port: int | None) -> int:
+    """Returns the requested port, or the first free one from 8080 on; raises InputError if it is taken."""
+    for number in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MAX_PORTS):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -159,43 +160,43 @@ def chosen_port(host: str, port: int | None) -> int:
                     ) from error
                 continue
             return number
-    raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MOST_PORTS - 1} are all taken; name another one")
+    raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MAX_PORTS - 1} are all taken; choose another port")
 
 
-_LONGEST = 300
-_MOST_BYTES = 4_000_000
-_LEFT = ("No response returned.",)
-"""What the web framework says where a browser hangs up before its answer: no one needs to hear of that."""
+_MAX_MESSAGE_LENGTH = 300
+_MAX_BYTES = 4_000_000
+_DISCONNECTED = ("No response returned.",)
+"""Errors of the web framework for a browser that disconnects before the response; they are not logged."""
 
 
-def _keep_tracebacks_in(path: Path) -> None:
-    """From now on every log record of this process that has a traceback is one line, and the traceback is in ``path``.
+def _redirect_tracebacks(path: Path) -> None:
+    """Replaces each traceback in this process's log by one line, and writes the traceback to ``path``.
 
-    The file is made at the first one; what does not fit into 4 MB is not kept.
+    The file is created at the first error and limited to 4 MB.
     """
-    plain = logging.getLogRecordFactory()
+    default_factory = logging.getLogRecordFactory()
 
-    def made(*arguments: Any, **options: Any) -> logging.LogRecord:
-        record = plain(*arguments, **options)
+    def record_factory(*arguments: Any, **options: Any) -> logging.LogRecord:
+        record = default_factory(*arguments, **options)
         error = record.exc_info[1] if isinstance(record.exc_info, tuple) else None
         if error is None and isinstance(record.msg, BaseException):
             error = record.msg
         if error is None:
             return record
-        record.browser_left = str(error) in _LEFT or isinstance(error, ConnectionError)
-        _keep(path, error)
-        notice = readable(f"{type(error).__name__}: {' '.join(str(error).split())}", _LONGEST)
+        record.browser_disconnected = str(error) in _DISCONNECTED or isinstance(error, ConnectionError)
+        _append_traceback(path, error)
+        notice = readable(f"{type(error).__name__}: {' '.join(str(error).split())}", _MAX_MESSAGE_LENGTH)
         record.msg, record.args = f"the page goes on after an error ({notice}); more in {path}", ()
         record.exc_info = record.exc_text = None
         return record
 
-    logging.setLogRecordFactory(made)
-    logging.getLogger("uvicorn.error").addFilter(lambda record: not getattr(record, "browser_left", False))
+    logging.setLogRecordFactory(record_factory)
+    logging.getLogger("uvicorn.error").addFilter(lambda record: not getattr(record, "browser_disconnected", False))
 
 
-def _keep(path: Path, error: BaseException) -> None:
+def _append_traceback(path: Path, error: BaseException) -> None:
     with contextlib.suppress(OSError):
-        if path.exists() and path.stat().st_size > _MOST_BYTES:
+        if path.exists() and path.stat().st_size > _MAX_BYTES:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""What an estimator of the latent is, whatever it learns from."""
+"""The interface of an estimator of the latent."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ __all__ = ["AbstractEstimator", "check_transition"]
 
 
 class AbstractEstimator(ABC):
-    """Estimates z of one robot from its transitions."""
+    """Estimates the latent z of one robot from its transitions."""
 
     quick: ClassVar[bool]
-    """Whether it may learn while others wait for the latent."""
+    """Whether an update is fast enough to precede the publication of the latent."""
     latent: FloatArray
-    """The estimate so far, shape (latents,)."""
+    """Current estimate (latents,)."""
 
     @property
     @abstractmethod
     def deviations(self) -> FloatArray:
-        """Standard deviation of each entry of the latent; 0 for one that is not estimated."""
+        """Standard deviations of the estimate (latents,); 0 for entries that are not estimated."""
 
     @abstractmethod
     def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:
-        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later.
+        """Updates the estimate with a transition: state (states,), applied action (actions,), next state after
+        ``period``.
 
-        Raises InputError when a number is not finite or the period not positive; nothing is learned then.
+        Raises InputError and leaves the estimate unchanged if a number is not finite or the period is not positive.
         """
 
     def begin_with(self, transitions: Sequence[tuple[FloatArray, FloatArray, FloatArray, float]]) -> None:
-        """Takes up a robot that others estimated before, from its last transitions as in ``update``, oldest first.
+        """Initialises the estimate from the last transitions of a robot, oldest first.
 
         Raises InputError as ``update`` does.
         """
@@ -45,11 +46,11 @@ class AbstractEstimator(ABC):
 
     @abstractmethod
     def forget_transient(self) -> None:
-        """Takes what comes next as not joined to what came last: after a gap in the ticks."""
+        """Resets internal states that connect transitions; call it after a gap in the ticks."""
 
 
 def check_transition(state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:
-    """Raises InputError when a transition cannot teach anything."""
+    """Raises InputError for a transition with non-finite values or an invalid period."""
     if not all(_is_finite(vector) for vector in (state, action, next_state)):
         raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
     if not (isfinite(period) and period > 0.0):
@@ -57,5 +58,6 @@ def check_transition(state: FloatArray, action: FloatArray, next_state: FloatArr
 
 
 def _is_finite(vector: FloatArray) -> bool:
-    """As ``np.isfinite(vector).all()``, quicker: a sum is finite only if every entry is."""
+    """Same as ``np.isfinite(vector).all()``, but faster."""
+    # A finite sum implies finite entries. The sum of finite entries may overflow, hence the second test.
     return isfinite(sum(vector.tolist())) or bool(np.isfinite(vector).all())

@@ -1,16 +1,17 @@
-"""Recursive estimation of a model's free parameters from the last transitions.
+"""Recursive estimation of a model's free parameters by an extended Kalman filter.
 
-An extended Kalman filter whose state is the latent z itself, taken as a slow random walk:
+The state of the filter is the latent z, modelled as a slow random walk:
 
     z[t+1] = z[t] + w,  w ~ N(0, Q);    x[t+1] = step(x[t], a[t], z[t]) + v,  v ~ N(0, R)
 
-with the sensitivity d(step)/dz by finite differences. An innovation beyond four standard deviations is weighted down
-(Huber), so that a push or a tracking glitch does not throw the estimate. A robot that does not move teaches nothing:
-held by a wall it looks like one with an immense load. Source: Simon, Optimal State Estimation,
-sections 13.2 and 13.4 (parameter estimation).
+with the sensitivity d(step)/dz by finite differences. An innovation beyond four standard deviations gets a lower weight
+(Huber), so that a push or a tracking error does not disturb the estimate. Transitions without motion are ignored: a
+robot held by a wall would look like one with an immense load. Source: Simon, Optimal State Estimation, sections 13.2
+and 13.4 (parameter estimation).
 
-A handful of numbers are estimated, so they are plain numbers, and R is diagonal, so the entries of the state are taken
-in one after the other (``LatentCovariance``): matrices of two rows would cost five times as much.
+There are only a few parameters, so the implementation uses Python floats instead of NumPy arrays, and since R is
+diagonal, it processes the entries of the state sequentially (``LatentCovariance``). Small matrices in NumPy would take
+five times as long.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from safedpa.adaptation.abstract import AbstractEstimator, check_transition
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
-from safedpa.robot import robots
+from safedpa.systems.robots import robots
 
 __all__ = ["EstimatorSettings", "LatentCovariance", "LatentEstimator"]
 
 
 @final
 class LatentCovariance:
-    """The covariance P (latents, latents) of parameters that walk slowly.
+    """The covariance P (latents, latents) of slowly varying parameters.
 
-    ``start``: variances at first, which are also the largest ones; ``drift``: what each variance grows by in a second.
+    ``start`` has the initial variances, which are also the maximum; ``drift`` the growth of each variance per second.
     """
 
     def __init__(self, start: Sequence[float], drift: Sequence[float]) -> None:
@@ -47,11 +48,13 @@ class LatentCovariance:
         """The upper triangle of P, row by row."""
 
     def variances(self) -> list[float]:
-        """The diagonal of P (latents,), 0 where rounding left less."""
+        """Returns the diagonal of P (latents,), at least 0."""
         return [max(self._covariance[place], 0.0) for place in self._diagonal]
 
     def spread(self, seconds: float) -> None:
-        """P + Q seconds. Without excitation it must not grow for ever: at most to what was unknown at first."""
+        """Adds Q times ``seconds`` to P, and limits the variances to the initial ones."""
+        # Without excitation, P would otherwise grow without limit, and the first informative transition would make the
+        # estimate jump. Rows and columns are scaled together, which preserves the correlations.
         covariance, excess = self._covariance, False
         for place, drift, limit in zip(self._diagonal, self._drift, self._limit, strict=True):
             covariance[place] += drift * seconds
@@ -65,10 +68,10 @@ class LatentCovariance:
     def correct(
         self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]], noise: Sequence[float]
     ) -> tuple[list[float], float]:
-        """Takes in a measurement: the correction K e of the estimate (latents,), and the surprise e' S^-1 e.
+        """Updates P with a measurement; returns the correction K e (latents,) and the squared innovation e' S^-1 e.
 
-        Innovation e (states,), sensitivity H (states, latents), variances of the noise r (states,), S = H P H' + R. As
-        R is diagonal, one entry after the other does the same as all at once: with u = P h, s = h' u + r,
+        Innovation e (states,), sensitivity H (states, latents), noise variances r (states,), S = H P H' + R. As R is
+        diagonal, processing the entries sequentially is equivalent to the joint update: with u = P h, s = h' u + r,
 
             c <- c + u g,    P <- P - u u' / s,    surprise <- surprise + g^2 s,    g = (e - h' c) / s
 
@@ -85,9 +88,9 @@ def _upper(latents: int) -> list[tuple[int, int]]:
 
 @cache
 def _correction(latents: int) -> Callable[..., Any]:
-    """The equations of ``LatentCovariance.correct`` for so many latents, written out: five times as fast as loops.
+    """Generates the function for ``LatentCovariance.correct`` with unrolled loops, which is five times faster.
 
-    The function takes the upper triangle of P, e, H, r and gives the correction, the new triangle and the surprise.
+    The function takes the upper triangle of P, e, H and r. It returns the correction, the new triangle and e' S^-1 e.
     """
     every, places = range(latents), _upper(latents)
 
@@ -115,16 +118,16 @@ def _correction(latents: int) -> Callable[..., Any]:
         f"    return {listed('c', every)}, {listed('p', places)}, surprise",
     ]
     scope: dict[str, Any] = {}
-    exec("\n".join(lines), scope)  # arithmetic on names of our own, nothing from outside
+    exec("\n".join(lines), scope)  # the code is built from the number of latents only, not from any input
     made: Callable[..., Any] = scope["correction"]
     return made
 
 
 @dataclass(frozen=True)
 class EstimatorSettings:
-    """How far the estimate is trusted, and how fast the world may change.
+    """Settings of the Kalman filter.
 
-    Deviations of the parameters are in units of their typical size; of the measurements in the state's units per step.
+    Deviations of parameters are relative to their typical size; those of measurements are in the state's units.
     """
 
     initial_deviation: float = 0.5
@@ -132,9 +135,9 @@ class EstimatorSettings:
     """Standard deviation of the random walk after one second."""
     measurement_deviation: tuple[float, ...] = (0.01, 0.01, 0.01, 0.03)
     largest_innovation: float = 4.0
-    """Standard deviations from which an innovation is weighted down."""
+    """Standard deviations beyond which an innovation gets a lower weight."""
     smallest_motion: float = 1.0
-    """Measurement deviations by which some entry of the state must change for a transition to teach anything."""
+    """Change of at least one entry of the state, in measurement deviations, from which a transition is used."""
 
     def __post_init__(self) -> None:
         scales = (self.initial_deviation, self.drift_per_second, self.largest_innovation, self.smallest_motion)
@@ -143,7 +146,7 @@ class EstimatorSettings:
 
 
 def _settings_of(model: PhysicsModel) -> EstimatorSettings:
-    """With what the robot declares of its measurements; of a system that no one declared a robot for, the default's."""
+    """Returns settings with the robot's measurement deviations; the defaults for a system without a robot."""
     robot = robots().get(model.system.name)
     if robot is None:
         return EstimatorSettings()
@@ -152,7 +155,7 @@ def _settings_of(model: PhysicsModel) -> EstimatorSettings:
 
 @final
 class LatentEstimator(AbstractEstimator):
-    """Estimates the free parameters of a model by the extended Kalman filter above."""
+    """Estimates the free parameters of a model by an extended Kalman filter; see the module."""
 
     quick = False
 
@@ -187,7 +190,7 @@ class LatentEstimator(AbstractEstimator):
     def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:  # noqa: D102
         start, felt, reached = state.tolist(), action.tolist(), next_state.tolist()
         if not isfinite(sum(start) + sum(felt) + sum(reached) + period) or period <= 0.0:
-            check_transition(state, action, next_state, period)  # a sum may overflow where no number does
+            check_transition(state, action, next_state, period)  # passes if only the sum overflowed
         memory = self._model.initial_memory(action) if self._memory is None else self._memory
         step = self._step(state, action, memory, period)
         predicted, self._memory = step(self._free)
@@ -201,7 +204,7 @@ class LatentEstimator(AbstractEstimator):
                 return
 
     def _learn(self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]]) -> None:
-        """The filter's measurement update: innovation (states,), sensitivity (states, latents)."""
+        """Measurement update with innovation (states,) and sensitivity (states, latents)."""
         correction, surprise = self._belief.correct(innovation, sensitivity, self._noise)
         weight = min(1.0, self._largest / max(sqrt(surprise / len(innovation)), 1e-12))
         moved = [value + weight * change for value, change in zip(self._free, correction, strict=True)]
@@ -211,19 +214,19 @@ class LatentEstimator(AbstractEstimator):
         self.latent = np.array(self._free)
 
     def forget_transient(self) -> None:
-        """Takes the actuators as settled at the next action."""
+        """Assumes that the actuators are settled at the next action."""
         self._memory = None
 
     def _step(self, state: FloatArray, action: FloatArray, memory: Any, period: float) -> Callable[[list[float]], Any]:
-        """The model's step of this transition as a function of the latent: the entries after it, and the memory."""
-        quick = self._model.straight(period)
+        """Returns the model's step of this transition as a function of the latent: (next state, actuator state)."""
+        quick = self._model.scalar_step(period)
         entries, felt = state.tolist(), action.tolist()
 
         def step(free: list[float]) -> tuple[list[float], Any]:
             if quick is not None:
                 try:
                     return quick(entries, felt, free, self._model.clock.seconds), memory
-                except (ValueError, ArithmeticError):  # numbers that the other road answers
+                except (ValueError, ArithmeticError):  # such as an overflow, which NumPy below handles
                     pass
             after, cached = self._model.advance(state, action, memory, np.array(free), period=period)
             return after.tolist(), cached
@@ -231,18 +234,18 @@ class LatentEstimator(AbstractEstimator):
         return step
 
     def _sensitivity(self, step: Callable[[list[float]], Any], predicted: Sequence[float]) -> list[tuple[float, ...]]:
-        """d(step)/dz (states, latents) by differences of a ten thousandth of each parameter's typical size."""
+        """Returns d(step)/dz (states, latents) by finite differences of 1e-4 of each parameter's typical size."""
         columns = []
         for index, value in enumerate(self._free):
             nudge = 1e-4 * self._typical[index]
-            nudge = -nudge if value + nudge > self._high[index] else nudge
+            nudge = -nudge if value + nudge > self._high[index] else nudge  # stay within the parameter's bounds
             free = self._free.copy()
             free[index] += nudge
             columns.append([(moved - entry) / nudge for moved, entry in zip(step(free)[0], predicted, strict=True)])
         return list(zip(*columns, strict=True))
 
     def _difference(self, later: Sequence[float], earlier: Sequence[float]) -> list[float]:
-        """As the system's: angles the short way round."""
+        """Returns later - earlier (states,), with angles wrapped to [-pi, pi)."""
         change = [after - before for after, before in zip(later, earlier, strict=True)]
         for index in self._model.system.angles:
             change[index] = (change[index] + pi) % (2.0 * pi) - pi

@@ -20,10 +20,10 @@ __all__ = ["HistoryEstimator"]
 
 @final
 class HistoryEstimator(AbstractEstimator):
-    """Keeps the last k transitions and encodes them; until there are k, rows of zeros stand in front.
+    """Encodes the last k transitions; an incomplete history is padded with zeros in front.
 
-    Free parameters of effects on top of the networks keep the values of the model file. Raises InputError when the
-    model has no history encoder.
+    Free parameters of additional effects keep the values of the model file. Raises InputError for a model without a
+    history encoder.
     """
 
     quick = True
@@ -42,7 +42,7 @@ class HistoryEstimator(AbstractEstimator):
             )
         self.latent: FloatArray = model.latent.copy()
         self._estimated = self.latent[entries[0] : entries[-1] + 1] if entries else self.latent[:0]
-        """A view: the entries of the networks' latent stand side by side."""
+        """View of the entries of the networks' latent, which are contiguous."""
         self._deviations = _deviations(model, entries)
 
     @property
@@ -53,12 +53,12 @@ class HistoryEstimator(AbstractEstimator):
         check_transition(state, action, next_state, period)
         if abs(period - self._period) > 0.01 * self._period:
             raise InputError(
-                f"period: got {period:g} s, the networks were trained for {self._period:g} s; run the robot at that"
+                f"period: got {period:g} s, the networks were trained for {self._period:g} s; use that period"
             )
         self._estimated[:] = self._remember(state, action, next_state)
 
     def begin_with(self, transitions: Sequence[tuple[FloatArray, FloatArray, FloatArray, float]]) -> None:
-        """Reads the whole history at once: the estimate goes on where another with the same networks was."""
+        """Encodes the whole history, so that the estimate equals that of another estimator with these networks."""
         for state, action, next_state, _ in transitions[-self._encoder.length : -1]:
             self._remember(state, action, next_state)
         super().begin_with(transitions)
@@ -69,12 +69,12 @@ class HistoryEstimator(AbstractEstimator):
         return latent
 
     def forget_transient(self) -> None:
-        """Begins a new history; the estimate stays until it says something."""
+        """Starts a new history; the estimate remains until the next update."""
         self._history.reset()
 
 
 def _deviations(model: PhysicsModel, entries: list[int]) -> FloatArray:
-    """As measured in training, where the weights say so; else half the range, which is all that is known."""
+    """Returns the deviations measured in training if the weights have them, else half the range."""
     assert isinstance(model.base, LearnedBase)
     weights = model.base.weights
     spread = 0.5 * (weights["latent_high"] - weights["latent_low"])

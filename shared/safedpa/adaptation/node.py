@@ -1,4 +1,4 @@
-"""The adaptation service's step: latent[k] from the history up to state[k]."""
+"""The node of the adaptation: computes latent[k] from the history up to state[k]."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from safedpa.errors import InputError, MessageError
 __all__ = ["AdaptationNode"]
 
 
+# Transitions from which the estimator of a new model is initialised; more than the history of an encoder.
 _RECENT_TRANSITIONS = 64
-"""From which an estimator of a new model begins: longer than the history that an encoder reads."""
 
 
 class _AdaptationModel(NamedTuple):
-    """What the adaptation needs of a model."""
+    """A model with its fingerprint."""
 
     model: PhysicsModel
     fingerprint: str
@@ -59,26 +59,26 @@ class _EstimationState:
     estimator: AbstractEstimator
     tick: int = -1
     state: FloatArray | None = None
-    """None until a state came that can be believed."""
+    """The newest state; None if it was implausible."""
     newest: StateMessage | None = None
-    """What ``afterwards`` has to learn from."""
+    """The message from which ``afterwards`` learns."""
     recent: deque[_Transition] = field(default_factory=lambda: deque(maxlen=_RECENT_TRANSITIONS))
-    """Without a gap, up to the newest state."""
+    """Consecutive transitions up to the newest state."""
     successor: tuple[_AdaptationModel, AbstractEstimator] | None = None
-    """For the model that was offered; it learns along until that model is in force."""
+    """Estimator of the offered model, which is updated in parallel until that model is active."""
 
 
 @final
 class AdaptationNode(AbstractNode):
-    """Estimates the latent of the model for each robot from its states and the actions in force.
+    """Estimates the latent of the model for each robot from its states and applied actions.
 
-    With a history encoder among the model's weights, latent[k] = phi(history up to state[k]). Without, the model's free
-    parameters are estimated recursively, and latent[k] holds what all transitions before state[k] taught: the newest
-    one is learned while the policy computes, so that no one waits for it.
+    With a history encoder in the model's weights, latent[k] = phi(history up to state[k]). Otherwise the model's free
+    parameters are estimated recursively, and latent[k] is based on the transitions before state[k]. The newest
+    transition is processed after the latent was sent, so that the policy does not wait for it.
 
-    A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it. A
-    new model's estimate begins with the values of its file and learns from the last transitions, before it is used.
-    Raises InputError when the settings do not fit the model.
+    Implausible states (outside the system's bounds) and the transitions from them are ignored. The estimate of a new
+    model starts from the values of its file and the last transitions, before the model is active. Raises InputError if
+    the settings do not fit the model.
     """
 
     name = "adaptation"
@@ -91,7 +91,7 @@ class AdaptationNode(AbstractNode):
         self._settings = settings
         self._robots: dict[str, _EstimationState] = {}
         first = _AdaptationModel(model, fingerprint(model))
-        self._estimator(first)  # says now, not at the first robot, that the settings do not fit
+        self._estimator(first)  # raises for settings that do not fit now, not at the first robot
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
@@ -115,7 +115,7 @@ class AdaptationNode(AbstractNode):
         return {LATENT: _message(held, state, memory.estimator)}
 
     def afterwards(self, robot: str) -> Outputs:
-        """Learns from the newest transition, where that takes time; prepares a model that was offered, and answers."""
+        """Processes the newest transition if that is slow; prepares an offered model and answers the offer."""
         memory = self._robots[robot]
         assert memory.newest is not None
         if not memory.estimator.quick:
@@ -128,15 +128,15 @@ class AdaptationNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.hand_in = hand_in
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
+        self._versions.submit = submit
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
         memory = self._robots.get(robot)
         return None if memory is None else memory.newest
 
-    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.welcome(robot, status)
+    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.adopt_model(robot, status)
 
     def agreed(self, robot: str) -> Answer | None:  # noqa: D102
         return self._versions.agreed(robot)
@@ -145,7 +145,7 @@ class AdaptationNode(AbstractNode):
         return self._versions.fingerprint(robot)
 
     def _load(self, robot: str, offer: ModelMessage) -> _AdaptationModel:
-        """The offered model, tried on the robot's last transitions. Raises InputError when it cannot be used."""
+        """Loads the offered model and tries it on the robot's last transitions. Raises InputError if it is unusable."""
         model = offered_model(offer, self._versions.of(robot).model)
         held = _AdaptationModel(model, offer.fingerprint)
         memory = self._robots.get(robot)
@@ -162,11 +162,11 @@ class AdaptationNode(AbstractNode):
         return LatentEstimator(held.model, self._settings)
 
     def _learn(self, held: _AdaptationModel, memory: _EstimationState) -> None:
-        """Learns from the transition to the newest state."""
+        """Updates the estimator with the transition to the newest state."""
         state = memory.newest
         assert state is not None
         values, applied = np.array(state.values), np.array(state.applied)
-        plausible = held.model.system.believes(state.values)
+        plausible = held.model.system.is_plausible_floats(state.values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
             transition = _Transition(memory.state, applied, values, state.period)
             held.model.clock.seconds = state.robot_time - state.period
@@ -178,7 +178,7 @@ class AdaptationNode(AbstractNode):
         memory.tick, memory.state = state.tick, values if plausible else None
 
     def _teach_successor(self, robot: str, memory: _EstimationState) -> None:
-        """The newest transition for the model that was offered, too."""
+        """Updates the estimator of the offered model with the newest transition."""
         held = self._versions.prepared(robot)
         if memory.successor is None or memory.successor[0] is not held:
             memory.successor = None
@@ -187,11 +187,13 @@ class AdaptationNode(AbstractNode):
         else:
             try:
                 memory.successor[1].update(*memory.recent[-1])
-            except Exception:  # noqa: BLE001  a user's effect may raise anything; the change begins with a fresh one then
+            except Exception:  # noqa: BLE001
+                # A user's effect may raise anything. The change then starts with a new estimator.
                 memory.successor = None
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """No latent: the others have the last one for a second. What was learned may be broken, so it begins again."""
+        """Returns no latent; policy and filter use the last one for a second. The estimate starts again."""
+        # The estimator may be the cause of the failed step.
         del state, reason
         self._robots.pop(robot, None)
         return {}
@@ -205,7 +207,7 @@ class AdaptationNode(AbstractNode):
 
 
 def _check(held: _AdaptationModel, state: StateMessage) -> None:
-    """Raises MessageError when the lengths of state or action in force do not fit."""
+    """Raises MessageError if the state or the applied action has the wrong length."""
     system = held.model.system
     if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
         raise MessageError(

@@ -1,4 +1,10 @@
-"""The bus: one table of topics, typed messages, transport over Zenoh or in memory, and the loop of every service."""
+"""The message bus: topics, typed messages, transports, and the loop that runs every service.
+
+``messages`` has the message types, the table of topics and the codec; ``transport`` carries them over Zenoh or in
+memory; ``service`` runs a node for any number of robots; ``security`` has roles, certificates and access control;
+``monitor`` summarises a fleet for people and metrics; ``logging`` writes the structured event log.
+Read ``messages/topics.py`` first, then ``transport/bus.py`` and ``service/service_loop.py``.
+"""
 
 from safedpa.bus.messages.codec import decode, encode
 from safedpa.bus.messages.messages import (

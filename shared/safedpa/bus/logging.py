@@ -1,14 +1,11 @@
-"""The one catalogue of events: every ``kind`` that a process of this project writes to its log, with what it means.
+"""The structured event log: one line per event on standard error, and the catalogue of event kinds.
 
-What happened, one structured line each on standard error, for people and for programs that collect logs.
+A line is a JSON object with ``time`` (Unix time in s), ``level``, ``kind`` (dotted and stable, for programs),
+``sentence`` and, where they apply, ``robot``, ``tick``, ``service`` and further fields of the event. On a terminal, or
+with ``SAFEDPA_LOG=text``, it is one readable line of text instead.
 
-A line is a JSON object: ``time`` [s since 1970], ``level``, ``kind`` (dotted, stable: what programs look for),
-``sentence``, and where they apply ``robot``, ``tick``, ``service`` and whatever else the event carries. On a
-terminal, or with ``SAFEDPA_LOG=text``, it is one readable line instead.
-
-A flood costs one line a second: of events of the same kind, robot and service within a second only the first is
-written, and the line that closes the second carries ``repeated``, the number of those that were left out, next to the
-newest of them.
+The rate is limited: of the events with the same kind, robot and service only the first within a second is written.
+At the end of the second the newest of the others is written with ``repeated``, the number of events left out.
 """
 
 from __future__ import annotations
@@ -41,108 +38,111 @@ __all__ = [
 KINDS = MappingProxyType(
     {
         "process.started": "A process joined the bus.",
-        "process.ended": "A process ends in order; says after which signal.",
-        "child.restarted": "The supervisor starts a process again that had died, or that it killed since it hung.",
-        "robot.met": "A service hears a robot for the first time.",
-        "robot.began_anew": "A robot speaks with a new epoch: it was started again.",
-        "robot.forgotten": "A robot was silent for so long that a service forgets it.",
-        "robot.second_refused": "A second robot speaks under a name in use; nothing of it is taken.",
-        "message.refused": "What arrived was no message, or came out of order; says why.",
-        "filter.fallback_entered": "The safety filter could not decide and brakes; says why.",
-        "filter.fallback_left": "The safety filter decides again; says for how many ticks it had not.",
-        "filter.disabled": "The safety filter hands nominal actions on unchecked, since it is switched off.",
-        "filter.stopped": "A robot is stopped by an order or by the filter's end.",
+        "process.ended": "A process shuts down in order; the sentence names the signal.",
+        "child.restarted": "The supervisor restarts a process that died, or that it killed because it hung.",
+        "robot.met": "A service receives the first state of a robot.",
+        "robot.restarted": "A robot sends a new epoch: it was restarted.",
+        "robot.forgotten": "A robot was silent for so long that a service drops its data.",
+        "robot.second_refused": "A second robot uses a name that is already in use; its messages are ignored.",
+        "message.refused": "A message was malformed or out of order; the sentence says why.",
+        "filter.fallback_entered": "The safety filter cannot decide and brakes; the sentence says why.",
+        "filter.fallback_left": "The safety filter decides again; the sentence has the number of ticks in between.",
+        "filter.disabled": "The safety filter is switched off and passes nominal actions on unchecked.",
+        "filter.stopped": "A robot is stopped by an order or because the filter shuts down.",
         "filter.released": "A robot that was stopped may drive again.",
-        "order.taken": "Someone ordered robots to stop or to go, or switched a source or a zone.",
-        "order.refused": "An order was refused; says why.",
-        "order.kept": "A filter, or perception, that was started found an order that is still in force.",
-        "order.lost": "Perception cannot read the orders that it kept: no source counts until one is switched on.",
-        "perception.ignores": "What is seen in the zones named is not told of a robot: by the file, or an order.",
-        "perception.source_off": "Sources of a robot are not listened to: by the file, or an order; says which.",
-        "perception.source_unknown": "The file of perception names sources that the robot does not have.",
-        "perception.switched": "From the tick named on other sources or zones of a robot count; says which.",
-        "model.offered": "The diagnosis offers the services a new model of a robot.",
-        "model.decided": "All services are ready: from the tick named on the new model is in force.",
-        "model.dropped": "An offered model is not taken; says why.",
-        "model.ready": "A service loaded the offered model and checked it.",
+        "order.taken": "A user ordered robots to stop or to go, or switched a source or a zone.",
+        "order.refused": "An order was refused; the sentence says why.",
+        "order.restored": "The filter or perception was started and found a stored order that is still in force.",
+        "order.lost": "Perception cannot read its stored orders: all sources are off until one is switched on.",
+        "perception.ignores": "Objects in the named zones are not reported for a robot, by configuration or order.",
+        "perception.source_off": "The named sources of a robot are switched off, by configuration or order.",
+        "perception.source_unknown": "Perception's configuration names sources that the robot does not have.",
+        "perception.switched": "Other sources or zones of a robot are active from the named tick on.",
+        "model.offered": "The diagnosis offers a new model of a robot to the services.",
+        "model.decided": "All services are ready; the new model is active from the named tick on.",
+        "model.dropped": "An offered model is discarded; the sentence says why.",
+        "model.ready": "A service has loaded and checked the offered model.",
         "model.taken": "A service uses the new model.",
-        "model.refused": "A service cannot use the offered model; says why.",
-        "finding.changed": "The diagnosis comes to another stage: raised, searching, candidates, nothing, watching.",
-        "recorder.failed": "The recording broke off; says why.",
-        "recorder.resumed": "The recording goes on in another file, since the disk has room again.",
-        "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
+        "model.refused": "A service cannot use the offered model; the sentence says why.",
+        "finding.changed": "The diagnosis enters another stage: raised, searching, candidates, nothing, watching.",
+        "recorder.failed": "The recording was interrupted; the sentence says why.",
+        "recorder.resumed": "The recording continues in another file, because the disk has free space again.",
+        "recorder.lost": "The recorder could not keep up; the sentence has the number of lost messages.",
         "router.open": "The router accepts connections.",
-        "router.stands": "The router's own work came to a stand; it ends, so that it is restarted.",
+        "router.stalled": "The router makes no progress; it exits, so that it is restarted.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
-        "bus.unclosed": "A process ends, and its session with the bus did not close in time; its links end with it.",
+        "bus.unclosed": "A process exits although its bus session did not close in time; its links close with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",
-        "bus.astray": "What came under another key than it was sent under, after a lost link, was passed over.",
-        "bus.twice": "Two connect with one certificate; one of them may not be who it says.",
-        "bus.joined": "Someone connects to the router with a certificate.",
-        "bus.handshake_refused": "Someone was refused at the router's door.",
-        "bus.denied": "Someone tried what its role may not; the router let nothing through.",
-        "bus.too_large": "Someone sent more bytes than the topic allows; the router let nothing through.",
-        "bus.held_back": "Someone sends more often than any robot ticks; the router lets a part through.",
-        "bus.strangers_cut_off": "Connections were ended that did not say in time who they are.",
-        "bus.revoked": "Links of certificates that are good for nothing any more were ended.",
-        "page.refused": "A page was asked by another page, under another name, without its token, or for too much.",
-        "page.wrong_password": "Someone gave a wrong password to a page.",
-        "bus.log_overrun": "More was refused than could be told one by one.",
-        "bus.zenoh": "A warning of the network library.",
+        "bus.misrouted": "A message was delivered under a wrong key after a lost link; it is ignored.",
+        "bus.duplicate_certificate": "Two connections use one certificate; one of them may be an impostor.",
+        "bus.joined": "A client connected to the router with a certificate.",
+        "bus.handshake_refused": "The router refused a connection.",
+        "bus.denied": "A client tried something that its role does not permit; the router blocked it.",
+        "bus.too_large": "A client sent a message above the size limit of its topic; the router blocked it.",
+        "bus.held_back": "A client sends faster than any robot ticks; the router drops some of its messages.",
+        "bus.strangers_cut_off": "Connections were closed that did not authenticate in time.",
+        "bus.revoked": "Links of expired or revoked certificates were closed.",
+        "page.refused": "A web request had a wrong origin, host name or token, or was too large.",
+        "page.wrong_password": "A user entered a wrong password on a web page.",
+        "bus.log_overrun": "More events were refused than could be logged one by one.",
+        "bus.zenoh": "A warning of the Zenoh library.",
     }
 )
-"""By kind: what it means. Kinds are stable: what watches logs may rely on them."""
+"""Meaning of each event kind. Kinds are stable: programs that watch the log may rely on them."""
 
 
-_LEAST_SECONDS = 1.0
+_RATE_WINDOW_SECONDS = 1.0
+# Combinations of kind, robot and service whose rate is tracked. Robot names may come from an attacker, and each one
+# would take memory.
 _MOST_WINDOWS = 512
-"""Kinds times robots times services whose rate is watched; names may come from an attacker, memory is ours."""
+# Characters of one value. Names and error texts may come from the network.
 _LONGEST_TEXT = 400
-"""Characters of one value."""
 
 Later = Callable[[float, Callable[[], None]], object]
 
 
+# Kind, robot, service.
 _Key = tuple[str, str, str]
-"""Kind, robot, service."""
 
 
 @dataclass
 class _Window:
-    """A second that began with a line."""
+    """The interval after a written line in which further events of the same key are counted only."""
 
     opened: float
-    """s, by the clock; when the last line was written."""
+    """Time of the last written line in s, by the log's clock."""
     left_out: int = 0
     newest: dict[str, Any] | None = None
 
 
 def _to_standard_error(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, broken, or never there
+    # Standard error may be closed, a broken pipe, or None. Logging must never stop a control loop.
+    with contextlib.suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(line)
         sys.stderr.flush()
 
 
 @final
 class DelayedCaller:
-    """Calls what it is given at its moment, all of it in one thread, which ends when nothing is left.
+    """Calls functions after a delay, all in one thread, which ends when none is left.
 
-    A thread for each would cost a service that is late already: of a hundred robots whose verdicts change, two hundred
-    threads a second.
+    With a thread per call, a hundred robots with changing verdicts would start two hundred threads a second in a
+    service that is already late.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._due: list[tuple[float, int, Callable[[], None]]] = []
-        """By moment [s, monotonic clock], and in the order in which they were given."""
+        """Heap by due time [s, monotonic clock]; the sequence number breaks ties, since functions have no order."""
         self._number = count()
         self._thread: threading.Thread | None = None
 
     def __call__(self, seconds: float, work: Callable[[], None]) -> None:
-        """Has ``work`` called after ``seconds``, at once where that is below 0."""
+        """Calls ``work`` after ``seconds``; immediately if that is negative."""
         with self._changed:
             heapq.heappush(self._due, (time.monotonic() + seconds, next(self._number), work))
-            if self._thread is None or not self._thread.is_alive():  # not alive: of the process that this is a fork of
+            # Not alive in a fork: the thread exists only in the parent process.
+            if self._thread is None or not self._thread.is_alive():
                 self._thread = threading.Thread(target=self._run, name="safedpa-alarm", daemon=True)
                 self._thread.start()
             elif self._due[0][2] is work:
@@ -152,23 +152,25 @@ class DelayedCaller:
         while (work := self._next()) is not None:
             try:
                 work()
-            except Exception:  # noqa: BLE001 - it is told as a thread's own would be, and the others are done all the same
+            except Exception:  # noqa: BLE001
+                # Report it like an uncaught exception of a thread, and continue with the other functions.
                 sys.excepthook(*sys.exc_info())
 
     def _next(self) -> Callable[[], None] | None:
-        """The next work, once it is due; None where nothing is left: the thread ends then, and the next is another."""
+        """Waits for the next due function; None if there is none left."""
         with self._changed:
             while self._due:
                 left = self._due[0][0] - time.monotonic()
                 if left <= 0.0:
                     return heapq.heappop(self._due)[2]
                 self._changed.wait(left)
+            # Set under the lock: a call that follows sees that it has to start another thread.
             self._thread = None
             return None
 
 
 class EventLog:
-    """Writes events to ``write``; ``clock`` measures the second, ``later`` closes it."""
+    """Writes events to ``write``, rate limited; ``clock`` [s] and ``later(seconds, function)`` time the limit."""
 
     def __init__(
         self,
@@ -182,28 +184,31 @@ class EventLog:
         self._counts: Counter[str] = Counter()
 
     def log(self, event: dict[str, Any]) -> None:
-        """Writes one event, or keeps it back and counts it where the like of it was written within the second."""
+        """Writes one event, or counts it if one of the same key was written within the last second."""
         key = (event["kind"], event.get("robot", ""), event.get("service", ""))
         now = self._clock()
         with self._lock:
             self._counts[event["kind"]] += 1
             window = self._windows.get(key)
-            if window is not None and now - window.opened < _LEAST_SECONDS:
+            if window is not None and now - window.opened < _RATE_WINDOW_SECONDS:
                 window.newest, window.left_out = event, window.left_out + 1
+                # Only the first event left out starts the timer; the timer writes the newest one.
                 if window.left_out == 1:
-                    self._later(_LEAST_SECONDS - (now - window.opened), lambda: self._close(key, window))
+                    self._later(_RATE_WINDOW_SECONDS - (now - window.opened), lambda: self._close(key, window))
                 return
             self._open(key, now)
-        missed = 0 if window is None else window.left_out  # the timer is late
+        # The window is over, but its timer has not run yet. Add the events that it would have reported to this line.
+        missed = 0 if window is None else window.left_out
+        # Written outside the lock: standard error may be a pipe that blocks.
         self._write(_line({**event, "repeated": missed + 1} if missed else event))
 
     def counts(self) -> dict[str, int]:
-        """How many events there were of each kind, written or not."""
+        """Returns the number of events by kind, written or not."""
         with self._lock:
             return dict(self._counts)
 
     def reset_rate_limits(self) -> None:
-        """Writes the next event of each kind at once; events that are being held back are dropped."""
+        """Writes the next event of each kind immediately; drops the events that are held back."""
         with self._lock:
             self._windows.clear()
 
@@ -214,8 +219,9 @@ class EventLog:
             self._windows.popitem(last=False)
 
     def _close(self, key: _Key, window: _Window) -> None:
-        """Writes what was left out of the second that is over, unless that was done already."""
+        """Writes the events left out in a window, unless ``log`` has done so already."""
         with self._lock:
+            # Another event may have opened a new window before this timer ran.
             if self._windows.get(key) is not window or window.newest is None:
                 return
             event = window.newest if window.left_out == 1 else {**window.newest, "repeated": window.left_out}
@@ -234,7 +240,7 @@ def _line(event: dict[str, Any]) -> str:
 
 
 def _as_text() -> bool:
-    """As ``SAFEDPA_LOG`` says; without a word text where a person looks, JSON where a program reads."""
+    """Whether to write text: as ``SAFEDPA_LOG`` says, by default on a terminal only."""
     wanted = os.environ.get("SAFEDPA_LOG", "")
     if wanted:
         return wanted == "text"
@@ -255,21 +261,22 @@ def _short(value: Any) -> Any:
 
 
 def _on_one_line(value: Any) -> str:
-    """Readable and on one line whatever an attacker put into a name."""
+    """Escapes control characters."""
+    # An attacker could put line breaks or terminal escape sequences into a name and fake other log lines.
     return printable(str(value))
 
 
 EVENT_LOG = EventLog()
-"""Of this process."""
+"""The event log of this process."""
 
 
 def log_event(
     kind: str, sentence: str, *, level: str = "info", robot: str = "", tick: int = -1, service: str = "", **more: Any
 ) -> None:
-    """Writes one line about something that happened; never raises.
+    """Logs one event; never raises.
 
-    ``kind`` is dotted and stable, such as ``bus.denied``; ``level`` is ``info``, ``warning`` or ``error``; ``robot``,
-    ``tick`` and ``service`` are left out of the line where they are not given; ``more`` is what else belongs to it.
+    ``kind`` is one of ``KINDS``, such as ``bus.denied``; ``level`` is ``info``, ``warning`` or ``error``. ``robot``,
+    ``tick`` and ``service`` are left out of the line if they are not given; ``more`` has further fields.
     """
     event: dict[str, Any] = {"time": round(time.time(), 3), "level": level, "kind": kind, "sentence": sentence}
     event |= {name: value for name, value in (("robot", robot), ("service", service)) if value}
@@ -278,5 +285,5 @@ def log_event(
 
 
 def counted_events() -> dict[str, int]:
-    """How many events of each kind this process had, for status and metrics."""
+    """Returns the number of events of this process by kind, for status and metrics."""
     return EVENT_LOG.counts()

@@ -1,1 +1,6 @@
-"""Margins from measurements: runs, drives and recordings. Read ``from_runs`` first."""
+"""Calibration of the filter's margins from measurements.
+
+``from_runs`` calibrates on logs of a robot, ``from_recordings`` on recordings of the bus, ``from_drives`` on barrier
+residuals along drives, and ``theorem1`` evaluates the bound of Theorem 1 on recorded steps. Read ``from_runs.py``
+first.
+"""

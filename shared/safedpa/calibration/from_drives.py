@@ -1,9 +1,8 @@
-"""Margins over drives from what was predicted and measured along each, and what margins cover on other drives.
+"""Margins from barrier residuals along drives, and their coverage on other drives.
 
-The errors of h along a drive, as the filter's own watch over its margin sees them: what margins are calibrated on.
-
-One walk for all: recordings and simulated drives go through the same memory of a robot that the deployed filter keeps,
-so that whatever a barrier, a latent or an actuator's memory does to a prediction is in the calibration as in the watch.
+The residuals are computed by the filter's own ``RobotSession``, for recorded and simulated drives alike. Effects of
+barriers, latents and actuator states on a prediction are therefore the same in the calibration and in the online margin
+monitor.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ __all__ = [
 ]
 
 Drives = Sequence[Mapping[str, FloatArray]]
-"""Of each drive by kind (steps, 4): the least h as it was predicted, and as it was measured; see ``drive_heights``."""
+"""Residuals of each drive by kind of barrier, (steps, 4); see ``barrier_residuals``."""
 
 _NOTHING = np.zeros((0, 4))
+# Minimum number of drives with errors below the clip. Without any, the margin would be 0.
 _NEAR = 10
-"""Drives at least in which something has to have come near: from none a margin of 0 would follow."""
 _DOUBLINGS = 40
 
 
@@ -52,11 +51,11 @@ def calibration_from_drives(
     clip: ErrorClip = NO_CLIP,
     origin: str = "",
 ) -> MarginCalibration:
-    """Margins for a step near a boundary, and for a whole drive.
+    """Calibrates the margins for a step near a boundary and for a whole drive.
 
-    Errors count below the ``clip``, which is doubled where a margin is too wide for it, or too few drives came near.
-    A drive in which nothing of a kind came near counts as one without an error. Raises InputError when there are too
-    few drives, or no step in any.
+    Errors count only below the ``clip``, which is doubled if the margin exceeds it or if too few drives came near a
+    boundary. A drive that did not come near a boundary of some kind counts as a drive with error 0. Raises InputError
+    for too few drives or drives without steps.
     """
     if len(drives) < smallest_sample(coverage):
         raise InputError(
@@ -69,7 +68,7 @@ def calibration_from_drives(
         along = [heights.get(kind, _NOTHING) for heights in drives]
         for which, name in enumerate(("clip", "drive.clip")):
             margin, used = _fitted(kind, along, coverage, clip, which)
-            tables[which][kind], tops[f"{name}.{kind}"] = margin, used.of(kind, 0.0)
+            tables[which][kind], tops[f"{name}.{kind}"] = margin, used.level(kind, 0.0)
     steps = sum(max(map(len, heights.values()), default=0) for heights in drives)
     reported = {name: value for name, value in tops.items() if isfinite(value)}
     made = MarginCalibration(tables[0], coverage, steps, date, model_fingerprint, constants=reported, drive=tables[1])
@@ -79,7 +78,7 @@ def calibration_from_drives(
 def _fitted(
     kind: str, along: Sequence[FloatArray], coverage: float, clip: ErrorClip, which: int
 ) -> tuple[float, ErrorClip]:
-    """The margin of a step (0) or a whole drive (1), and the ceiling below which its errors were counted."""
+    """Returns the margin of a step (0) or a whole drive (1), and the clip that was used."""
 
     for _ in range(_DOUBLINGS):
         if sum(len(clip.errors(kind, heights)) > 0 for heights in along) >= min(_NEAR, len(along)):
@@ -90,17 +89,17 @@ def _fitted(
         errors = [chosen.errors(kind, heights) for heights in along]
         return max(0.0, margins_over_drives([near if len(near) else (0.0,) for near in errors], coverage)[which])
 
-    return clip.fitting(kind, margin)
+    return clip.fit_margin(kind, margin)
 
 
 def covered_shares(drives: Drives, kind: str, epsilon: float, clip: ErrorClip = NO_CLIP) -> FloatArray:
-    """(drives,) what share of a drive's steps near a boundary a margin covers; 1 where nothing came near."""
+    """Returns the share of each drive's steps near a boundary that a margin covers (drives,); 1 without such steps."""
     errors = [clip.errors(kind, heights.get(kind, _NOTHING), epsilon) for heights in drives]
     return np.array([float((near <= epsilon).mean()) if len(near) else 1.0 for near in errors])
 
 
 class DriveTick(NamedTuple):
-    """A state, and the latent that the filter had for it."""
+    """A state with the latent that the filter used."""
 
     state: StateMessage
     latent: LatentMessage | None
@@ -109,19 +108,19 @@ class DriveTick(NamedTuple):
 def barrier_residuals(
     model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DriveTick]
 ) -> dict[str, FloatArray]:
-    """By kind of barrier (steps, 4): the least h, predicted by the barriers of then and measured; see ``HSample``.
+    """Returns the smallest h, predicted and measured, by kind of barrier (steps, 4); see ``HSample``.
 
-    ``ticks`` of one start of one robot, in order. Steps whose action was not the filter's, whose latent is not known,
-    or whose state makes no scene are left out. ``Ceiling.errors`` makes errors of them.
+    ``ticks`` are those of one start of one robot, in order. Steps are left out if the filter did not choose the action,
+    the latent is unknown, or the state has no valid scene. ``ErrorClip.errors`` converts the result to errors.
     """
     own = fingerprint(model)
     held = CalibratedModel(model, own, uncalibrated(settings, own))
-    memory = RobotSession.begun(held, settings, period=ticks[0].state.period if ticks else None)
+    memory = RobotSession.create(held, settings, period=ticks[0].state.period if ticks else None)
     memory.margin.learns = False
     found: dict[str, list[HSample]] = {}
     for index, tick in enumerate(ticks):
         memory.observe_state(tick.state)
-        for kind, seen in memory.margin.seen.items():
+        for kind, seen in memory.margin.samples.items():
             if np.isfinite(seen).all():
                 found.setdefault(kind, []).append(seen)
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
@@ -130,7 +129,7 @@ def barrier_residuals(
 
 
 def _go_on(memory: RobotSession, tick: DriveTick, following: StateMessage | None) -> None:
-    """What the filter would expect of the next state under the action that was taken."""
+    """Predicts the next state under the recorded action, as the filter would."""
     state = tick.state
     given = tick.latent if tick.latent is not None else Stale(LATENT, -1)
     latent, problems = memory.usable_latent(state, {LATENT: given})

@@ -1,4 +1,5 @@
-"""Margin calibration from recordings of the bus: what the filter knew, did, and what became of it."""
+"""Margin calibration from recordings of the bus, which contain the filter's inputs, actions and the resulting
+states."""
 
 from __future__ import annotations
 
@@ -27,12 +28,13 @@ from safedpa.safety.settings import FilterSettings
 __all__ = ["RecordedTransitions", "calibration_from_recordings"]
 
 
+# Transitions per block, 5 s at 20 Hz. Neighbouring transitions are correlated, so data are split by whole blocks.
 _BLOCK = 100
-"""Transitions that stay together, 5 s at 20 Hz: neighbours are too much alike for one to be fresh to the other."""
+# Every fifth block or drive is held out.
 _SHARE = 5
 
+# Robot and epoch.
 _Start = tuple[str, int]
-"""Robot and epoch."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,17 @@ class _RecordedTransition:
 
 @final
 class RecordedTransitions:
-    """The n transitions of drives in which the robot did what the filter said, as arrays, with the drive of each.
+    """The n transitions in which the robot applied the filter's action, as arrays.
 
     ``state`` (n, states), ``action`` (n, actions), ``following`` (n, states), ``latent`` (n, latents), ``drive`` (n,).
 
-    Raises InputError when there are none.
+    Raises InputError without any transition.
     """
 
     def __init__(self, drives: Sequence[Sequence[DriveTick]]) -> None:
         found = [transition for number, ticks in enumerate(drives) for transition in _transitions(number, ticks)]
         if not found:
-            raise InputError("recordings: got no transition under an action of the filter with a latent; record more")
+            raise InputError("recordings: no transition with an action of the filter and a latent; record more")
         self.drive = np.array([transition.drive for transition in found])
         self.state = np.array([transition.before.values for transition in found])
         self.action = np.array([transition.after.applied for transition in found])
@@ -74,14 +76,14 @@ def calibration_from_recordings(
     coverage: float,
     date: str,
 ) -> MarginCalibration:
-    """The margins by kind, and what share of fresh data each covers.
+    """Calibrates the margins by kind of barrier, and their coverage of held-out data.
 
-    With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
-    for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
-    taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
-    InputError when the recordings hold too few transitions, latents of another model, or robots of several periods.
+    With enough drives (a drive is one start of one robot), every fifth drive is held out, and there are margins for a
+    step near a boundary and for a whole drive. With fewer drives, every fifth block of 5 s is held out, transitions are
+    assumed exchangeable, and all of them count whether near a boundary or not; there are no margins for drives. Raises
+    InputError for too few transitions, latents of another model, or robots of several periods.
     """
-    scene_of(model, settings)  # refuses the settings of another robot before anything is read
+    scene_of(model, settings)  # raises for settings of another robot before reading the recordings
     drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
     period = _period_of(drives, model)
     walked = [(ticks, barrier_residuals(model, settings, ticks)) for ticks in drives]
@@ -100,11 +102,11 @@ def calibration_from_recordings(
 
 
 def _period_of(drives: Sequence[Sequence[DriveTick]], model: PhysicsModel) -> float:
-    """Of all drives, s: the error of a step grows with its length. The model's own where there is no drive."""
+    """Returns the common period of all drives [s], or the model's without drives. Errors grow with the period."""
     periods = sorted({tick.state.period for ticks in drives for tick in ticks}) or [model.period]
     if len(periods) > 1:
         reported = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
-        raise InputError(f"recordings: got steps of {reported} s, wanted one period; calibrate for each by itself")
+        raise InputError(f"recordings: got steps of {reported} s, wanted one period; calibrate for each separately")
     return periods[0]
 
 
@@ -125,7 +127,7 @@ def _over_blocks(
 def _all_errors(
     along: Sequence[Mapping[str, FloatArray]], eta: float
 ) -> dict[str, tuple[FloatArray, NDArray[np.bool_]]]:
-    """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
+    """Returns the concatenated errors (steps,) of all drives by kind, and which of them are held out."""
     kinds = dict.fromkeys(kind for heights in along for kind in heights)
     clip = ErrorClip(eta)
     joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
@@ -138,7 +140,7 @@ def _all_errors(
 def _covered(
     made: MarginCalibration, along: Sequence[Mapping[str, FloatArray]], clip: ErrorClip, *, by_drives: bool
 ) -> dict[str, float]:
-    """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
+    """Returns the share of held-out steps that each margin covers, and of held-out drives that ``drive`` covers."""
     reported: dict[str, float] = {}
     blocks, fresh = _all_errors(along, clip.eta), along[_SHARE - 1 :: _SHARE]
     for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
@@ -152,7 +154,7 @@ def _covered(
 
 
 def _drives(path: Path, model: str) -> list[list[DriveTick]]:
-    """One list for each start of a robot; messages may stand in the file in any order."""
+    """Returns one list of ticks per start of a robot; the messages of a file may be in any order."""
     states: dict[_Start, dict[int, StateMessage]] = {}
     latents: dict[_Start, dict[int, LatentMessage]] = {}
     for key, _, message in read_messages(path):
@@ -170,7 +172,7 @@ def _drives(path: Path, model: str) -> list[list[DriveTick]]:
 
 
 def _transitions(drive: int, ticks: Sequence[DriveTick]) -> Iterator[_RecordedTransition]:
-    """Pairs of consecutive states with the latent of the first."""
+    """Yields pairs of consecutive states with the latent of the first one."""
     for before, after in pairwise(ticks):
         wanted = after.state.tick == before.state.tick + 1 and after.state.applied_by == "filter"
         if wanted and before.latent is not None:

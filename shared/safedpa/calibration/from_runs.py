@@ -1,11 +1,11 @@
-"""Margin calibration from runs of a car or a pendulum: what the model predicted one period ahead, and what came of it.
+"""Margin calibration from runs of a car or a pendulum, by one-step predictions of the model.
 
-Recordings of the bus tell which scene the car was in; a run of a log does not. So every transition is placed among
-obstacles drawn around the car, near enough to matter: the error of h depends on where they stand. That of a pendulum's
-corridor does not depend on its edges. A margin is of steps of one length: the model's own where the logs have enough of
-them, else those that they have.
+Recordings of the bus contain the obstacles around the car; a run from a log does not. Every transition is therefore
+combined with random obstacles near the car, because the error of h depends on their positions. For a pendulum, the
+error does not depend on the limits of the corridor. A margin is valid for steps of one length: the model's period if
+the logs have enough such steps, otherwise the period of the logs.
 
-The filter's margin for a model that was fitted while the robot drives, from the little data that there are.
+``live_margin`` calibrates the margin of a model fitted while the robot drives, from the data of that drive.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
-from safedpa.robot import robot_like, robots
 from safedpa.safety.checks.compatibility import check_settings
 from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors, margin_text
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.settings import FilterSettings
+from safedpa.systems.robots import robot_like, robots
 
 __all__ = [
     "LatentTrajectory",
@@ -39,7 +39,7 @@ __all__ = [
 
 
 class LatentTrajectory(Protocol):
-    """Estimates the latent while the robot drives: any estimator of the adaptation."""
+    """Estimates the latent along a drive; any estimator of the adaptation."""
 
     @property
     def latent(self) -> FloatArray: ...  # noqa: D102
@@ -47,28 +47,28 @@ class LatentTrajectory(Protocol):
     def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None: ...  # noqa: D102
 
 
+# Transitions used. More of them change the quantile by less than its own spread.
 _MOST = 3000
-"""Transitions; more narrow the quantile by less than its own spread."""
+# Relative difference of a step from the model's period beyond which its transition is left out.
 _SAME_PERIOD = 0.1
-"""Relative difference of a row's period from the model's beyond which its transition is left out."""
+# Steps per block for estimating a rate by the median. A jitter of 50 % changes the median by 10 %.
 _BLOCK = 20
-"""Steps whose median is one rate: a clock that jitters by half moves it by a tenth."""
+# Relative difference of medians from which blocks count as of different rates.
 _OTHER_RATE = 0.25
-"""Relative difference of such medians from which it is another rate."""
+# Share of the time that may have another rate, such as while a robot starts.
 _STRAY = 0.1
-"""Share of the time that may be of another rate, as while a robot starts, without hiding that of the logs."""
 
 
 @final
 @dataclass(frozen=True)
 class LogMargin:
-    """A margin, and of which steps of the logs it is."""
+    """A margin, and the steps of the logs for which it is valid."""
 
     calibration: MarginCalibration
     period: float
-    """s, of its steps."""
+    """Length of its steps in s."""
     others: int
-    """Steps of other rates, which tell nothing of it."""
+    """Number of steps of other lengths, which were not used."""
 
 
 def calibration_from_runs(
@@ -81,22 +81,21 @@ def calibration_from_runs(
     estimator: Callable[[], LatentTrajectory] | None = None,
     period: float = 0.0,
 ) -> MarginCalibration:
-    """Margins by kind of barrier: the quantile of h(predicted) - h(measured) over the runs' transitions.
+    """Calibrates margins by kind of barrier: the quantile of h(predicted) - h(measured) over the transitions.
 
-    Actuators remember what was commanded before, as they do in the filter. ``footprint`` as in the message
-    of the state; empty: the usual one.
-    ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
-    ``period`` [s]: of the steps that count, within a tenth of it; 0, or where it is the model's own by as little, that.
-    Raises InputError for a model that is of a robot that does not say how, settings of another one, too few transitions
-    of that period, or predictions that are not finite.
+    Actuator states are simulated as in the filter. ``footprint`` is as in the state message; empty: the default one.
+    ``estimator`` creates an estimator of the latent for each stretch; without one the model's own latent is used.
+    ``period`` [s] selects the steps within 10 % of it; 0, or a value within 10 % of the model's period, means the
+    model's period. Raises InputError for a robot that does not support this calibration, settings of another robot, too
+    few transitions of the period, and predictions that are not finite.
     """
     robot = robot_like(model.system)
     draw = np.random.default_rng(0)
     if robot is None or not robot.calibrates_from_logs:
         raise InputError(
             f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'} and the states "
-            f"{', '.join(model.system.state_names)}, wanted one of a robot that says which barriers may be drawn "
-            f"around a state: {', '.join(name for name, one in robots().items() if one.calibrates_from_logs)}"
+            f"{', '.join(model.system.state_names)}, wanted a robot that supports calibration from logs: "
+            f"{', '.join(name for name, one in robots().items() if one.calibrates_from_logs)}"
         )
     check_settings(settings, model.system)
     another = period > 0.0 and not is_period_of(model, period)
@@ -104,12 +103,11 @@ def calibration_from_runs(
     errors: dict[str, list[float]] = {}
     for before, predicted, after in _predictions(stepping, runs, estimator):
         for barrier in robot.barriers_around(before, settings, footprint, draw):
-            apart = barrier.values(predicted) - barrier.values(after)
+            apart = barrier.h(predicted) - barrier.h(after)
             errors.setdefault(barrier.kind, []).append(float(apart.max()))
     if not errors:
         raise InputError(
-            f"margin: got no transition of {stepping.period:g} s, wanted runs with steps of that length; "
-            "record at one rate"
+            f"margin: no transition of {stepping.period:g} s, wanted runs with steps of that length; record at one rate"
         )
     found = {kind: np.array(values) for kind, values in errors.items()}
     return calibration_from_errors(found, coverage, date, fingerprint(model), stepping.period)
@@ -125,14 +123,14 @@ def log_margin(
     estimator: Callable[[], LatentTrajectory] | None = None,
     fewer: Callable[[Sequence[Run]], Sequence[Run]] = lambda runs: runs,
 ) -> LogMargin:
-    """Margins by kind: the ``coverage`` quantile of h(predicted) - h(measured) over the logs' steps of one length.
+    """Calibrates margins by kind as the ``coverage`` quantile of h(predicted) - h(measured) over steps of one length.
 
-    Of the model's own period where ceil(coverage / (1 - coverage)) steps are of it, else of the one rate of the logs.
-    ``fewer`` thins long logs out once their rate is known; ``estimator`` as in ``calibration_from_runs``. Raises
-    InputError where the logs have several rates and none of them is the model's, where they are too short, for a
-    model of networks that know one rate alone, and as ``calibration_from_runs``.
+    The length is the model's period if at least ceil(coverage / (1 - coverage)) steps have it, otherwise the common
+    period of the logs. ``fewer`` thins out long logs once their rate is known; ``estimator`` is as in
+    ``calibration_from_runs``. Raises InputError as ``calibration_from_runs`` does, for logs of several rates without
+    the model's, for logs that are too short, and for network models trained for another rate.
     """
-    known = [run for run in runs if run.period > 0.0]  # none where no stretch has two rows
+    known = [run for run in runs if run.period > 0.0]  # excludes runs without two consecutive rows
     blocks = [part for run in known for part in _blocks(run)]
     period = _period(model, blocks, smallest_sample(coverage))
     near = [run for run in known if any(abs(steps / period - 1.0).min() < _OTHER_RATE for steps in _blocks(run))]
@@ -142,27 +140,27 @@ def log_margin(
 
 
 def log_margin_message(model: PhysicsModel, found: LogMargin) -> str:
-    """What has to be known of it, one sentence or two; empty where all steps are the model's own."""
-    left = f"; {found.others} steps of other lengths tell nothing of it" if found.others else ""
+    """Returns a note on the validity of the margin; empty if all steps have the model's period."""
+    left = f"; {found.others} steps of other lengths were not used" if found.others else ""
     own, period = model.period, found.period
     if period == own:
-        return left and f"The margin is of the model's own steps of {own:g} s{left}."
-    wider = "wider than needed" if period > own else f"{own / period:.3g} times as wide and promises nothing"
+        return left and f"The margin is valid for the model's period of {own:g} s{left}."
+    wider = "wider than needed" if period > own else f"scaled by {own / period:.3g} and has no guarantee"
     return (
-        f"The margin is of steps of {period:.3g} s, as the recordings have them{left}: "
-        f"over the model's own, {own:g} s, it is {wider}; for those record at their rate."
+        f"The margin is valid for steps of {period:.3g} s, as in the recordings{left}: "
+        f"for the model's period of {own:g} s it is {wider}; record at that rate to calibrate for it."
     )
 
 
 def is_period_of(model: PhysicsModel, period: float) -> bool:
-    """Whether a step of ``period`` [s] is one of the model's own, but for what clocks jitter."""
+    """Whether ``period`` [s] is the model's period within the tolerance for clock jitter."""
     return abs(period / model.period - 1.0) < _SAME_PERIOD
 
 
 def _predictions(
     model: PhysicsModel, runs: Sequence[Run], estimator: Callable[[], LatentTrajectory] | None
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """(state, predicted next, measured next), evenly spread over those of the model's period in all runs."""
+    """Yields (state, predicted next, measured next) for steps of the model's period, thinned out evenly."""
     every = max(1, round(sum(_own_steps(model, run) for run in runs) / _MOST))
     latent = model.latent if model.latent_names else None
     number = 0
@@ -196,15 +194,15 @@ def _own_steps(model: PhysicsModel, run: Run) -> int:
 
 
 def _blocks(run: Run) -> list[FloatArray]:
-    """The steps [s] of each stretch, some that follow one another at a time."""
+    """Returns the steps [s] of all stretches in blocks of consecutive steps."""
     steps = [np.diff(t) for t, _, _ in run.parts() if len(t) > 1]
     return [block for part in steps for block in np.array_split(part, -(-len(part) // _BLOCK))]
 
 
 def _period(model: PhysicsModel, blocks: Sequence[FloatArray], least: int) -> float:
-    """The model's own if ``least`` steps are of it, else that of most of the time, s, where it is of nearly all."""
+    """Returns the model's period if at least ``least`` steps have it, otherwise the predominant period [s]."""
     if not blocks:
-        raise InputError(f"margin: got no step, wanted recordings with at least {least} of one length; record more")
+        raise InputError(f"margin: no steps, wanted recordings with at least {least} of one length; record more")
     steps = np.concatenate(blocks)
     own = sum(is_period_of(model, step) for step in steps.tolist())
     rates, seconds = (np.array([of(part) for part in blocks]) for of in (np.median, np.sum))
@@ -217,13 +215,13 @@ def _period(model: PhysicsModel, blocks: Sequence[FloatArray], least: int) -> fl
     if seconds[apart].sum() > _STRAY * seconds.sum():
         raise InputError(
             f"margin: got steps of {rates.min():.3g} to {rates.max():.3g} s, {own or 'none'} of the model's own "
-            f"{model.period:g} s, wanted recordings of one rate or {least} steps of the model's own; diagnose those of "
-            "one rate alone, or record at the model's"
+            f"{model.period:g} s, wanted recordings of one rate or {least} steps of the model's own; use recordings of "
+            "one rate, or record at the model's"
         )
     if isinstance(model.base, LearnedBase):
         raise InputError(
-            f"margin: got steps of {usual:.3g} s, wanted those of {model.period:g} s, on which the model's networks "
-            "were trained; record at that rate"
+            f"margin: got steps of {usual:.3g} s, wanted {model.period:g} s, for which the model's networks were "
+            "trained; record at that rate"
         )
     return usual
 
@@ -238,17 +236,17 @@ def live_margin(
     footprint: tuple[float, ...],
     estimator: Callable[[], LatentTrajectory] | None = None,
 ) -> str:
-    """The margin as text: for each kind of barrier the larger one of all of the run and of its newest half.
+    """Returns the margin as text: for each kind of barrier the maximum over the whole run and its newest half.
 
-    The model was fitted to part of the run, most likely to its older half. The margin is of the run's own steps, since
-    over these the filter predicts for this robot. Empty where the robot does not say which barriers may be drawn around
-    a state. Raises InputError when the run is too short for 99 %.
+    The margin is valid for the run's own period, over which the filter predicts for this robot. Empty if the robot does
+    not support calibration from logs. Raises InputError if the run is too short for 99 %.
     """
+    # The model was fitted to part of the run, most likely its older half, where its errors are smaller.
     robot = robot_like(model.system)
     if robot is None or not robot.calibrates_from_logs:
         return ""
     date = datetime.date.today().isoformat()
-    period = run.period if run.period > 0.0 else 0.0  # none where no stretch has two rows
+    period = run.period if run.period > 0.0 else 0.0  # NaN without two consecutive rows
 
     def calibrated(part: Run) -> MarginCalibration:
         return calibration_from_runs(model, settings, [part], _COVERAGE, date, footprint, estimator, period)

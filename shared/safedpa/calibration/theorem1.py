@@ -1,10 +1,10 @@
-"""The theory's bound from recordings of a robot whose environment no one knows: the error of whole steps, by norms.
+"""The margin of Theorem 1, estimated from recordings of a robot in an unknown environment by norms of one-step errors.
 
-With the latent at work as the definition of z, eps_z is 0 and eps_f + eps_g |u|_1 + eps_r is |v - v^|_sup, which can be
-measured. Times the largest gradient of h it is a margin: that of Theorem 1, as far as a recording can tell.
+With the latent in use as the definition of z, eps_z is 0, and eps_f + eps_g |u|_1 + eps_r equals |v - v^|_sup, which
+can be measured. Its product with the largest gradient of h is the margin of Theorem 1, as far as a recording shows it.
 
-The bound holds for any scales of the state's entries. Here they are what the entries' own errors come to on some
-transitions that are then left aside, so that no entry's error speaks for the others.
+The bound holds for any scaling of the state's entries. Here each entry is scaled by its own errors on some transitions
+that are then left out, so that the error of one entry does not dominate the others.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
-from safedpa.robot import robot_like
 from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa.safety.settings import FilterSettings
+from safedpa.systems.robots import robot_like
 
 __all__ = ["RecordedBound", "RecordedSteps", "own_errors", "recorded_bound"]
 
 
+# Transitions per block; the first of every ten blocks determines the scales.
 _BLOCK = 100
-"""Transitions of a block; the first of every ten blocks sets the scales."""
 _SMALLEST_SCALE = 1e-6
 
 
 class RecordedSteps(Protocol):
-    """n steps of a robot: states (n, states), actions (n, actions), latents at work (n, latents), in SI units."""
+    """n steps of a robot: states (n, states), actions (n, actions) and latents in use (n, latents), in SI units."""
 
     state: FloatArray
     action: FloatArray
     following: FloatArray
     latent: FloatArray
     footprints: set[tuple[float, ...]]
-    """(rear, front, radius) [m] that occur in them."""
+    """(rear, front, radius) [m] of the robots."""
 
 
 @final
 @dataclass(frozen=True)
 class RecordedBound:
-    """Margins by kind of barrier, and the constants that they are products of; both empty for robots but the car."""
+    """Margins by kind of barrier, and the constants of which they are products; both empty except for the car."""
 
     margins: dict[str, float]
     constants: dict[str, float]
@@ -54,10 +54,9 @@ class RecordedBound:
 def recorded_bound(
     model: PhysicsModel, settings: FilterSettings, found: RecordedSteps, used: NDArray[np.bool_], coverage: float
 ) -> RecordedBound:
-    """epsilon = P eps with eps the split conformal quantile of |v - v^|_sup over the ``used`` (n,) transitions.
+    """Returns epsilon = P eps with eps the split conformal quantile of |v - v^|_sup over the ``used`` (n,) transitions.
 
-    P is the largest gradient for any of the recorded footprints. Raises InputError when too few transitions are used
-    for the coverage.
+    P is the largest gradient over the recorded footprints. Raises InputError for too few transitions for the coverage.
     """
     robot = robot_like(model.system)
     if robot is None or not robot.theorem_margins:
@@ -80,7 +79,7 @@ def recorded_bound(
 
 
 def own_errors(model: PhysicsModel, found: RecordedSteps) -> FloatArray:
-    """Measured minus predicted increment (n, states) in the robot's own frame, SI units."""
+    """Returns measured minus predicted increment (n, states) in the robot's own frame, in SI units."""
     frame = frame_of(model.system.name)
     expected = model.step(found.state, found.action, found.latent)
     measured = frame.own_increment(found.state, found.following)

@@ -1,4 +1,4 @@
-"""Bins with round edges, none of them nearly empty."""
+"""Bins with round edges that all contain enough values."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["angle_edges", "merge_small_bins", "round_edges"]
 
 
 def round_edges(values: FloatArray, most: int = 8) -> FloatArray:
-    """Edges of at most ``most`` + 1 bins of one round width (1, 2, 2.5 or 5 times a power of ten).
+    """Returns edges of at most ``most`` + 1 bins of one round width (1, 2, 2.5 or 5 times a power of ten).
 
-    They span the middle 99 % of the values; the outer edges move out as far as the rest lies.
+    They span the middle 99 % of the values; the outer edges are moved to include the rest.
     """
     low, high = np.quantile(values, [0.005, 0.995])
     width = _round_width((high - low) / most)
@@ -27,12 +27,12 @@ def round_edges(values: FloatArray, most: int = 8) -> FloatArray:
 
 
 def angle_edges(sectors: int = 8) -> FloatArray:
-    """Edges of equal sectors from -pi to pi."""
+    """Returns edges of equal sectors from -pi to pi."""
     return np.linspace(-math.pi, math.pi, sectors + 1)
 
 
 def merge_small_bins(values: FloatArray, edges: FloatArray, smallest: int) -> FloatArray:
-    """The edges without those that leave fewer than ``smallest`` values in a bin; a bin joins its right neighbour."""
+    """Merges bins with fewer than ``smallest`` values into their right neighbours."""
     counts = np.histogram(values, edges)[0]
     retained, inside = [edges[0]], 0
     for count, upper in zip(counts, edges[1:], strict=True):
@@ -47,6 +47,7 @@ def merge_small_bins(values: FloatArray, edges: FloatArray, smallest: int) -> Fl
 
 
 def _round_width(width: float) -> float:
+    # Constant values still need a bin.
     if not width > 1e-9:
         return 1.0
     power = 10.0 ** math.floor(math.log10(width))

@@ -1,4 +1,4 @@
-"""A model compared with measurements: what ``safedpa compare`` prints and draws, as plain data."""
+"""Compares a model with recordings: the data that ``safedpa compare`` prints and draws."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ __all__ = [
 ]
 
 SHORT = 0.2
-"""s; long enough that noise of the measurement averages out, short enough that errors do not mix."""
+"""Time [s] after which residual rates are taken: long enough to average the noise, short enough to stay local."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """rates (windows, states): (measured - predicted) / seconds, in the state's unit per second.
+    """Rates that the model lacks: ``rates`` (windows, states) = (measured - predicted) / seconds, in state units/s.
 
     ``values`` (windows, variables) are the measured states, then the actions, at the windows' starts.
     """
@@ -49,7 +49,7 @@ class Residuals:
 
 
 def residuals(windows: Windows, rows: Sequence[IndexArray], predicted: FloatArray) -> Residuals:
-    """From predictions (len(rows), windows, states) at the rows: those that come nearest to 0.2 s after the start."""
+    """Computes residual rates from the predictions (len(rows), windows, states) closest to 0.2 s after the start."""
     seconds = np.array([np.median(windows.clock[at] - windows.clock[windows.start]) for at in rows])
     index = int(np.argmin(np.abs(seconds - SHORT)))
     at = rows[index]
@@ -60,13 +60,13 @@ def residuals(windows: Windows, rows: Sequence[IndexArray], predicted: FloatArra
 
 
 EVERY = 0.1
-"""s; between the starts of two windows."""
+"""Time between the starts of two windows [s]."""
 
 MOST_WINDOWS = 100_000
-"""Of days of logs windows start farther apart: more would make no number clearer."""
+"""Largest number of windows; in longer recordings they start further apart, which does not change the result."""
 
 HORIZONS = 10
-"""At how many parts of the horizon the error is looked at."""
+"""Number of equal parts of the horizon at which the error is computed."""
 
 PREDICTORS = ("model", "no_change", "constant_velocity")
 
@@ -86,36 +86,36 @@ class PerRunError:
     name: str
     rows: int
     duration: float
-    """s"""
+    """Length of the run [s]."""
     period: float
-    """s"""
+    """Median time between rows [s]."""
     stretches: int
     windows: int
     error: float
     per_state: dict[str, float]
     """Scaled error of each state that changed."""
     no_change: dict[str, float]
-    """What "no change" earns there, by state."""
+    """Scaled error of predicting no change, by state."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything that a comparison found."""
+    """The result of a comparison."""
 
     model: PhysicsModel
     windows: Windows
     horizons: tuple[HorizonError, ...]
-    """Shortest first; the last one is the horizon that was asked for."""
+    """Shortest first; the last is the requested horizon."""
     predicted: FloatArray
-    """States at the windows' ends, (windows, states)."""
+    """Predicted states at the ends of the windows, (windows, states)."""
     errors: FloatArray
-    """predicted - measured there, angles by the short way round."""
+    """predicted - measured at the ends of the windows, with angle differences wrapped, (windows, states)."""
     factors: tuple[Factor, ...]
     cells: tuple[Cell, ...]
     residuals: Residuals
     runs: tuple[PerRunError, ...]
     findings: tuple[tuple[str, Finding], ...]
-    """(name of the run, what was found)"""
+    """(name of the run, finding) pairs."""
 
     @property
     def error(self) -> RolloutError:
@@ -124,22 +124,22 @@ class Comparison:
 
     @property
     def horizon(self) -> float:
-        """s"""
+        """The horizon [s]."""
         return self.windows.horizon
 
     @property
     def window_errors(self) -> NDArray[np.float64]:
-        """Scaled error of each window at its end, root mean square over the states, shape (windows,)."""
+        """Scaled error of each window at its end, root mean square over the states, (windows,)."""
         return window_errors(self.errors, self.error.scale)
 
 
 def compare_model(
     model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, *, every: float = EVERY
 ) -> Comparison:
-    """Rolls the model out from every ``every`` seconds of the runs and says where it fails.
+    """Rolls the model out from every ``every`` [s] of the runs and computes where it fails.
 
-    Of more than 100,000 windows so many are kept, evenly spread, and a finding says so; so it is of a recording that is
-    given twice, which counts once.
+    At most 100,000 windows are used, evenly spread; a finding reports it. A recording given twice counts once, which is
+    reported too.
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
@@ -170,7 +170,7 @@ def compare_model(
 
 
 def _parts(windows: Windows) -> list[float]:
-    """The horizon in equal parts, as far as there are rows for them; the last is the horizon."""
+    """Returns the ends of equal parts of the horizon [s], at most one per row; the last is the horizon."""
     count = int(min(HORIZONS, max(1, np.median(windows.steps))))
     return [windows.horizon * (index + 1) / count for index in range(count)]
 
@@ -185,20 +185,20 @@ def _errors(windows: Windows, rows: IndexArray, predicted: FloatArray) -> dict[s
 
 def _by_run(runs: Sequence[Run], windows: Windows, errors: FloatArray, scale: FloatArray) -> tuple[PerRunError, ...]:
     found = []
-    still = prediction_errors(windows, windows.end, no_change(windows, windows.end))
+    unchanged = prediction_errors(windows, windows.end, no_change(windows, windows.end))
     for index, run in enumerate(runs):
-        own = windows.run == index
-        error = scaled_error(trimmed_rms(errors[own]), scale) if own.any() else None
+        inside = windows.run == index
+        error = scaled_error(trimmed_rms(errors[inside]), scale) if inside.any() else None
         value = float("nan") if error is None else error.value
-        parts = [_named(windows, part[own], scale) for part in (errors, still)]
+        parts = [_named(windows, part[inside], scale) for part in (errors, unchanged)]
         rows = sum(len(part) for part in run.stretches)
         stretches = len(run.stretches)
-        found.append(PerRunError(run.name, rows, run.duration, run.period, stretches, int(own.sum()), value, *parts))
+        found.append(PerRunError(run.name, rows, run.duration, run.period, stretches, int(inside.sum()), value, *parts))
     return tuple(found)
 
 
 def _named(windows: Windows, errors: FloatArray, scale: FloatArray) -> dict[str, float]:
-    """Scaled errors by state, of those that changed."""
+    """Returns the scaled errors of the states that changed, by name."""
     if not len(errors):
         return {}
     per_state = scaled_error(trimmed_rms(errors), scale).per_state
@@ -211,12 +211,12 @@ def _findings(
 ) -> tuple[tuple[str, Finding], ...]:
     found = [(run.name, finding) for run in runs for finding in run.findings]
     for index, run in enumerate(runs):
-        own = windows.run == index
-        found += [(run.name, finding) for finding in _own_findings(run, windows, own, errors)]
-    still = [v.name for v, size in zip(windows.system.state, scale, strict=True) if not size > 0]
-    if still:
-        message = f"{', '.join(still)} never changed over the horizon; left out of the error"
-        found.append(("all", Finding("constant_state", message, len(still))))
+        members = windows.run == index
+        found += [(run.name, finding) for finding in _run_findings(run, windows, members, errors)]
+    constant = [v.name for v, size in zip(windows.system.state, scale, strict=True) if not size > 0]
+    if constant:
+        message = f"{', '.join(constant)} never changed over the horizon; left out of the error"
+        found.append(("all", Finding("constant_state", message, len(constant))))
     return tuple(found)
 
 
@@ -227,30 +227,33 @@ def _thinned(wanted: float, spread: float) -> list[tuple[str, Finding]]:
     return [("all", Finding("thinned", message))]
 
 
-def _own_findings(run: Run, windows: Windows, own: NDArray[np.bool_], errors: FloatArray) -> list[Finding]:
+def _run_findings(run: Run, windows: Windows, members: NDArray[np.bool_], errors: FloatArray) -> list[Finding]:
     found = []
-    if not own.any():
+    if not members.any():
         message = f"no stretch lasts the horizon of {windows.horizon:g} s; the run was not used"
         found.append(Finding("too_short", message))
-    elif not np.isfinite(errors[own]).all():
-        lost = ~np.isfinite(errors[own]).all(axis=1)
-        message = f"the model's prediction grows without bound in {int(lost.sum())} of {int(own.sum())} windows"
-        found.append(Finding("diverged", message, int(lost.sum()), float(windows.t[windows.start[own][lost][0]])))
+    elif not np.isfinite(errors[members]).all():
+        diverged = ~np.isfinite(errors[members]).all(axis=1)
+        message = f"the model's prediction diverges in {int(diverged.sum())} of {int(members.sum())} windows"
+        found.append(
+            Finding("diverged", message, int(diverged.sum()), float(windows.t[windows.start[members][diverged][0]]))
+        )
     steps = np.concatenate([np.diff(t) for t, _, _ in run.parts() if len(t) > 1])
     spread = float(np.quantile(np.abs(steps - run.period), 0.95)) / run.period
+    # Below 20 % the spacing is jitter of the recorder; above it derivatives from neighbouring rows become unreliable.
     if spread > 0.2:
         message = (
             f"rows are spaced unevenly: 5 % of the periods differ by more than {spread:.0%} from the median of "
-            f"{run.period:.4g} s; each prediction steps with the period that was measured"
+            f"{run.period:.4g} s; each prediction uses the measured periods"
         )
         found.append(Finding("irregular_sampling", message))
     return found
 
 
 def with_distinct_names(runs: Sequence[Run], paths: Sequence[str | Path]) -> list[Run]:
-    """The runs named by their files, with the folders above where it takes them to tell the runs apart.
+    """Names the runs after their files, with as many parent folders as make the names distinct.
 
-    A last part that all share (``data_measured`` in a folder each) is left out.
+    A last part that all share (``data_measured`` in separate folders) is dropped.
     """
     parts = [Path(path).absolute().with_suffix("").parts for path in paths]
     depth = 1

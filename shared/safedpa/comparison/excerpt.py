@@ -1,6 +1,6 @@
-"""What is used of the recordings: each of them once, and of long ones parts, evenly spread.
+"""Selects what is used of recordings: each recording once, and evenly spread pieces of long ones.
 
-A recording given twice would count as evidence twice; and hours of logs make a page no clearer than minutes.
+A recording given twice would count twice as evidence. Hours of logs make a page no clearer than minutes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from safedpa.records.run import Finding, Run, Stretch
 
 __all__ = ["first_seconds", "subsample_runs", "without_duplicates"]
 
+# Length of a piece [s]. In a long piece the unknown actuator state at its start matters less; short pieces cover more
+# of the recording.
 _SHORTEST, _LONGEST = 5.0, 10.0
-"""s; the longer a piece, the less counts an actuator's unknown past at its beginning; the shorter, the more pieces
-tell of the whole log."""
+# Horizons in the shortest piece: with fewer, most windows would be cut off at its end.
 _HORIZONS = 3.0
-"""Horizons that fit into the shortest piece at least."""
 
 
 def subsample_runs(runs: Sequence[Run], most_rows: int, horizon: float = 1.0) -> list[Run]:
-    """The runs as they are, or every n-th piece of 5 to 10 s of each, with about ``most_rows`` rows in all.
+    """Returns the runs unchanged, or every n-th piece of 5 to 10 s of each, with about ``most_rows`` rows in total.
 
-    Pieces hold three horizons at least. The first piece of each run is kept, so time counts from where it did; of more
-    runs than there is room for pieces every n-th run is kept, three at least.
+    Pieces are at least three horizons long. The first piece of each run is always included, so that time counts from
+    the same row. If there are more runs than pieces allowed, every n-th run is used, at least three.
     """
     rows = sum(len(part) for run in runs for part in run.stretches)
     if rows <= most_rows:
@@ -40,12 +40,12 @@ def subsample_runs(runs: Sequence[Run], most_rows: int, horizon: float = 1.0) ->
 
 
 def _shortest(run: Run, horizon: float) -> int:
-    """Rows of the shortest piece."""
+    """Returns the number of rows of the shortest piece."""
     return max(2, round(max(_SHORTEST, _HORIZONS * horizon) / run.period))
 
 
 def _pieces(run: Run, every: int, horizon: float) -> tuple[Stretch, ...]:
-    """Stretches, the long ones cut into pieces of equal length."""
+    """Returns the stretches of a run, long ones cut into pieces of equal length."""
     shortest = _shortest(run, horizon)
     longest = max(shortest, round(_LONGEST / run.period))
     length = max(shortest, min(longest, sum(len(part) for part in run.stretches) // every))
@@ -58,7 +58,7 @@ def _pieces(run: Run, every: int, horizon: float) -> tuple[Stretch, ...]:
 
 
 def first_seconds(runs: Sequence[Run], seconds: float) -> list[Run]:
-    """The first ``seconds`` of each run; the first stretch of each is kept whole up to there."""
+    """Returns the first ``seconds`` of each run."""
     retained = []
     for run in runs:
         first = run.t[run.stretches[0].start]
@@ -71,26 +71,26 @@ def first_seconds(runs: Sequence[Run], seconds: float) -> list[Run]:
     return retained
 
 
-_SHARE = 0.5
-"""Of the different rows of a run: from there on it is a copy, or a piece of one."""
-_FEWEST = 20
-"""Different rows, without which nothing is said."""
+# Share of a run's distinct rows found in another run, from which it is a copy or a piece of it.
+_COPIED_SHARE = 0.5
+# Distinct rows below which a run is not compared: a robot at rest repeats its rows.
+_MIN_ROWS = 20
 
 
 def without_duplicates(runs: Sequence[Run]) -> tuple[list[Run], list[tuple[str, Finding]]]:
-    """The runs without those whose rows an earlier, longer or equal one has already, and what was left out.
+    """Removes runs whose rows occur in another run of at least the same length; returns the rest and findings.
 
-    Rows are the same where every state and action is, to the last digit: noise never repeats itself. When they were
-    recorded does not count, so a copy with another clock is a copy.
+    Rows are equal if every state and action is equal to the last digit, which measurement noise makes impossible for
+    different recordings. Time stamps are ignored, so a copy with another clock is detected.
     """
-    marks = [_marks(run) for run in runs]
-    order = sorted(range(len(runs)), key=lambda index: -len(marks[index]))
+    hashes = [_row_hashes(run) for run in runs]
+    order = sorted(range(len(runs)), key=lambda index: -len(hashes[index]))
     retained: list[int] = []
     found = {}
     for index in order:
         for other in retained:
-            same = int(np.isin(marks[index], marks[other]).sum())
-            if len(marks[index]) >= _FEWEST and same > _SHARE * len(marks[index]):
+            same = int(np.isin(hashes[index], hashes[other]).sum())
+            if len(hashes[index]) >= _MIN_ROWS and same > _COPIED_SHARE * len(hashes[index]):
                 found[index] = other, same
                 break
         else:
@@ -101,15 +101,16 @@ def without_duplicates(runs: Sequence[Run]) -> tuple[list[Run], list[tuple[str, 
 
 def _finding(run: Run, other: Run, same: int) -> Finding:
     text = f"the same recording as {other.name}: {same} of its rows are equal to the last digit; it was used once, "
-    return Finding("same_recording", f"{text}for a copy is no further evidence; give each recording once", same)
+    return Finding("same_recording", f"{text}because a copy is not additional evidence; give each recording once", same)
 
 
-def _marks(run: Run) -> NDArray[np.float64]:
-    """One number for each different row, (different rows,)."""
+def _row_hashes(run: Run) -> NDArray[np.float64]:
+    """Returns one hash value for each distinct row, sorted."""
     parts = [np.concatenate([states, actions], axis=1) for _, states, actions in run.parts()]
     rows = np.concatenate(parts) if parts else np.zeros((0, 1))
     weights = np.random.default_rng(7).uniform(1.0, 2.0, rows.shape[1])
     total = np.zeros(len(rows))
     for weight, column in zip(weights.tolist(), rows.T, strict=True):
-        total = total + weight * column  # column by column: the same sum whatever stands next to it
+        # Column by column: a matrix product may round differently depending on the neighbouring rows.
+        total = total + weight * column
     return np.unique(total)

@@ -1,4 +1,4 @@
-"""Predictors that know no physics: a model must beat them to be worth its name."""
+"""Naive predictors without physics: baselines that a model has to beat."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from safedpa.comparison.windows import Windows
 __all__ = ["LOOK_BACK", "constant_velocity", "measured_rates", "naive_errors", "no_change"]
 
 LOOK_BACK = 0.1
-"""s; measured rates are the change over this past (one row where rows are further apart): long enough to average the
-noise of motion capture and encoders, short next to the motions of a car or pendulum."""
+"""Interval [s] before the start over which rates are measured (one row if rows are further apart): long enough to
+average the noise of motion capture and encoders, short compared with the motion of a car or pendulum."""
 
 
 def no_change(windows: Windows, rows: IndexArray) -> FloatArray:
-    """x(t) = x(start), shape (windows, states), whatever the row."""
+    """Returns x(t) = x(start), (windows, states), for any row."""
     del rows
     return windows.states[windows.start]
 
 
 def constant_velocity(windows: Windows, rows: IndexArray) -> FloatArray:
-    """x(t) = x(start) + measured rates (t - start) at one row a window, shape (windows, states)."""
+    """Returns x(t) = x(start) + measured rates (t - start) at one row per window, (windows, states)."""
     seconds = windows.clock[rows] - windows.clock[windows.start]
     return np.asarray(windows.states[windows.start] + measured_rates(windows) * seconds[:, None])
 
 
 def measured_rates(windows: Windows) -> FloatArray:
-    """(x(start) - x(start - 0.1 s)) / 0.1 s from rows of the same stretch, shape (windows, states).
+    """Returns (x(start) - x(start - 0.1 s)) / 0.1 s from rows of the same stretch, (windows, states).
 
-    Angles by the short way round; zero for a window that starts at the first row of its stretch.
+    Angle differences are wrapped. The rate is 0 for a window that starts at the first row of its stretch.
     """
     past = np.searchsorted(windows.clock, windows.clock[windows.start] - LOOK_BACK - 1e-9)
     past = np.maximum(np.minimum(past, windows.start - 1), windows.begin)
@@ -39,7 +39,7 @@ def measured_rates(windows: Windows) -> FloatArray:
 
 
 def naive_errors(windows: Windows) -> dict[str, float]:
-    """The rollout error at the windows' ends of each of them, by name."""
+    """Returns the rollout error of each naive predictor at the ends of the windows, by name."""
     from safedpa.comparison.rollout_error import error_of
 
     found = {"no_change": no_change(windows, windows.end), "constant_velocity": constant_velocity(windows, windows.end)}

@@ -1,4 +1,4 @@
-"""The one number by which models are compared with measurements."""
+"""The rollout error: the one measure by which models are compared with recordings."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ __all__ = [
 ]
 
 TRIM = 0.05
-"""Share of the largest errors that is left out: hands that push and glitches of the tracking are in real logs."""
+"""Share of the largest errors that is left out: real logs contain people who push the robot, and tracking glitches."""
 
 
 @dataclass(frozen=True)
 class RolloutError:
-    """Error of open-loop predictions; 1 is about what "no change" earns, 0 is perfect.
+    """Error of open-loop predictions: 0 is perfect, 1 is about the error of predicting no change.
 
-    value: mean of per_state over the states that changed at all. per_state (states,): trimmed root mean square error
-    over scale. scale (states,): standard deviation of the measured change over the horizon, in the state's unit.
+    ``value`` is the mean of ``per_state`` over the states that changed. ``per_state`` (states,) is the trimmed root
+    mean square error over ``scale``. ``scale`` (states,) is the standard deviation of the measured change over the
+    horizon, in the state's unit.
     """
 
     value: float
@@ -41,7 +42,7 @@ class RolloutError:
 
 
 def rollout_error(model: PhysicsModel, windows: Windows) -> RolloutError:
-    """The held-out error: open-loop rollouts over the windows' horizon, judged at their last row.
+    """Computes the error of open-loop rollouts at the last row of each window.
 
     per_state = trimmed_rms(predicted - measured) / std(measured end - measured start); value = mean(per_state).
     """
@@ -50,22 +51,22 @@ def rollout_error(model: PhysicsModel, windows: Windows) -> RolloutError:
 
 
 def error_of(windows: Windows, rows: IndexArray, predicted: FloatArray) -> RolloutError:
-    """The same for predictions (windows, states) at one row a window, wherever they come from."""
+    """Computes the rollout error of any predictions (windows, states) at one row per window."""
     scale = change_scale(windows, rows)
     return scaled_error(trimmed_rms(prediction_errors(windows, rows, predicted)), scale)
 
 
 def prediction_errors(windows: Windows, rows: IndexArray, predicted: FloatArray) -> FloatArray:
-    """predicted - measured at one row a window, shape (windows, states); angles by the short way round.
+    """Returns predicted - measured at one row per window (windows, states), with angle differences wrapped.
 
-    A prediction that grew without bound leaves infinite or NaN errors.
+    Errors of a diverged prediction are infinite or NaN.
     """
     with np.errstate(invalid="ignore"):
         return windows.system.difference(predicted, windows.states[rows])
 
 
 def scaled_error(rms: FloatArray, scale: FloatArray) -> RolloutError:
-    """per_state = rms / scale, NaN where a state never changed; their mean over the others."""
+    """Returns per_state = rms / scale (NaN for a state that never changed) and the mean over the others."""
     moved = scale > 0
     per_state = np.full(len(scale), np.nan)
     per_state[moved] = rms[moved] / scale[moved]
@@ -73,9 +74,9 @@ def scaled_error(rms: FloatArray, scale: FloatArray) -> RolloutError:
 
 
 def change_scale(windows: Windows, rows: IndexArray) -> FloatArray:
-    """Standard deviation over the windows of the measured change from start to ``rows``, shape (states,).
+    """Returns the standard deviation over the windows of the measured change from start to ``rows``, (states,).
 
-    Angles by the short way round. Changes below 1e-9 in size count as none.
+    Angle differences are wrapped. A deviation below 1e-9 counts as 0.
     """
     change = windows.system.difference(windows.states[rows], windows.states[windows.start])
     spread = change.std(axis=0)
@@ -83,7 +84,7 @@ def change_scale(windows: Windows, rows: IndexArray) -> FloatArray:
 
 
 def trimmed_rms(errors: FloatArray, trim: float = TRIM) -> NDArray[np.float64]:
-    """sqrt(mean of the squares) per column without the floor(trim n) largest squares, shape (states,).
+    """Returns sqrt(mean of the squares) per column without the floor(trim n) largest squares, (states,).
 
     An error that is not finite counts as infinite.
     """

@@ -1,9 +1,9 @@
-"""Models of one structure whose numbers may differ, all of them one step ahead at once.
+"""Advances many models of one structure, with different parameter values, by one step at once.
 
-A search asks a few dozen structures for thousands of rollouts. Each structure's equations are recorded once, as a
-straight line over arrays (``safedpa.dynamics.straight``) with its numbers as arguments. States and actions are columns,
-one array an entry, and what is the same in all models has no axis for them: a steering angle's tangent is taken once,
-whatever the number of models.
+A search needs thousands of rollouts of a few dozen structures. The equations of each structure are recorded once as
+straight-line code over arrays (``safedpa.dynamics.recorded_step``), with the parameters as arguments. States and
+actions are columns, one array per entry. What is equal in all models has no axis for them, so the tangent of a steering
+angle is computed once for any number of models.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.recorded_step import ScalarStep
 from safedpa.dynamics.settings import Setting
-from safedpa.dynamics.straight import StraightStep
 from safedpa.effects import AbstractEffect, CommandEffect
 
 __all__ = ["StackedMechanics"]
 
+# Structures whose straight-line code is cached: more than one search uses.
 _CACHED = 128
-"""Structures whose straight line is kept."""
 
 
 @final
 class StackedMechanics:
-    """The mechanics of models that share base and effects: what each makes of felt actions."""
+    """The mechanics of models that share base and effects, without the effects on commands."""
 
     def __init__(self, models: Sequence[PhysicsModel]) -> None:
         first = models[0]
@@ -40,49 +40,51 @@ class StackedMechanics:
             for path in first.settings
             if path.split(".")[0] in owners
         }
-        varied = {path for path, own in values.items() if len(set(own)) > 1}
+        varied = {path for path, variants in values.items() if len(set(variants)) > 1}
+        # Parameters of effects and varied ones become arguments of the recorded code; the base's fixed ones are
+        # constants in it.
         free = {path for path in values if path in varied or first.settings[path].free or path[:5] != "base."}
-        fixed = tuple((path, own[0]) for path, own in values.items() if path not in free)
+        fixed = tuple((path, variants[0]) for path, variants in values.items() if path not in free)
         self._step, names = _recorded(first.base, others, frozenset(free), fixed)
         self._models = len(models)
         self._reference = None
         if self._step is None:
-            settings = {path: Setting(own[0], path in varied) for path, own in values.items()}
+            settings = {path: Setting(variants[0], path in varied) for path, variants in values.items()}
             self._reference = PhysicsModel(first.base, others, settings, first.period, holds=True)
             names = self._reference.latent_names
-        self._numbers: list[Any] = [
+        self._parameters: list[Any] = [
             np.array(values[path])[:, None] if path in varied else np.float64(values[path][0]) for path in names
         ]
 
     def ahead(
-        self, states: Sequence[FloatArray], felt: Sequence[FloatArray], period: Any, time: Any
+        self, states: Sequence[FloatArray], effective: Sequence[FloatArray], period: Any, time: Any
     ) -> list[FloatArray]:
-        """Columns of the states one ``period`` [s] later, (models, n) or (n,) where all models have the same.
+        """Returns the columns of the states one ``period`` [s] later, (models, n), or (n,) if all models agree.
 
-        So are the columns of ``states`` and felt actions; period and ``time`` [s] are numbers or (n,). Numbers may
-        grow without bound: who asks for thousands of steps silences numpy's warnings once, around all of them.
+        The columns of ``states`` and effective actions have the same shapes; ``period`` and ``time`` [s] are numbers or
+        (n,). States may diverge. The caller suppresses NumPy's warnings, once around all steps.
         """
         if self._step is not None:
-            return self._step(states, felt, [*self._numbers, period], time)
-        return self._by_reference(states, felt, period, time)
+            return self._step(states, effective, [*self._parameters, period], time)
+        return self._by_reference(states, effective, period, time)
 
     def _by_reference(
-        self, states: Sequence[FloatArray], felt: Sequence[FloatArray], period: Any, time: Any
+        self, states: Sequence[FloatArray], effective: Sequence[FloatArray], period: Any, time: Any
     ) -> list[FloatArray]:
-        """The same where the equations cannot be recorded: everything flat, (models * n,)."""
+        """Advances models whose equations cannot be recorded, with all arrays flattened to (models * n,)."""
         assert self._reference is not None
-        shape = np.broadcast_shapes(*(column.shape for column in (*states, *felt)))
+        shape = np.broadcast_shapes(*(column.shape for column in (*states, *effective)))
         shape = shape if self._models == 1 else (self._models, shape[-1])
-        now, action = (_flat(columns, shape) for columns in (states, felt))
-        latent = _flat(self._numbers, shape) if self._numbers else None
+        now, action = (_flat(columns, shape) for columns in (states, effective))
+        latent = _flat(self._parameters, shape) if self._parameters else None
         period, time = (np.broadcast_to(each, shape).reshape(-1) if np.ndim(each) else each for each in (period, time))
         after, _ = self._reference.advance(now, action, (), latent, period=period, time=time)
         return [column.reshape(shape) for column in after.T]
 
 
 def _flat(columns: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
-    """A table (everything, columns)."""
-    if not columns:  # nothing acts on a ball that falls
+    """Broadcasts columns to ``shape`` and stacks them as a table (n, columns)."""
+    if not columns:  # a system without actions, such as a falling ball
         return np.zeros((int(np.prod(shape)), 0))
     return np.stack([np.broadcast_to(column, shape).reshape(-1) for column in columns], axis=-1)
 
@@ -93,11 +95,11 @@ def _recorded(
     effects: tuple[AbstractEffect, ...],
     free: frozenset[str],
     fixed: tuple[tuple[str, float], ...],
-) -> tuple[StraightStep | None, tuple[str, ...]]:
-    """The straight line of a structure and the order of its free numbers, after which it takes the period."""
+) -> tuple[ScalarStep | None, tuple[str, ...]]:
+    """Returns the recorded step of a structure and the order of its free parameters; the period comes last."""
     named = {f"base.{item.name}": item for item in base.parameters}
     named |= {f"{owner.name}.{item.name}": item for owner in effects for item in owner.parameters}
     settings = {path: Setting(named[path].start, free=True) for path in free}
     settings |= {path: Setting(value) for path, value in fixed}
     model = PhysicsModel(base, effects, settings, holds=True)
-    return model.straight_arrays(None), model.latent_names
+    return model.batch_step(None), model.latent_names

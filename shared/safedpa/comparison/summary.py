@@ -1,4 +1,4 @@
-"""What a comparison says in plain sentences, and as a JSON document."""
+"""Summary of a comparison: sentences for the user, and the JSON document."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ __all__ = [
     "worst_bins",
 ]
 
+# A state stands out in a run if its error is this multiple of the median over the runs.
 _ODD = 2.0
-"""Times the usual error of a state, from which a run stands out."""
-_NOTHING = 0.01
-_GREW = 0.05
+# Scaled errors below this are too small to mention.
+_NEGLIGIBLE = 0.01
+# Relative increase from which an error is reported as worse: less is within the scatter between windows.
+_RELATIVE_INCREASE = 0.05
+# State and run pairs that a sentence names: more would not be read.
 _REPORTED = 4
-"""States in runs that a sentence names."""
-_PLACE_AND_TIME = ("place", "time")
+_POSITION_AND_TIME = ("position", "time")
 
 
 def most_influential_factor(comparison: Comparison) -> Factor:
-    """The variable on which the error depends most.
+    """Returns the variable on which the error depends most.
 
-    Place and time stand for anything that happened there; they are named only where they explain clearly more
-    (half as much again, and 0.05) than every state and action.
+    Position and time can be proxies for anything that happened there. They are named only if they explain clearly more
+    (1.5 times and 0.05 more) than every state and action.
     """
-    physical = [item for item in comparison.factors if item.kind not in _PLACE_AND_TIME]
+    physical = [item for item in comparison.factors if item.kind not in _POSITION_AND_TIME]
     best = max(physical, key=lambda item: item.explained)
     other = comparison.factors[0]
     clearly = other.explained > 1.5 * max(best.explained, 0.0) + 0.05
@@ -47,12 +49,12 @@ def most_influential_factor(comparison: Comparison) -> Factor:
 
 
 def worst_bins(comparison: Comparison) -> list[Bin]:
-    """All bins of all variables, the largest error first."""
+    """Returns all bins of all variables, the largest error first."""
     return sorted((b for item in comparison.factors for b in item.bins), key=lambda b: -b.error)
 
 
 def where_sentence(comparison: Comparison) -> str:
-    """One sentence: where the model fails, and by how much more than on average."""
+    """Returns a sentence: where the model fails, and by how much more than on average."""
     if not (comparison.error.scale > 0).any():
         return "Nothing changes in these runs: there is nothing to predict."
     factor = most_influential_factor(comparison)
@@ -61,11 +63,9 @@ def where_sentence(comparison: Comparison) -> str:
     if not average > 1e-6:
         return "The model predicts these runs exactly."
     if not math.isfinite(average):
-        return "The model's predictions grow without bound in more than 5 % of the windows."
+        return "The model's predictions diverge in more than 5 % of the windows."
     if factor.explained < 0.02 or worst.ratio < 1.2:
-        return (
-            f"The model fails nowhere in particular: in no range is its error far above the average of {average:.2f}."
-        )
+        return f"The model's error is similar everywhere: in no range is it far above the average of {average:.2f}."
     return (
         f"The model fails most at {bin_text(worst)}: its error there is {worst.error:.2f}, {worst.ratio:.1f} times the "
         f"average of {average:.2f} ({_percent(worst.share)} of the squared error "
@@ -74,7 +74,7 @@ def where_sentence(comparison: Comparison) -> str:
 
 
 def state_sentence(comparison: Comparison) -> str:
-    """One sentence: which state is predicted worst, and to which side."""
+    """Returns a sentence: which state is predicted worst, and to which side."""
     error = comparison.error
     states = comparison.windows.system.state
     moved = [index for index, size in enumerate(error.scale) if size > 0]
@@ -85,7 +85,7 @@ def state_sentence(comparison: Comparison) -> str:
     median = float(np.median(comparison.errors[:, worst]))
     unit, side = states[worst].unit, "high" if median > 0 else "low"
     biased = abs(median) > 0.3 * rms > 0.0
-    bias = f"in the median {abs(median):.3g} {unit} too {side}" if biased else "to either side"
+    bias = f"median {abs(median):.3g} {unit} too {side}" if biased else "no bias to one side"
     return (
         f"The state predicted worst is {states[worst].name}: off by {rms:.3g} {unit} after {comparison.horizon:g} s "
         f"({bias}), {error.per_state[worst]:.2f} times as much as it usually changes."
@@ -93,69 +93,77 @@ def state_sentence(comparison: Comparison) -> str:
 
 
 def run_sentence(comparison: Comparison) -> str:
-    """One sentence: in which run a state is far worse than elsewhere, or worse than "no change"; else empty."""
+    """Returns a sentence: in which run a state is far worse than elsewhere, or worse than no change; else empty."""
     rows = [(run, name, value) for run in comparison.runs for name, value in run.per_state.items()]
     if len(comparison.runs) < 2:
         return ""
-    lost = [(run, name, value) for run, name, value in rows if value > max(run.no_change[name], _NOTHING)]
-    usual = {name: float(np.median([value for _, own, value in rows if own == name])) for _, name, _ in rows}
-    odd = [item for item in rows if item[2] > _ODD * usual[item[1]] and item[2] > _NOTHING]
+    worse_than_no_change = [
+        (run, name, value) for run, name, value in rows if value > max(run.no_change[name], _NEGLIGIBLE)
+    ]
+    usual = {name: float(np.median([value for _, other, value in rows if other == name])) for _, name, _ in rows}
+    odd = [item for item in rows if item[2] > _ODD * usual[item[1]] and item[2] > _NEGLIGIBLE]
     parts = []
     if odd:
         run, name, value = max(odd, key=lambda item: item[2] / max(usual[item[1]], 1e-12))
-        parts.append(f"{name} is far worse in {run.name} than elsewhere: {value:.2f} where {usual[name]:.2f} is usual")
-    if lost and len(lost) < len(rows):
-        reported = ", ".join(f"{name} in {run.name} ({value:.2f})" for run, name, value in lost[:_REPORTED])
-        more = f" and {len(lost) - _REPORTED} more" if len(lost) > _REPORTED else ""
-        parts.append(f"worse than assuming no change: {reported}{more}")
+        parts.append(
+            f"{name} is far worse in {run.name} than in other runs: {value:.2f}, where the median is {usual[name]:.2f}"
+        )
+    if worse_than_no_change and len(worse_than_no_change) < len(rows):
+        reported = ", ".join(
+            f"{name} in {run.name} ({value:.2f})" for run, name, value in worse_than_no_change[:_REPORTED]
+        )
+        more = f" and {len(worse_than_no_change) - _REPORTED} more" if len(worse_than_no_change) > _REPORTED else ""
+        parts.append(f"worse than predicting no change: {reported}{more}")
     return (parts[0][0].upper() + "; ".join(parts)[1:] + ".") if parts else ""
 
 
 def worse_sentence(before: Comparison, after: Comparison) -> str:
-    """One sentence: which states one model predicts worse in which runs than another; both of the same windows."""
+    """Returns a sentence: which states one model predicts worse than another, on the same windows."""
     pairs = [
         (run.name, name, old.per_state[name], value)
         for old, run in zip(before.runs, after.runs, strict=True)
         for name, value in run.per_state.items()
         if name in old.per_state
     ]
-    worse = [item for item in pairs if item[3] > (1.0 + _GREW) * item[2] and item[3] > item[2] + _NOTHING]
+    worse = [
+        item for item in pairs if item[3] > (1.0 + _RELATIVE_INCREASE) * item[2] and item[3] > item[2] + _NEGLIGIBLE
+    ]
     change = f"The mean error goes from {before.error.value:.3g} to {after.error.value:.3g}"
     if not worse:
         return f"{change}; no state gets worse in any run."
     worse.sort(key=lambda item: item[2] - item[3])
     reported = ", ".join(f"{name} in {run} ({old:.2g} to {new:.2g})" for run, name, old, new in worse[:_REPORTED])
     more = f" and {len(worse) - _REPORTED} more" if len(worse) > _REPORTED else ""
-    return f"{change}; what gets worse: {reported}{more}."
+    return f"{change}; worse: {reported}{more}."
 
 
 def naive_sentence(comparison: Comparison) -> str:
-    """One sentence: the model next to the predictors that know no physics."""
+    """Returns a sentence that compares the model with the naive predictors."""
     errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
     if not (comparison.error.scale > 0).any():
-        return "No predictor can be told from another."
+        return "All predictors are equal on these runs."
     beaten = [name for name in PREDICTORS[1:] if errors["model"] < errors[name]]
     verdict = {2: "better than both", 0: "worse than both"}.get(len(beaten)) or "better than one of them only"
     return (
-        f"After {comparison.horizon:g} s the model's error is {errors['model']:.2f}; assuming no change gives "
+        f"After {comparison.horizon:g} s the model's error is {errors['model']:.2f}; predicting no change gives "
         f"{errors['no_change']:.2f}, constant velocity {errors['constant_velocity']:.2f}: {verdict}."
     )
 
 
 def bin_text(item: Bin, longest: int = 80) -> str:
-    """speed 2 to 2.5 m/s; names of runs lose their beginning where they are longer than ``longest``."""
+    """Returns a bin as text, such as "speed 2 to 2.5 m/s"; names of runs are cut to ``longest`` characters."""
     unit = "" if item.unit == "1" else f" {item.unit}"
     run = f" of {shortened(item.run, longest)}" if item.run else ""
     return f"{item.variable} {item.low:.3g} to {item.high:.3g}{unit}{run}"
 
 
 def shortened(name: str, longest: int) -> str:
-    """The last ``longest`` characters of a name, marked where it was cut: what differs stands at the end of names."""
+    """Returns the last ``longest`` characters of a name, with a mark if it was cut: names differ at their end."""
     return name if len(name) <= longest else "…" + name[1 - longest :]
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
-    """The document that ``compare --json`` prints; numbers that are not finite are null."""
+    """Returns the document of ``compare --json``; values that are not finite become null."""
     windows = comparison.windows
     names = windows.system.state_names
     return {
@@ -209,7 +217,7 @@ def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]
 
 
 def _plain(value: Any) -> Any:
-    """A run's entry: text, a number, or numbers by name."""
+    """Converts an entry of a run to JSON: text, a number, or numbers by name."""
     if isinstance(value, dict):
         return {name: _number(item) for name, item in value.items()}
     return value if isinstance(value, str) else _number(value)

@@ -1,4 +1,4 @@
-"""Where a model fails: its error in bins of speed, action, heading, place and time."""
+"""Where a model fails: its error in bins of speed, action, heading, position and time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from safedpa.comparison.bins import angle_edges, merge_small_bins, round_edges
 from safedpa.comparison.rollout_error import TRIM, scaled_error, trimmed_rms
 from safedpa.comparison.windows import Windows
 
-__all__ = ["Bin", "Cell", "Factor", "cells", "factors", "place", "window_errors", "window_squares"]
+__all__ = ["Bin", "Cell", "Factor", "cells", "factors", "window_errors", "window_positions", "window_squares"]
 
-PLACE = ("x", "y")
-"""Names of states that say where the robot is."""
+POSITION = ("x", "y")
+"""Names of the states that are the position of the robot."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Bin:
     low: float
     high: float
     error: float
-    """As the rollout error, over these windows, on the scale of all."""
+    """Rollout error over these windows, on the scale of all windows."""
     ratio: float
     """error over the error of all windows."""
     share: float
     """Share of the total squared error."""
     samples: int
-    """Windows."""
+    """Number of windows."""
     bias: dict[str, float]
     """Median of predicted - measured at the horizon, by state."""
     run: str | None = None
@@ -42,7 +42,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class Factor:
-    """One variable, its bins, and how much of the differences between windows' errors it explains.
+    """One variable, its bins, and how much of the variation of the windows' errors it explains.
 
     explained = 1 - (n - 1) / (n - bins) * (variance within bins) / (variance of all): the adjusted R2 of the bins.
     """
@@ -50,7 +50,7 @@ class Factor:
     variable: str
     unit: str
     kind: str
-    """state, action, place or time"""
+    """state, action, position or time"""
     explained: float
     bins: tuple[Bin, ...]
 
@@ -69,9 +69,9 @@ class Cell:
 
 
 def window_squares(errors: FloatArray, scale: FloatArray) -> FloatArray:
-    """Squared error of each window over the squared scale, mean over states, shape (windows,).
+    """Returns the squared scaled error of each window, mean over the states, (windows,).
 
-    Each state's squares count at most as much as their 95 % quantile, so that one glitch does not hide the rest.
+    Squares of each state are capped at their 95 % quantile, so that one glitch does not hide the rest.
     """
     moved = scale > 0
     if not moved.any():
@@ -83,17 +83,17 @@ def window_squares(errors: FloatArray, scale: FloatArray) -> FloatArray:
 
 
 def window_errors(errors: FloatArray, scale: FloatArray) -> FloatArray:
-    """sqrt of the mean over states of the squared scaled error, nothing capped, shape (windows,)."""
+    """Returns the root mean square over the states of the scaled error, without a cap, (windows,)."""
     moved = scale > 0
     scaled = np.where(np.abs(errors) < 1e100, errors, np.inf)[:, moved] / scale[moved]
     return np.asarray(np.sqrt((scaled**2).mean(axis=1))) if moved.any() else np.zeros(len(errors))
 
 
 def factors(windows: Windows, errors: FloatArray, scale: FloatArray) -> tuple[Factor, ...]:
-    """Every variable with its bins, the one that explains most first.
+    """Returns every variable with its bins, the one that explains most first.
 
-    ``errors`` (windows, states): predicted - measured at the windows' ends. A window counts where its mean lies
-    (actions, states), where its middle lies (angles, place, time).
+    ``errors`` (windows, states): predicted - measured at the ends of the windows. Windows are assigned to bins by their
+    mean (actions, states) or their middle (angles, position, time).
     """
     squares = window_squares(errors, scale)
     judge = _ErrorBinning(windows, errors, scale, squares)
@@ -105,10 +105,10 @@ def factors(windows: Windows, errors: FloatArray, scale: FloatArray) -> tuple[Fa
             values = (values + np.pi) % (2 * np.pi) - np.pi
             edges = angle_edges()
         else:
-            if variable.name not in PLACE:
+            if variable.name not in POSITION:
                 values = _mean(windows.states[:, index], windows.start, windows.end + 1)
             edges = round_edges(values)
-        kind = "place" if variable.name in PLACE else "state"
+        kind = "position" if variable.name in POSITION else "state"
         found.append(judge.factor(variable.name, variable.unit, kind, values, edges))
     for index, variable in enumerate(windows.system.action):
         values = _mean(windows.actions[:, index], windows.start, windows.end)
@@ -118,10 +118,10 @@ def factors(windows: Windows, errors: FloatArray, scale: FloatArray) -> tuple[Fa
 
 
 def cells(windows: Windows, errors: FloatArray, scale: FloatArray, smallest: int = 3) -> tuple[Cell, ...]:
-    """The plane in squares of one round width, those with at least ``smallest`` windows; empty without x and y."""
-    if not all(name in windows.system.state_names for name in PLACE):
+    """Returns squares of the plane with at least ``smallest`` windows; empty for a system without x and y."""
+    if not all(name in windows.system.state_names for name in POSITION):
         return ()
-    x, y = place(windows)
+    x, y = window_positions(windows)
     width = float(np.diff(round_edges(np.concatenate([x - x.min(), y - y.min()]), most=14))[1:2].sum()) or 1.0
     column, row = np.floor(x / width).astype(np.int64), np.floor(y / width).astype(np.int64)
     squares = window_squares(errors, scale)
@@ -137,11 +137,11 @@ def cells(windows: Windows, errors: FloatArray, scale: FloatArray, smallest: int
     return tuple(sorted(found, key=lambda cell: -cell.error))
 
 
-def place(windows: Windows) -> tuple[FloatArray, FloatArray]:
-    """Where the middle of each window lies, x and y (windows,) [m]."""
+def window_positions(windows: Windows) -> tuple[FloatArray, FloatArray]:
+    """Returns the position at the middle of each window, x and y (windows,) [m]."""
     names = windows.system.state_names
     middle = windows.start + windows.steps // 2
-    x, y = (windows.states[middle, names.index(name)] for name in PLACE)
+    x, y = (windows.states[middle, names.index(name)] for name in POSITION)
     return x, y
 
 
@@ -160,9 +160,9 @@ class _ErrorBinning:
         bins: list[Bin] = []
         groups: list[NDArray[np.bool_]] = []
         for index, run in enumerate(self.windows.names):
-            own = self.windows.run == index
-            if own.any():
-                more, inside = self._bins("time", "s", values, round_edges(values[own]), own, run)
+            members = self.windows.run == index
+            if members.any():
+                more, inside = self._bins("time", "s", values, round_edges(values[members]), members, run)
                 bins += more
                 groups += inside
         return Factor("time", "s", "time", self._explained(groups), tuple(bins))
@@ -173,12 +173,13 @@ class _ErrorBinning:
         unit: str,
         values: FloatArray,
         edges: FloatArray,
-        own: NDArray[np.bool_],
+        members: NDArray[np.bool_],
         run: str | None = None,
     ) -> tuple[tuple[Bin, ...], list[NDArray[np.bool_]]]:
-        edges = merge_small_bins(values[own], edges, smallest=max(10, int(0.01 * len(values))))
+        # A bin needs 10 windows and 1 % of all: the error of fewer is mostly chance.
+        edges = merge_small_bins(values[members], edges, smallest=max(10, int(0.01 * len(values))))
         which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-        groups = [own & (which == index) for index in range(len(edges) - 1)]
+        groups = [members & (which == index) for index in range(len(edges) - 1)]
         return tuple(
             self._bin(name, unit, float(edges[index]), float(edges[index + 1]), inside, run)
             for index, inside in enumerate(groups)
@@ -204,6 +205,7 @@ class _ErrorBinning:
         )
 
     def _explained(self, groups: Sequence[NDArray[np.bool_]]) -> float:
+        # Roots instead of squares: a few large errors would dominate the variance.
         roots = np.sqrt(self.squares)
         whole = float(((roots - roots.mean()) ** 2).sum())
         filled = [roots[inside] for inside in groups if inside.any()]

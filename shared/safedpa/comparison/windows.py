@@ -1,4 +1,4 @@
-"""Windows: the stretches of measured time over which open-loop predictions are compared with measurements."""
+"""Windows: intervals of recordings over which open-loop predictions are compared with measurements."""
 
 from __future__ import annotations
 
@@ -19,32 +19,33 @@ from safedpa.systems import System
 __all__ = ["Windows", "check_runs", "windows_of"]
 
 
-_SAME = 1e-6
-"""Largest relative difference of periods that count as one."""
+# Largest relative difference of periods that count as equal: rounding of recorded time stamps.
+_SAME_PERIOD = 1e-6
 
 
 @dataclass(frozen=True)
 class Windows:
-    """All windows of all runs over one table of the rows that the runs trust, stretch after stretch.
+    """All windows of all runs, as indices into one table of the trusted rows of all runs.
 
-    A window starts at a row and takes ``steps`` rows after it; it never leaves its stretch. Shapes: per row t, time,
-    clock, period (rows,), states (rows, states), actions (rows, actions); per stretch bounds (stretches, 2), first row
-    and one past the last; per window start, steps, begin, run (windows,).
+    A window consists of a row and the ``steps`` rows after it; it never leaves its stretch (rows without a gap).
+    Shapes: ``t``, ``time``, ``clock``, ``period`` (rows,), ``states`` (rows, states), ``actions`` (rows, actions);
+    ``bounds`` (stretches, 2) with the first row of a stretch and one past the last; ``start``, ``steps``, ``begin``,
+    ``run`` (windows,).
     """
 
     system: System
     names: tuple[str, ...]
     """Names of the runs."""
     horizon: float
-    """s"""
+    """Length of a window [s]."""
     t: FloatArray
-    """s; as recorded."""
+    """Time as recorded [s]."""
     time: FloatArray
-    """s; since the first trusted row of the run."""
+    """Time since the first trusted row of the run [s]."""
     clock: FloatArray
-    """s; grows over the whole table: time within a stretch, with a gap longer than the horizon between stretches."""
+    """Time that increases over the whole table [s], with a gap longer than the horizon between stretches."""
     period: FloatArray
-    """s; from this row to the next; at the last row of a stretch the run's median, which nothing uses."""
+    """Time to the next row [s]; at the last row of a stretch the run's median, which nothing uses."""
     states: FloatArray
     actions: FloatArray
     bounds: IndexArray
@@ -56,7 +57,7 @@ class Windows:
     run: IndexArray
     """Index of the window's run in ``names``."""
     memo: dict[Any, dict[str, FloatArray]] = field(default_factory=dict, repr=False, compare=False)
-    """What actuators make of the table's actions, by commands and their parameters; shared by every selection."""
+    """Cache of effective actions by command effects and their parameters; shared by all selections of one table."""
 
     def __len__(self) -> int:
         return len(self.start)
@@ -68,12 +69,12 @@ class Windows:
 
     @cached_property
     def common_period(self) -> float | None:
-        """The one period [s] of all rows, or None where rows are spaced irregularly."""
+        """The period [s] of all rows; None if rows are spaced irregularly."""
         middle = float(np.median(self.period))
-        return middle if np.ptp(self.period) <= _SAME * middle else None
+        return middle if np.ptp(self.period) <= _SAME_PERIOD * middle else None
 
     def rows_after(self, seconds: float) -> IndexArray:
-        """The row nearest to ``seconds`` after each start, inside the window and after the start, shape (windows,)."""
+        """Returns the row closest to ``seconds`` after each start and inside the window, (windows,)."""
         wanted = self.clock[self.start] + seconds
         later = np.clip(np.searchsorted(self.clock, wanted), self.start + 1, self.end)
         earlier = np.maximum(later - 1, self.start + 1)
@@ -81,7 +82,7 @@ class Windows:
         return np.asarray(np.where(nearer, earlier, later), dtype=np.int64)
 
     def select(self, index: IndexArray | NDArray[np.bool_]) -> Windows:
-        """The same table with some of the windows only."""
+        """Returns the same table with a selection of the windows."""
         return replace(
             self,
             start=self.start[index],
@@ -94,16 +95,16 @@ class Windows:
 def windows_of(
     runs: Sequence[Run], horizon: float, *, stride: int = 10, every: float | None = None, partial: bool = False
 ) -> Windows:
-    """A window of ``horizon`` seconds from every ``stride``-th trusted row of each run, or ``every`` so many seconds.
+    """Returns windows of ``horizon`` [s] from every ``stride``-th trusted row of each run, or from every ``every`` [s].
 
-    The last row of a window is the last one up to the horizon, to half the run's median period. Windows that their
-    stretch cuts short are left out, or kept with the rows that there are when ``partial``.
+    The last row of a window is the last one up to the horizon plus half the run's median period. Windows that reach
+    beyond their stretch are dropped; with ``partial`` they are kept with the rows that exist.
 
-    Raises InputError for a horizon that is no positive number, shorter than half a period or longer than every
-    stretch, and RunError for runs of different systems, without rows, or with numbers that are not finite.
+    Raises InputError for a horizon that is not positive, shorter than half a period or longer than every stretch.
+    Raises RunError for runs of different systems, without rows, or with values that are not finite.
     """
     if not (math.isfinite(horizon) and horizon > 0):
-        raise InputError(f"horizon: got {horizon} s, wanted a positive number of seconds; choose 1, say")
+        raise InputError(f"horizon: got {horizon} s, wanted a positive number of seconds, such as 1")
     check_runs(runs)
     table = _table(runs, horizon)
     strides = [stride if every is None else max(1, round(every / run.period)) for run in runs]
@@ -125,7 +126,7 @@ def windows_of(
 
 
 def check_runs(runs: Sequence[Run]) -> None:
-    """Raises RunError for runs of different systems, without rows, or with numbers that are not finite."""
+    """Raises RunError for runs of different systems, without rows, or with values that are not finite."""
     if not runs:
         raise RunError("runs: got none, wanted at least one recording")
     for run in runs:
@@ -139,7 +140,7 @@ def check_runs(runs: Sequence[Run]) -> None:
             raise RunError(f"{run.name}: no two rows that can be used follow each other; see its data quality findings")
         for _, states, actions in run.parts():
             if not (np.isfinite(states).all() and np.isfinite(actions).all()):
-                raise RunError(f"{run.name}: got numbers that are not finite inside a stretch; cut those rows out")
+                raise RunError(f"{run.name}: got values that are not finite inside a stretch; cut those rows out")
 
 
 def _columns_of(system: System) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
@@ -160,6 +161,7 @@ def _table(runs: Sequence[Run], horizon: float) -> Windows:
             time.append(part_t - first)
             clock.append(part_t - part_t[0] + elapsed)
             period.append(np.append(np.diff(part_t), run.period))
+            # A gap longer than any window, so that a search by clock never crosses a stretch.
             elapsed = float(clock[-1][-1]) + 2.0 * horizon + 1.0
     empty = np.zeros(0, dtype=np.int64)
     return Windows(
@@ -185,9 +187,10 @@ def _no_window(runs: Sequence[Run], horizon: float) -> InputError:
     period = min(run.period for run in runs)
     if horizon < period:
         return InputError(f"horizon: got {horizon} s, the rows are {period:.4g} s apart; choose at least that")
-    if horizon <= longest:  # windows begin at some rows only: here in shorter stretches, or before a long step
+    # Windows begin at some rows only: here only in shorter stretches, or before a long time step.
+    if horizon <= longest:
         return InputError(
-            f"horizon: got {horizon} s, after no row that begins a window do rows go on for so long, though the "
+            f"horizon: got {horizon} s, but no window begins in a part without a gap of that length, although the "
             f"longest stretch without a gap lasts {longest:.4g} s; choose another horizon, or begin more windows"
         )
     return InputError(

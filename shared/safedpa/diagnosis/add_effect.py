@@ -1,4 +1,4 @@
-"""One effect by choice: fitted on top of a model, whatever the ranking says; everywhere, or under a law."""
+"""Adds one effect that the user chooses to a model and fits it, with or without a law, regardless of any ranking."""
 
 from __future__ import annotations
 
@@ -24,36 +24,38 @@ from safedpa.records.run import Run
 
 __all__ = ["Addition", "add_effect"]
 
-_ADDITION_ROUNDS = 2
-"""Fits about the model with the effect: the trial was one about the model without it."""
-_FEWEST = 3
-"""Windows."""
+# Refits about the model with the effect: the trial is linearised about the model without it, and a large effect
+# lies outside that linearisation.
+_REFITS = 2
+# Cross-validation needs at least three windows to hold one out and fit the rest.
+_MIN_WINDOWS = 3
 
 
 @dataclass(frozen=True)
 class Addition:
-    """The fitted model, its numbers by path, and the held-out errors before and after."""
+    """The fitted model, its parameters by path, and the held-out errors before and after."""
 
     model: PhysicsModel
     values: dict[str, FittedValue]
     before: HeldoutError
     after: HeldoutError
     sentence: str = ""
-    """Where and when it acts, of an effect with a law."""
+    """Where and when the effect acts; empty without a law."""
 
 
 def add_effect(
     model: PhysicsModel, name: str, runs: Sequence[Run], horizon: float = 1.0, law: Where | Varies | None = None
 ) -> Addition:
-    """Fits one effect on top of a model at the horizon that the data choose; the errors are those after ``horizon``.
+    """Fits one effect on top of a model and returns the errors after ``horizon`` [s] before and with it.
 
-    Under a ``law`` its borders, or its change, are fitted with it. Raises InputError for an unknown effect, one that
-    the model has, or a law that does not fit it; RunError for unusable runs.
+    The data determine the horizon of the fit. With a ``law``, its borders or its rate of change are fitted too. Raises
+    InputError for an unknown effect, one that the model has, or a law that does not suit it; RunError for unusable
+    runs.
     """
     item = effect(model.system.name, name)
-    if name in {own.name for own in model.effects}:
+    if name in {other.name for other in model.effects}:
         raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
-    made = item if law is None else conditioned(item, law, model.system)
+    conditioned_item = item if law is None else conditioned(item, law, model.system)
     usable = prepare_runs(model, runs)
     evidence = data_at_horizon(usable.runs, usable.seconds)
     shown = displayed_windows(usable.runs, horizon, evidence)
@@ -61,30 +63,35 @@ def add_effect(
         raise RunError(
             f"runs: no state changes over {horizon:g} s, so there is nothing to fit '{name}' to; record a drive"
         )
-    if len(evidence.shooting.windows) < _FEWEST:
+    if len(evidence.shooting.windows) < _MIN_WINDOWS:
         raise RunError(
-            f"runs: got {len(evidence.shooting.windows)} windows of {usable.seconds:g} s, wanted at least {_FEWEST}; "
-            "record more"
+            f"runs: got {len(evidence.shooting.windows)} windows of {usable.seconds:g} s, wanted at least "
+            f"{_MIN_WINDOWS}; record more"
         )
     search = initial_search(model, evidence.shooting, evidence.heldout)
-    shooting, found = search.shooting, _tried(search.current, item, made, law, search.shooting).fit
-    for _ in range(_ADDITION_ROUNDS):
+    shooting, found = search.shooting, _fit_effect(search.current, item, conditioned_item, law, search.shooting).fit
+    for _ in range(_REFITS):
         shooting = shooting.around(found.model)
         found = fit(found.model, found.paths, shooting, found.scale)
+    # As in a diagnosis: the windows fit the effect, the filter along whole recordings gives the reported values.
     found, _ = with_final_values(found, shooting, evidence.heldout)
     final: EffectTrial = trial_of(found, shooting, (name,), None)
     before = error_with(search.current.fit, search.shooting, shown)
     after = error_with(found, shooting, shown)
-    reported = "".join(one.sentence for one in conditions_of(found.model, [name]))
-    return Addition(found.model, values_of(final, shooting), before, after, reported)
+    sentences = "".join(one.sentence for one in conditions_of(found.model, [name]))
+    return Addition(found.model, values_of(final, shooting), before, after, sentences)
 
 
-def _tried(
-    null: EffectTrial, item: AbstractEffect, made: AbstractEffect, law: Where | Varies | None, shooting: Shooting
+def _fit_effect(
+    null: EffectTrial,
+    item: AbstractEffect,
+    conditioned_item: AbstractEffect,
+    law: Where | Varies | None,
+    shooting: Shooting,
 ) -> EffectTrial:
-    """The fit on windows; under a law from where a screen over all regions begins."""
+    """Fits the effect on windows; with a law, from the initial values of the screen over all laws of its kind."""
     alone = fit_trial(null, [item], shooting)
     if law is None:
         return alone
     start = initial_law_values(null, alone, item, law, shooting)
-    return fit_trial(null, [made], shooting, [with_effect_at(null.fit.model, made, start)])
+    return fit_trial(null, [conditioned_item], shooting, [with_effect_at(null.fit.model, conditioned_item, start)])

@@ -1,7 +1,7 @@
-"""Where a diagnosis holds: the range of each state and action that was driven, and the parts of it that were hardly.
+"""Coverage: the range of each state and action in the recordings, and gaps in it.
 
-Blocks of time decide what is added. A part of a range in which the recordings hold less than one such block decided
-nothing: laws that agree on both sides of it may differ inside, and what the model says there is extrapolated.
+Blocks of time decide which effects are added. A part of a range with less than one block of data decided nothing:
+models that agree on both sides of it may differ inside, where the fitted model extrapolates.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import block_seconds
 from safedpa.diagnosis.report_schema import CoverageGap, CoveredRange
 from safedpa.records.run import Run
@@ -22,66 +22,70 @@ from safedpa.systems import System, Variable
 
 __all__ = ["coverage_of", "within_coverage"]
 
+# Equal parts of a range: finer ones would show gaps by chance.
 _PARTS = 10
-"""Equal parts of a range."""
+# Largest distance between two covered parts, in parts, that is no gap: one empty part is interpolated from both sides.
 _NARROW = 2
-"""Parts from one that is held to the next, up to which what lies between is told by both sides."""
 
 
 def coverage_of(runs: Sequence[Run]) -> tuple[CoveredRange, ...]:
-    """For each action and each state that is neither a place nor an angle the range that the runs hold, and its gaps.
+    """Returns the covered range and its gaps for each action and each state except positions and angles.
 
-    A range ends where less than half a block of time lies beyond, or where its last parts of ten hold less than a block
-    each. A gap is two such parts side by side or more: what lies on both sides of a narrower one tells of it as well.
+    A range ends where less than half a block of time lies beyond, or where its outer parts (of ten) contain less than a
+    block each. A gap is two or more such parts in a row.
     """
     if not runs:
         return ()
     system, block = runs[0].system, block_seconds(runs)
     table = np.concatenate([np.column_stack([states, actions]) for run in runs for _, states, actions in run.parts()])
     seconds = np.concatenate([np.full(len(states), run.period) for run in runs for _, states, _ in run.parts()])
-    chosen = [(index, own) for index, own in enumerate((*system.state, *system.action)) if _counts(own)]
-    found = [_covered(own, table[:, index], seconds, block) for index, own in chosen]
+    chosen = [
+        (index, variable) for index, variable in enumerate((*system.state, *system.action)) if _is_reported(variable)
+    ]
+    found = [_covered(variable, table[:, index], seconds, block) for index, variable in chosen]
     return tuple(item for item in found if item is not None)
 
 
-def _counts(variable: Variable) -> bool:
-    return variable.name not in PLACE and not variable.angle
+def _is_reported(variable: Variable) -> bool:
+    return variable.name not in POSITION and not variable.angle
 
 
 def _covered(variable: Variable, values: FloatArray, seconds: FloatArray, block: float) -> CoveredRange | None:
-    """None of a variable that does not change, or of so few data that no part could hold a block."""
+    """Returns the range of one variable; None if it is constant or the data are too few for a block in each part."""
     order = np.argsort(values, kind="stable")
-    values, past = values[order], np.cumsum(seconds[order])
-    whole = float(past[-1])
-    ends = np.searchsorted(past, (0.5 * block, whole - 0.5 * block))
+    values, elapsed = values[order], np.cumsum(seconds[order])
+    whole = float(elapsed[-1])
+    ends = np.searchsorted(elapsed, (0.5 * block, whole - 0.5 * block))
     low, high = (float(values[min(int(end), len(values) - 1)]) for end in ends)
+    # Twice the time that ten parts of one block need: with less, gaps are inevitable and mean nothing.
     if not high > low or whole < 2.0 * block * _PARTS:
         return None
     edges = np.linspace(low, high, _PARTS + 1)
+    # searchsorted is exclusive on the right: without this the largest value would be in no part.
     edges[-1] = np.nextafter(high, np.inf)
-    held = np.diff(np.concatenate([[0.0], past])[np.searchsorted(values, edges)])
-    known = np.flatnonzero(held >= block)
-    if not len(known):
+    seconds_in_part = np.diff(np.concatenate([[0.0], elapsed])[np.searchsorted(values, edges)])
+    covered = np.flatnonzero(seconds_in_part >= block)
+    if not len(covered):
         return None
     gaps = [
-        CoverageGap(float(edges[one + 1]), float(edges[other]), float(held[one + 1 : other].sum()))
-        for one, other in pairwise(known.tolist())
+        CoverageGap(float(edges[one + 1]), float(edges[other]), float(seconds_in_part[one + 1 : other].sum()))
+        for one, other in pairwise(covered.tolist())
         if other - one > _NARROW
     ]
-    first, last = float(edges[known[0]]), float(edges[known[-1] + 1])
+    first, last = float(edges[covered[0]]), float(edges[covered[-1] + 1])
     return CoveredRange(variable.name, variable.unit, first, last, whole, tuple(gaps))
 
 
 def within_coverage(
     coverage: Sequence[CoveredRange], system: System, states: FloatArray, actions: FloatArray
 ) -> NDArray[np.bool_]:
-    """Rows (rows,) of states (rows, states) and actions (rows, actions) that lie within every range, in no gap."""
+    """Returns which rows of states (rows, states) and actions (rows, actions) are inside all ranges and no gap."""
     names = (*system.state_names, *system.action_names)
     table: Mapping[str, Any] = dict(zip(names, np.column_stack([states, actions]).T, strict=True))
     found = np.ones(len(states), dtype=bool)
     for item in coverage:
-        own = table[item.variable]
-        found &= (own >= item.low) & (own <= item.high)
+        values = table[item.variable]
+        found &= (values >= item.low) & (values <= item.high)
         for gap in item.gaps:
-            found &= ~((own >= gap.low) & (own < gap.high))
+            found &= ~((values >= gap.low) & (values < gap.high))
     return found

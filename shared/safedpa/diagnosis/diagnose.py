@@ -1,4 +1,4 @@
-"""The diagnosis from runs to report: quality, search, what remains, what comes closest, the next experiment."""
+"""The diagnosis, from runs to report: data quality, search, unmodelled structure, closest effects, next experiment."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from safedpa.comparison.comparison import EVERY, compare_model
 from safedpa.comparison.naive import naive_errors
 from safedpa.comparison.summary import worst_bins
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.add_effect import Addition, add_effect
 from safedpa.diagnosis.coverage import coverage_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.experiment_design.choice import choose_experiment
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.data_checks import (
-    MOST_ROWS,
     DataSufficiency,
     check_data_sufficiency,
     finding_row,
@@ -44,14 +44,13 @@ from safedpa.records.run import Finding, Run
 
 __all__ = ["Addition", "add_effect", "candidate_of", "diagnose", "experiment_for", "library_for"]
 
-_MOST_ROWS = MOST_ROWS
-_MOST_SHOWN = 0.5
-"""Share of the library's numbers of which an ordinary size would have been found, without which "nothing is missing"
-would say more than the data do."""
+# Share of the library's parameters whose typical size these data would have shown. Below it, "nothing is missing"
+# would claim more than the data support, and the verdict is "undecided".
+_MIN_DETECTABLE = 0.5
 
 
 def library_for(model: PhysicsModel) -> list[AbstractEffect]:
-    """Every effect of the robot that the model's actions allow and the model does not have."""
+    """Returns the robot's effects that the model's actions allow and that the model does not have."""
     have = {item.name for item in model.effects}
     actions = set(model.system.action_names)
     every = effects_of(model.system.name).values()
@@ -64,33 +63,38 @@ def diagnose(
     horizon: float = 1.0,
     report_progress: ReportProgress = lambda _done, _all, _message: None,
 ) -> Report:
-    """Which effects of the library the model lacks, by runs that it should predict.
+    """Finds the effects of the library that a model lacks, from runs that it should predict.
 
-    The data choose the horizons at which is decided; ``horizon`` [s] is that of the errors that are shown. Raises
+    The data determine the horizon on which the search decides; ``horizon`` [s] is that of the displayed errors. Raises
     InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    usable = prepare_runs(model, runs, _MOST_ROWS)
+    usable = prepare_runs(model, runs)
     evidence = data_at_horizon(usable.runs, usable.seconds)
     shown = displayed_windows(usable.runs, horizon, evidence)
+    # Judged before the search: with too little data, any ranking of effects would look like a finding.
     judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
     library = library_for(model)
     if not judge.enough:
         usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
-    asked: list[float] = []
+    horizons: list[float] = []
 
-    def alongside() -> list[HorizonData]:
+    def other_horizons() -> list[HorizonData]:
         found = list(data_at_other_horizons(usable.runs, usable.seconds))
-        asked.extend(item.seconds for item in found if item.seconds not in asked)
+        horizons.extend(item.seconds for item in found if item.seconds not in horizons)
         return found
 
+    # An empty library skips the additions but still refits the free parameters, whose error the report shows.
     search = run_search(
-        model, library if judge.enough else [], evidence.shooting, evidence.heldout, report_progress, alongside
+        model, library if judge.enough else [], evidence.shooting, evidence.heldout, report_progress, other_horizons
     )
-    usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
-    found = _rest_of(search, judge, LibraryMatcher(search, library, evidence.heldout))
-    sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
+    usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
+    # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
+    found = _unmodelled(search, judge, LibraryMatcher(search, library, evidence.heldout))
+    sizes = with_manoeuvres(_detectable_sizes(search, library), search.current, library) if judge.enough else ()
     doubtful = doubtful_effects(search)
     reported, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
+    possible, noise = [*doubtful, *found.likely], np.maximum(search.current.fit.scale, 1e-9)
+    possible_values = [values_of(item.trial, search.shooting) for item in possible]
     return Report(
         robot=model.system.name,
         horizon=horizon,
@@ -104,81 +108,79 @@ def diagnose(
         data_quality=tuple(usable.quality),
         parameters=final,
         models=tuple(reported.models),
-        closest=closest_effects(
-            [*doubtful, *found.likely],
-            search,
-            [values_of(item.trial, search.shooting) for item in [*doubtful, *found.likely]],
-            sizes,
-            np.maximum(search.current.fit.scale, 1e-9),
-        ),
+        closest=closest_effects(possible, search, possible_values, sizes, noise),
         detectable=tuple(sizes),
         naive=naive_errors(shown.windows),
         worse=reported.worse,
         conditions=conditions_of(search.current.fit.model, search.added),
-        evidence=(usable.seconds, *asked),
+        evidence=(usable.seconds, *horizons),
         coverage=coverage_of(usable.runs),
     )
 
 
 @dataclass(frozen=True)
-class _Rest:
-    """What no effect explains, and effects that may be missing."""
+class _Unmodelled:
+    """Unmodelled structure, and effects that may be missing."""
 
     unexplained: Unexplained | None
     likely: list[JudgedTrial]
 
 
-def _rest_of(search: SearchState, judge: DataSufficiency, names: LibraryMatcher) -> _Rest:
+def _unmodelled(search: SearchState, judge: DataSufficiency, names: LibraryMatcher) -> _Unmodelled:
+    """Looks for what the accepted effects leave: a formula instead of them, or structure in the residual."""
     if not judge.enough:
+        # If columns or units are wrong, even a list of the closest effects would mislead.
         near = [] if judge.wrong else nearest_effects(search, names.library, names.heldout)
-        return _Rest(Unexplained((), judge.why_not, 0.0), near)
-    rest = alternative_formula(search, names) or find_unexplained_structure(
-        search.current, search.shooting, search.patch, names
+        return _Unmodelled(Unexplained((), judge.why_not, 0.0), near)
+    structure = alternative_formula(search, names) or find_unexplained_structure(
+        search.current, search.shooting, search.region, names
     )
     named = {item.trial.effects for item in names.found}
     others = [item for item in likely_effects(search) if item.trial.effects not in named]
-    return _Rest(rest, [*names.found, *others])
+    return _Unmodelled(structure, [*names.found, *others])
 
 
-def _sizes(search: SearchState, library: Sequence[AbstractEffect]) -> list[Detectable]:
+def _detectable_sizes(search: SearchState, library: Sequence[AbstractEffect]) -> list[Detectable]:
     have = {item.name for item in search.current.fit.model.effects}
-    rest = [item for item in library if item.name not in have]
-    return detectable_sizes(search.current, rest, search.shooting, search.error)
+    remaining = [item for item in library if item.name not in have]
+    return detectable_sizes(search.current, remaining, search.shooting, search.error)
 
 
-def _rooms(evidence: HorizonData) -> list[dict[str, Any]]:
-    """Runs that were in different places: whether they are of one room is not assumed."""
+def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
+    """Returns a finding if the runs do not overlap in position: whether they share a room is then unknown."""
     names = evidence.shooting.windows.system.state_names
-    if not set(PLACE) <= set(names) or share_one_area(evidence.shooting):
+    if not set(POSITION) <= set(names) or share_one_area(evidence.shooting):
         return []
     message = (
-        "the runs lie in different places, so no place on the floor was looked for; if they are of one room, give them "
-        "in one frame"
+        "the runs do not overlap in position, so no region of the floor was looked for; if they are of one room, "
+        "record them in one coordinate frame"
     )
     return [finding_row("all", Finding("different_places", message))]
 
 
-def _too_bad(search: SearchState) -> list[dict[str, Any]]:
-    """A model that predicts worse than no change after all: wrong units or columns, rather than an effect."""
+def _implausible_error(search: SearchState) -> list[dict[str, Any]]:
+    """Returns a finding if the final model predicts worse than no change: wrong units or columns, not an effect."""
+    # 1.0 is the error of predicting no change; 1.5 leaves room for a poor but sensible model.
     if not search.error.value > 1.5:
         return []
     message = (
-        f"even with all that was found the error is {search.error.value:.2f}, more than assuming no change would have: "
-        "look for wrong units (degrees), swapped columns or another robot's model before believing any effect"
+        f"even with all effects found the error is {search.error.value:.2f}, more than that of predicting no change: "
+        "check for wrong units (degrees), swapped columns or another robot's model before trusting any effect"
     )
     return [finding_row("all", Finding("implausible", message))]
 
 
-def _verdict(search: SearchState, found: _Rest, judge: DataSufficiency, sizes: Sequence[Detectable]) -> Verdict:
+def _verdict(search: SearchState, found: _Unmodelled, judge: DataSufficiency, sizes: Sequence[Detectable]) -> Verdict:
     if not judge.enough:
         return "unexplained" if judge.wrong else "undecided"
+    # Checked before the effects: an effect that was added to a model with wrong units is not a finding.
     if search.error.value > 1.5 or not np.isfinite(search.error.value):
         return "unexplained"
     if search.added:
         return "effect_missing"
     if found.unexplained is not None:
         return "unexplained"
-    if found.likely or sum(size.shown for size in sizes) < _MOST_SHOWN * len(sizes):
+    if found.likely or sum(size.shown for size in sizes) < _MIN_DETECTABLE * len(sizes):
         return "undecided"
     return "nothing_missing"
 
@@ -186,30 +188,33 @@ def _verdict(search: SearchState, found: _Rest, judge: DataSufficiency, sizes: S
 def _candidates(
     search: SearchState, heldout: Heldout, shown: Heldout, reported: StageReport, final: Mapping[str, FittedValue]
 ) -> tuple[Candidate, ...]:
-    """As they were judged; what was accepted with the final numbers and the error of its stage, so that no number
-    stands in a report twice with another value."""
+    """Returns the candidates as judged, accepted ones with their final parameters and the error of their stage.
+
+    So no quantity appears in a report with two values.
+    """
     found = []
     for item in search.candidates:
-        made = candidate_of(item, search)
+        candidate = candidate_of(item, search)
         if item.decision == "accepted" and set(item.trial.effects) <= set(search.added):
-            stage = next(own for own in reported.stages if set(item.trial.effects) <= set(own.effects))
-            numbers = {key: final[key if "." in key else f"{made.effect}.{key}"] for key in made.parameters}
-            made = replace(made, heldout_error=stage.heldout_error, parameters=numbers)
+            stage = next(entry for entry in reported.stages if set(item.trial.effects) <= set(entry.effects))
+            values = {key: final[key if "." in key else f"{candidate.effect}.{key}"] for key in candidate.parameters}
+            candidate = replace(candidate, heldout_error=stage.heldout_error, parameters=values)
         elif item.error is not None and shown is not heldout:
-            made = replace(made, heldout_error=error_with(item.trial.fit, search.shooting, shown).value)
-        found.append(made)
+            error = error_with(item.trial.fit, search.shooting, shown).value
+            candidate = replace(candidate, heldout_error=error)
+        found.append(candidate)
     return tuple(found)
 
 
 def candidate_of(item: JudgedTrial, search: SearchState) -> Candidate:
-    """A trial with its verdict as the report states it."""
-    own = set(item.trial.effects)
-    paths = [path for path in item.trial.fit.paths if path.split(".")[0] in own]
+    """Returns a trial with its verdict in the form of the report."""
+    names = set(item.trial.effects)
+    paths = [path for path in item.trial.fit.paths if path.split(".")[0] in names]
     every = values_of(item.trial, search.shooting)
     return Candidate(
         stage=item.stage,
         effect=item.trial.name,
-        parameters={path if len(own) > 1 else path.split(".")[1]: every[path] for path in paths},
+        parameters={path if len(names) > 1 else path.split(".")[1]: every[path] for path in paths},
         heldout_error=None if item.error is None else item.error.value,
         score=item.gain,
         indistinguishable_from=item.equals,
@@ -219,29 +224,33 @@ def candidate_of(item: JudgedTrial, search: SearchState) -> Candidate:
 
 
 def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[dict[str, Any], ...]:
-    from safedpa.comparison.comparison import EVERY, compare_model
+    """Returns the bins in which the given model's error is largest."""
 
     seconds = sum(run.duration for run in runs)
+    # At most 1500 windows: the bins need no more, and long recordings would take as long as the search.
     comparison = compare_model(model, runs, horizon, every=max(EVERY, seconds / 1500))
     keys = ("variable", "unit", "low", "high", "error", "ratio", "share", "samples", "run")
     return tuple({key: getattr(item, key) for key in keys} for item in worst_bins(comparison))
 
 
 def experiment_for(search: SearchState) -> Experiment | None:
-    """Between an accepted effect and what this data cannot tell from it; else between the best two candidates."""
+    """Returns the experiment that separates the first open candidate from its equivalents; None if none is open."""
+    # The residual's scale stands for the measurement noise; it is 0 for simulated recordings without noise.
     noise = np.maximum(search.current.fit.scale, 1e-9)
     for item in search.candidates:
         if item.decision != "rejected" and item.equals:
-            models = _survivors(item, search)
+            models = _equivalent_models(item, search)
             if len(models) > 1:
                 return choose_experiment(models, noise)
     return None
 
 
-def _survivors(item: JudgedTrial, search: SearchState) -> dict[str, PhysicsModel]:
+def _equivalent_models(item: JudgedTrial, search: SearchState) -> dict[str, PhysicsModel]:
+    """Returns a candidate's model and those of at most three equivalents, by name."""
     same = [other for other in search.candidates if other.stage == item.stage]
     models = {item.trial.name: item.trial.fit.model}
     for other in same:
+        # At most four models: the experiment has to separate all pairs, and more hardly have one in common.
         if other.trial.name in item.equals and len(models) < 4:
             models[other.trial.name] = other.trial.fit.model
     return models

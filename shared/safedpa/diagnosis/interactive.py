@@ -1,7 +1,7 @@
-"""The diagnosis one effect at a time, by a person's choice: what is proposed, what is taken, the final numbers.
+"""Interactive diagnosis: the user adds one effect at a time from a ranked list.
 
-The very steps of ``diagnose``, with a person between them, who may take another effect than the best. Second thoughts
-(exchanges and removals) are left to that person.
+The steps are those of ``diagnose``, but the user may choose another effect than the best one. Exchanges and removals
+are left to the user.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ __all__ = [
     "with_final",
 ]
 
-_ROUNDS = 2
-"""Fits about the model with an effect: the trial was one about the model without it, to first order, and a large effect
-lies beyond that."""
+# Refits about the model with the effect: the trial is linearised about the model without it, and a large effect
+# lies outside that linearisation.
+_REFITS = 2
 
 
 @dataclass(frozen=True)
 class StepwiseModel:
-    """A model on the way, fitted, with all that the next step needs."""
+    """The fitted model after some steps, with everything that the next step needs."""
 
     search: SearchState
     heldout: Heldout
-    """Of the horizon that the data choose: it decides."""
+    """Windows of the horizon that the data determine, on which steps are decided."""
     shown: Heldout
-    """Of the horizon that is asked for."""
+    """Windows of the horizon that the user asked for."""
     why_not: str
-    """Why the data allow no verdict about physics; empty where they do."""
+    """Why the data allow no verdict about physics; empty if they do."""
     improved: str = ""
-    """In how many runs the held-out error fell against the step before: ``4/4``."""
+    """In how many runs the held-out error fell compared with the step before, such as ``4/4``."""
 
     @property
     def model(self) -> PhysicsModel:
@@ -64,73 +64,76 @@ class StepwiseModel:
 
     @cached_property
     def error(self) -> HeldoutError:
-        """On data that the fit did not see, after the horizon that is shown."""
+        """Error on data that the fit did not see, after the displayed horizon."""
         same = self.shown is self.heldout
         return self.search.error if same else error_with(self.search.current.fit, self.search.shooting, self.shown)
 
     @property
     def values(self) -> dict[str, FittedValue]:
-        """The fitted numbers by path."""
+        """The fitted parameters by path."""
         return values_of(self.search.current, self.search.shooting)
 
 
 @dataclass(frozen=True)
 class RankedCandidates:
-    """What may be missing, best first, and what would be the search's own choice."""
+    """Effects that may be missing, best first, and the choice that the search would make."""
 
     candidates: tuple[Candidate, ...]
     choice: str | None
-    """Name of the candidate that unseen blocks confirm; None where they confirm none."""
+    """Name of the candidate that unseen blocks confirm; None if they confirm none."""
     unexplained: Unexplained | None
-    """What no effect explains; looked for where there is no choice."""
+    """Unmodelled structure; looked for only if there is no choice."""
     next_experiment: Experiment | None
     search: SearchState
-    """The step's search with all that was tried."""
+    """The step's search with everything that was tried."""
 
 
 def first_step(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -> StepwiseModel:
-    """The given model with its free parameters refitted.
+    """Refits the free parameters of the given model.
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
     usable = prepare_runs(model, runs)
     evidence = data_at_horizon(usable.runs, usable.seconds)
     shown = displayed_windows(usable.runs, horizon, evidence)
-    judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
+    sufficiency = check_data_sufficiency(evidence.shooting, usable.runs, runs)
     return StepwiseModel(
-        initial_search(model, evidence.shooting, evidence.heldout), evidence.heldout, shown, judge.why_not
+        initial_search(model, evidence.shooting, evidence.heldout), evidence.heldout, shown, sufficiency.why_not
     )
 
 
 def given_error(model: PhysicsModel, step: StepwiseModel) -> float:
-    """The error of the model as its file stands, on the windows of the held-out error."""
+    """Returns the error of the model with the values of its file, on the windows of the held-out error."""
     return rollout_error(model, step.shown.windows).value
 
 
 def proposal(
     step: StepwiseModel, report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> RankedCandidates:
-    """Every effect of the library that the model lacks on trial, alone and where none passes in pairs."""
+    """Tries every effect of the library that the model lacks: alone, and in pairs if none passes."""
     if step.why_not:
         return RankedCandidates((), None, Unexplained((), step.why_not, 0.0), None, _copied(step.search))
     search = _copied(step.search)
+    # Trials of the step before are starts for this one: most parameters hardly move.
     before = {t.trial.effects[0]: t.trial for t in search.candidates if len(t.trial.effects) == 1}
     search.candidates = []
     library = library_for(step.model)
     trials = fit_trials(
         search.current, library, search.shooting, before, lambda done: report_progress(done, len(library) + 4)
     )
+    # Four more units for pairs and the residual, which take about as long as four effects.
     report_progress(len(library), len(library) + 4)
     null = search.current
-    passed = bool(library) and add_best_trial(search, len(search.added), trials, library, step.heldout)
+    accepted = bool(library) and add_best_trial(search, len(search.added), trials, library, step.heldout)
     candidates = tuple(candidate_of(item, search) for item in search.candidates)
     chosen = next((item.effect for item in candidates if item.decision == "accepted"), None)
-    rest = None if passed else find_unexplained_structure(null, step.search.shooting, search.patch)
-    return RankedCandidates(candidates, chosen, rest, experiment_for(search), search)
+    # A choice explains part of the residual, so its structure is only looked for if there is none.
+    unexplained = None if accepted else find_unexplained_structure(null, step.search.shooting, search.region)
+    return RankedCandidates(candidates, chosen, unexplained, experiment_for(search), search)
 
 
 def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -> StepwiseModel:
-    """The model with one of the candidates, all fitted again; the choice is the person's, whatever the ranking says.
+    """Adds one of the candidates, chosen by the user, and fits all parameters again.
 
     Raises InputError for a name that is none of the candidates.
     """
@@ -139,14 +142,14 @@ def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -
         raise InputError(f"effect '{name}': not among the candidates; {did_you_mean(name, tried)}")
     search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
     accept_trial(search, tried[name], step.heldout)
-    for _ in range(_ROUNDS):
-        _settle(search, step.heldout)
+    for _ in range(_REFITS):
+        _refit(search, step.heldout)
     found = replace(step, search=search)
     return replace(found, improved=_improved(step.error, found.error))
 
 
 def with_final(step: StepwiseModel) -> StepwiseModel:
-    """The same model with its final numbers, which a filter along whole recordings gives."""
+    """Replaces the parameters by the final ones, which the filter along whole recordings gives."""
     found, error = with_final_values(step.search.current.fit, step.search.shooting, step.heldout)
     search = _copied(step.search)
     search.current, search.error = replace(search.current, fit=found), error
@@ -154,13 +157,14 @@ def with_final(step: StepwiseModel) -> StepwiseModel:
 
 
 def _copied(search: SearchState) -> SearchState:
+    """Copies the mutable parts of a search, so that the user can go back to an earlier step."""
     return replace(
-        search, candidates=list(search.candidates), added=list(search.added), rivals=dict(search.rivals), patch=None
+        search, candidates=list(search.candidates), added=list(search.added), rivals=dict(search.rivals), region=None
     )
 
 
-def _settle(search: SearchState, heldout: Heldout) -> None:
-    """Fits again about the present model."""
+def _refit(search: SearchState, heldout: Heldout) -> None:
+    """Refits with windows linearised about the current model."""
     now = search.current.fit
     search.shooting = search.shooting.around(now.model)
     again = fit(now.model, now.paths, search.shooting, now.scale)
@@ -171,5 +175,6 @@ def _settle(search: SearchState, heldout: Heldout) -> None:
 
 
 def _improved(before: HeldoutError, after: HeldoutError) -> str:
-    there = np.isfinite(before.by_run) & np.isfinite(after.by_run)
-    return f"{int((after.by_run[there] < before.by_run[there]).sum())}/{int(there.sum())}"
+    # NaN marks runs without windows, which are neither better nor worse.
+    both = np.isfinite(before.by_run) & np.isfinite(after.by_run)
+    return f"{int((after.by_run[both] < before.by_run[both]).sum())}/{int(both.sum())}"

@@ -1,6 +1,7 @@
-"""What a diagnosis found, as plain data: the contents of report.json.
+"""Data classes of a diagnosis report: the contents of report.json.
 
-What no effect of the library explains, as plain data: on what it depends, a map of it, a formula that fits.
+Read ``Report`` first, at the end. ``Unexplained`` and the classes before it describe structure that no effect of the
+library explains.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class FormulaTerm:
-    """d(state)/dt += coefficient term."""
+    """One term of a formula: d(state)/dt += coefficient term."""
 
     state: str
     term: str
@@ -48,20 +49,20 @@ class FormulaTerm:
 
 @dataclass(frozen=True)
 class Dependence:
-    """How much of what remains any function of one variable tells, fitted without the blocks that it predicts."""
+    """How much of the residual a function of one variable explains, predicted on unseen blocks."""
 
     variable: str
     state: str
-    """Whose rate remains."""
+    """The state whose rate is incomplete."""
     share: float
-    """Of the squares of the residual, noise included."""
+    """Share of the squares of the residual, noise included."""
     standard_errors: float
-    """Of that gain, over independent blocks of time."""
+    """Gain in standard errors over independent blocks of time."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """The function of one variable that the rate of a state lacks, by its values at some knots, straight between."""
+    """The function of one variable that the rate of a state lacks, as values at knots with straight lines between."""
 
     variable: str
     unit: str
@@ -72,14 +73,14 @@ class Profile:
     errors: tuple[float, ...]
     """One standard deviation of each value."""
     formula: tuple[float, ...] | None
-    """What the formula gives at the knots, where it depends on this variable alone."""
+    """The formula at the knots; None if it depends on other variables too."""
     rows: tuple[int, ...] = ()
-    """Measured rows between the neighbours of each knot."""
+    """Measured rows closest to each knot."""
 
 
 @dataclass(frozen=True)
 class RateMap:
-    """Mean remaining rate in cells of two variables; rows go up, None where a cell has too few windows."""
+    """Mean missing rate in cells of two variables; rows run upwards, None for cells with too few windows."""
 
     across: str
     across_unit: str
@@ -95,19 +96,19 @@ class RateMap:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure of what remains that no effect of the library has."""
+    """Structure of the residual that no effect of the library explains."""
 
     depends_on: tuple[str, ...]
     expression: str
-    """A formula that fits, not an effect; where nothing could be judged, why not."""
+    """A formula that fits, not an effect; if nothing could be judged, the reason."""
     share: float
-    """Of the remaining squared error."""
+    """Share of the remaining squared error."""
     kind: Literal["place", "formula", "dependence", "no_verdict"] = "no_verdict"
     terms: tuple[FormulaTerm, ...] = ()
     alternatives: tuple[str, ...] = ()
-    """Terms that unseen blocks cannot tell from the formula's first."""
+    """Terms that unseen blocks cannot distinguish from the formula's first term."""
     dependence: tuple[Dependence, ...] = ()
-    """Every variable that was looked at, the one that tells most first."""
+    """Every variable that was tried, the one with the largest share first."""
     profile: Profile | None = None
     map: RateMap | None = None
 
@@ -118,7 +119,7 @@ Decision = Literal["accepted", "suspected", "rejected"]
 
 @dataclass(frozen=True)
 class FittedValue:
-    """A fitted number, one standard deviation (None where it could not be told) and its unit."""
+    """A fitted value, one standard deviation (None if unknown) and its unit."""
 
     value: float
     std: float | None
@@ -133,12 +134,12 @@ class DiagnosisStage:
     heldout_error: float
     per_state: dict[str, float]
     runs_improved: str
-    """In how many runs the error fell against the stage before: ``9/9``; empty for the first."""
+    """In how many runs the error fell compared with the stage before, such as ``9/9``; empty for the first."""
 
 
 @dataclass(frozen=True)
 class WorsenedState:
-    """A state that a stage predicts worse in one run than the given model does, whatever the mean says."""
+    """A state that a stage predicts worse in one run than the given model does."""
 
     stage: int
     run: str
@@ -153,7 +154,7 @@ class Candidate:
 
     stage: int
     effect: str
-    """Pairs are named with a plus sign between them."""
+    """Name of the effect; pairs are joined with a plus sign."""
     parameters: dict[str, FittedValue]
     heldout_error: float | None
     score: float | None
@@ -165,7 +166,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The manoeuvre that would tell apart what this data cannot."""
+    """The manoeuvre that would separate what these data cannot."""
 
     manoeuvre: str
     separates: tuple[str, ...]
@@ -174,88 +175,88 @@ class Experiment:
 
 @dataclass(frozen=True)
 class PossibleEffect:
-    """An effect that may be missing, but of which the data are not sure."""
+    """An effect that may be missing, but that the data do not confirm."""
 
     effect: str
     parameters: dict[str, FittedValue]
     """By path."""
     heldout_fall: float | None
-    """Share that it would take off the held-out error at the search's own horizon."""
+    """Relative reduction of the held-out error at the search's own horizon."""
     score: float
     """Held-out gain in standard errors of independent time blocks."""
     smallest_detectable: dict[str, FittedValue]
-    """By path: the change from doing nothing that these logs would have shown."""
+    """By path: the change from the neutral value that these recordings would have shown."""
     drive: str
-    """What to drive to know; empty where no manoeuvre of the list tells."""
+    """The manoeuvre that would decide; empty if none of the list does."""
     reason: str
 
 
 @dataclass(frozen=True)
 class Detectable:
-    """What these logs could show of one parameter of an effect that the model lacks."""
+    """Detectability of one parameter of an effect that the model lacks, in these recordings."""
 
     effect: str
     parameter: str
     unit: str
     smallest: float | None
-    """Change from doing nothing that would have been found with 95 % power cases; None: none within bounds."""
+    """Smallest change from the neutral value that is found with 95 % power; None if there is none within bounds."""
     ordinary: float
-    """The change that is ordinary."""
+    """The typical change."""
     only_with: tuple[str, ...]
-    """Effects or free numbers that displace the predictions in the same way: only their sum can be told."""
+    """Effects or free parameters that displace the predictions in the same way: only their sum is identifiable."""
     drive: str = ""
-    """The manoeuvre that shows it most, where these logs do not show an ordinary size."""
+    """The manoeuvre that shows it best, if these recordings do not show a typical size."""
 
     @property
     def shown(self) -> bool:
-        """Whether an ordinary size would have been found."""
+        """Whether a typical size would have been found."""
         return self.smallest is not None and self.smallest <= self.ordinary
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Where or when an added effect acts, or how a number of it varies."""
+    """Where or when an added effect acts, or how a parameter of it varies."""
 
     effect: str
     kind: str
     """``where`` or ``varies``."""
     phrase: str
-    """As model files and ``safedpa add`` have it: ``x above``, ``gain with time``."""
+    """The law as in model files and ``safedpa add``: ``x above``, ``gain with time``."""
     edge: float | None
-    """Width over which a condition sets in, in the unit of its variable; None of what varies."""
+    """Width over which a condition sets in, in the unit of its variable; None for ``varies``."""
     sentence: str
 
 
 @dataclass(frozen=True)
 class CoverageGap:
-    """A part of a variable's range in which the recordings hold less than a block of time."""
+    """A part of a variable's range with less than one block of recorded time."""
 
     low: float
     high: float
     seconds: float
-    """That were driven there."""
+    """Recorded time there [s]."""
 
 
 @dataclass(frozen=True)
 class CoveredRange:
-    """The range of a state or action that the recordings hold, and what of it they hardly hold."""
+    """The range of a state or action that the recordings cover, and the gaps in it."""
 
     variable: str
     unit: str
     low: float
     high: float
     seconds: float
-    """Of all recordings."""
+    """Length of all recordings [s]."""
     gaps: tuple[CoverageGap, ...]
 
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that a diagnosis found; ``models`` are those of the stages, the given one (refitted) first."""
+    """The result of a diagnosis; ``models`` are those of the stages, the given one (refitted) first."""
 
     robot: str
     horizon: float
-    """s"""
+    """Horizon of the displayed errors [s]."""
     verdict: Verdict
     added: tuple[str, ...]
     stages: tuple[DiagnosisStage, ...]
@@ -265,27 +266,28 @@ class Report:
     next_experiment: Experiment | None
     data_quality: tuple[dict[str, Any], ...]
     parameters: dict[str, FittedValue]
-    """Fitted numbers of the last model, by path, the base's free ones as well."""
+    """Fitted parameters of the last model by path, including free ones of the base."""
     models: tuple[PhysicsModel, ...] = field(repr=False)
     closest: tuple[PossibleEffect, ...] = ()
-    """Where the data are not sure: the effects that come closest, the best first; "likely, not proven"."""
+    """Effects that come closest if the data are not sure, best first: "likely, not proven"."""
     detectable: tuple[Detectable, ...] = ()
-    """For each number of each effect that the model lacks the smallest change that these logs would have shown."""
+    """For each parameter of each effect that the model lacks, the smallest change that would have been found."""
     naive: dict[str, float] = field(default_factory=dict)
-    """Errors of what knows no physics, after the horizon: "no_change" and "constant_velocity"."""
+    """Errors of naive predictions after the horizon: "no_change" and "constant_velocity"."""
     worse: tuple[WorsenedState, ...] = ()
-    """States that the last stage predicts worse in a run than the given model, the worst first."""
+    """States that the last stage predicts worse in some run than the given model, the worst first."""
     conditions: tuple[Condition, ...] = ()
-    """Of added effects that do not act everywhere and always alike."""
+    """Laws of added effects that act only in a region or vary."""
     evidence: tuple[float, ...] = ()
-    """s; the horizons at which was decided, the search's own first: they follow from the data."""
+    """Horizons of the search [s], which the data determine; the main one first."""
     coverage: tuple[CoveredRange, ...] = ()
-    """What was driven of each state and action: elsewhere the last model is extrapolated."""
+    """Covered range of each state and action; outside it the model extrapolates."""
 
 
 def as_document(report: Report) -> dict[str, Any]:
-    """The document that stands in report.json; numbers that are not finite are null."""
+    """Returns the document of report.json; values that are not finite become null."""
     plain: dict[str, Any] = {"format": 1}
+    # An explicit list: the file format is a contract, and ``models`` and private fields are not part of it.
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
         "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
@@ -296,6 +298,7 @@ def as_document(report: Report) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
+    """Converts data classes, tuples and NumPy scalars to JSON types."""
     if hasattr(value, "__dataclass_fields__"):
         return _plain(asdict(value))
     if isinstance(value, dict):
@@ -304,5 +307,6 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, bool) or not hasattr(value, "__float__"):
         return value
+    # Duck typing covers NumPy scalars; JSON has no infinity or NaN.
     number = int(value) if hasattr(value, "__index__") else float(value)
     return number if math.isfinite(number) else None

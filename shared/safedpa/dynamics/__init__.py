@@ -1,12 +1,17 @@
-"""Models: known physics, composed with effects, in files that people can read."""
+"""Models: a base (known physics), a list of named effects, and the TOML files that describe them.
+
+Read ``dynamics`` first (the interface that the filter uses), then ``physics`` (a base with effects), ``model_file``
+(reading and writing), ``recorded_step`` and ``tangent`` (the fast functions for one robot). ``generate_steps`` writes
+the module that the build compiles.
+"""
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.dynamics import AbstractDynamics
 from safedpa.dynamics.fingerprint import fingerprint
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.model_file import load_model, parse_model, save_model, shipped_models, write_model
-from safedpa.dynamics.own import load_own, load_own_everywhere
 from safedpa.dynamics.physics import PhysicsModel, Setting
+from safedpa.dynamics.user_files import load_user_file, load_user_file_everywhere
 
 __all__ = [
     "AbstractBase",
@@ -16,8 +21,8 @@ __all__ = [
     "Setting",
     "fingerprint",
     "load_model",
-    "load_own",
-    "load_own_everywhere",
+    "load_user_file",
+    "load_user_file_everywhere",
     "parse_model",
     "save_model",
     "shipped_models",

@@ -1,4 +1,4 @@
-"""A base model: the physics that is known before any effect is added."""
+"""The interface of a base model: the physics that is known before any effect is added."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ __all__ = ["AbstractBase"]
 
 
 class AbstractBase(ABC):
-    """Known physics of one kind of robot: the time derivative of the state, with named parameters."""
+    """Known physics of one kind of robot: d(state)/dt with named parameters.
+
+    ``kind`` names it in model files, ``equation`` and ``source`` in reports.
+    """
 
     kind: ClassVar[str]
     equation: ClassVar[str]
@@ -24,15 +27,16 @@ class AbstractBase(ABC):
     system: System
     parameters: tuple[Parameter, ...]
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Keys of a model file's base table that choose among variants, each with what it may be; arguments by these names
-    of whatever makes the base."""
-    straight: ClassVar[bool] = True
-    """Whether the equations are the same arithmetic on named scalars whatever their values."""
+    """Keys in a model file's base table that select a variant, each with its allowed values. They are passed to the
+    constructor by name."""
+    recordable: ClassVar[bool] = True
+    """Whether the equations do the same arithmetic for all values, without a branch, so that they can be recorded."""
 
     @abstractmethod
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:
-        """d(state)/dt by name of the state's entry, in SI units per second."""
+        """Returns d(state)/dt by the name of the state's entry, in SI units per second."""
 
     def integrate(self, derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
-        """The state after ``period`` seconds from d(state)/dt = derivative(state, time)."""
+        """Returns the state after ``period`` seconds of d(state)/dt = derivative(state, time)."""
+        # a method, so that learned networks can override it: they predict the change over a whole period
         return runge_kutta(derivative, state, time, period)

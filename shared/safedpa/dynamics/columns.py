@@ -1,4 +1,4 @@
-"""Arrays to named scalars and back: equations see names, callers see arrays."""
+"""Converts arrays to scalars by entry and back: equations work on scalars, callers on arrays."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _FLOAT = np.dtype(np.float64)
 
 
 def is_torch(array: Any) -> bool:
-    """Whether it is a torch tensor; torch is not imported to find out."""
-    torch = sys.modules.get("torch")
+    """Returns whether ``array`` is a torch tensor, without importing torch."""
+    torch = sys.modules.get("torch")  # a tensor exists only where torch has been imported; the import takes seconds
     return torch is not None and isinstance(array, torch.Tensor)
 
 
 def common_operations(state: Array, *others: Array | None) -> Operations:
-    """The table for numbers that meet: floats for numpy arrays without leading axes, else that of the state.
+    """Returns the operations for arrays that are combined: floats for vectors of NumPy, else those of the state's kind.
 
-    Raises TypeError when a torch tensor meets a numpy state: there is no telling which kind should come out.
+    Raises TypeError when a torch tensor is combined with a NumPy state: the kind of the result would be ambiguous.
     """
     if not isinstance(state, np.ndarray):
         return operations_for(state)
@@ -38,9 +38,10 @@ def common_operations(state: Array, *others: Array | None) -> Operations:
 
 
 def columns(array: Array, alongside: Array) -> list[Scalar]:
-    """The entries of the last axis of ``array``, as numbers that fit a state ``alongside`` it."""
+    """Returns the entries of the last axis of ``array``, as numbers that combine with the state ``alongside``."""
     if isinstance(array, np.ndarray):
         if array.ndim == 1:
+            # Python's floats: arithmetic on NumPy's scalars takes several times as long
             return [float(value) for value in array.tolist()]
         if is_torch(alongside):
             array = like(alongside, array)
@@ -48,7 +49,7 @@ def columns(array: Array, alongside: Array) -> list[Scalar]:
 
 
 def joined(entries: list[Scalar], operations: Operations) -> Array:
-    """The array (..., entries) of numbers that may have different leading axes."""
+    """Returns the array (..., entries) of entries, whose leading axes are broadcast."""
     if operations is FLOATS:
         return np.array(entries)
     if operations is NUMPY:
@@ -59,18 +60,20 @@ def joined(entries: list[Scalar], operations: Operations) -> Array:
 
 
 def like(state: Array, values: np.ndarray[Any, Any]) -> Array:
-    """The numbers as an array of the state's kind, precision and device."""
+    """Returns ``values`` as an array of the state's kind, precision and device."""
     if isinstance(state, np.ndarray):
         return np.asarray(values, dtype=np.float64)
     import torch
 
+    # a copy: as_tensor shares memory, and a caller may write into its tensor
     return torch.as_tensor(np.array(values), dtype=state.dtype, device=state.device)
 
 
 def single_robot(state: Array, action: Array, latent: Array | None) -> bool:
-    """Whether all are vectors of ordinary floats: one robot."""
+    """Returns whether all are NumPy vectors of float64: the fast functions for one robot apply."""
     return _vector(state) and _vector(action) and (latent is None or _vector(latent))
 
 
 def _vector(part: Array) -> bool:
+    # the exact type: a subclass may define other arithmetic, and float32 would round differently
     return type(part) is np.ndarray and part.ndim == 1 and part.dtype == _FLOAT

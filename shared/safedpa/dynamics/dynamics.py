@@ -1,4 +1,4 @@
-"""The one seam through which filter, adaptation, comparison and simulation see a model."""
+"""The interface of a model, as filter, adaptation, comparison and simulation use it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from safedpa.systems import System
 __all__ = ["AbstractDynamics", "Array", "RunClock"]
 
 Array = Any
-"""A numpy array or a torch tensor; what comes out is of the kind that went in."""
+"""A NumPy array or a torch tensor; results have the kind of the arguments."""
 
 
 class AbstractDynamics(ABC):
-    """A discrete-time model x[t+1] = step(x[t], a[t]), seen by the filter as f(x, z) + g(x, z) a.
+    """A discrete-time model x[t+1] = step(x[t], a[t]); the filter uses its tangent f(x, z) + g(x, z) a.
 
     Shapes: state (..., states), action (..., actions), latent (..., latents); leading axes broadcast, so that one
-    action or one latent may serve a whole batch of states. Numpy arrays without leading axes take the fast path for one
-    robot; batches are numpy arrays or torch tensors.
+    action or one latent may serve a whole batch of states. NumPy vectors take the fast path for one robot; batches are
+    NumPy arrays or torch tensors.
     """
 
     system: System
     period: float
-    """Seconds between two steps, unless a call says otherwise."""
+    """s between two steps, unless a call passes another."""
     latent_names: tuple[str, ...]
-    """What the entries of the latent z mean; empty when the model has none."""
+    """Names of the entries of the latent z, as paths such as ``base.speed_gain``; empty if there are none."""
 
     @abstractmethod
     def initial_memory(self, action: Array, latent: Array | None = None) -> Any:
-        """What the actuators remember after ``action`` (..., actions) has been held for a long time."""
+        """Returns the actuators' memory after ``action`` (..., actions) has been held for a long time."""
 
     @abstractmethod
     def advance(
@@ -43,24 +43,25 @@ class AbstractDynamics(ABC):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
-        """State and memory after ``period`` seconds under a held action.
+        """Returns state and memory after ``period`` seconds under a held action.
 
-        ``time`` [s] counts from the run's start, or from where a model with a clock was told that it is.
+        ``time`` [s] counts from the start of the run; a model with a ``RunClock`` adds the clock's seconds.
         """
 
-    def held(
+    def rollout_held(
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
     ) -> tuple[list[list[float]], Any]:
-        """States (steps, states) under one robot's action held, period by period, and the memory after the first."""
+        """Returns one robot's states (steps, states) under a held action, and the memory after the first period."""
         rows, after_one = [], None
         for index in range(steps):
             state, memory = self.advance(state, action, memory, latent, period=period)
-            after_one = memory if index == 0 else after_one
+            after_one = memory if index == 0 else after_one  # what follows is a forecast
             rows.append(state.tolist())
         return rows, after_one
 
     def step(self, state: Array, action: Array, latent: Array | None = None) -> Array:
-        """x[t+1] (..., states), for actuators that have settled at ``action`` (..., actions)."""
+        """Returns x[t+1] (..., states) for actuators that have settled at ``action`` (..., actions)."""
+        # settled: a single step has no history from which a lag or delay could know what was sent before
         return self.advance(state, action, self.initial_memory(action, latent), latent)[0]
 
     @abstractmethod
@@ -73,24 +74,24 @@ class AbstractDynamics(ABC):
         memory: Any = None,
         time: float = 0.0,
     ) -> tuple[Array, Array]:
-        """(f, g) with x[t+1] = f + g a, shapes (..., states) and (..., states, actions).
+        """Returns (f, g) with x[t+1] = f + g a, shapes (..., states) and (..., states, actions).
 
-        Exact where the model is affine in the action; else the tangent at the action ``around`` (..., actions), by
+        Exact if the model is affine in the action; else the tangent at the action ``around`` (..., actions), by
         default the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
-        ``time`` [s] counts from the run's start.
+        ``time`` [s] counts from the start of the run.
         """
 
-    def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:
-        """g (..., states, actions) of ``affine`` about the action ``around``, for who needs no f."""
+    def control_matrix(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:
+        """Returns g (..., states, actions) of ``affine`` at the action ``around``, for callers that need no f."""
         return self.affine(state, latent, around=around, memory=memory)[1]
 
 
 @dataclass
 class RunClock:
-    """At what time of its run a model is asked, for who asks it tick by tick: filter, estimator, policy.
+    """The time [s] since the start of the run at which a model is evaluated, for callers that run tick by tick.
 
-    Seconds since the start of the run, 0 until someone says; what a call says as ``time`` counts from there.
-    Who serves several robots with one model sets it again before each question.
+    The argument ``time`` of a call counts from there. A service that uses one model for several robots sets the clock
+    before each call.
     """
 
     seconds: float = 0.0

@@ -1,4 +1,4 @@
-"""Which model is meant: a short hash of everything that decides its predictions, and of nothing else."""
+"""The fingerprint of a model: a short hash of everything that its predictions depend on."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ __all__ = ["fingerprint"]
 
 
 def fingerprint(model: PhysicsModel) -> str:
-    """Twelve hexadecimal digits of the SHA-256 over the model file's keys and values, its comments left out.
+    """Returns twelve hexadecimal digits of the SHA-256 over the model file's keys and values, without comments.
 
-    Of learned networks the numbers count, by their digest, not the name of the file that they are in.
+    Learned networks count by the digest of their weights, not by the name of the weights' file.
     """
+    # through the text: two models are the same if their files say the same, however they were constructed
     table = parse_toml(write_model(model))
     table.get("networks", {}).pop("weights", None)
+    # sorted keys: the order in a file does not matter; the order of effects does, and lists keep theirs
     return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:12]

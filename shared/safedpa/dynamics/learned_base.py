@@ -1,4 +1,4 @@
-"""A base whose motion comes from learned networks: what filter, comparison and diagnosis take as any other base."""
+"""A base model whose motion is predicted by learned networks; it is used like any other base."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, final
 import numpy as np
 
 from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.recorded_step import call_function, is_recorded
 from safedpa.dynamics.runge_kutta import Derivative, euler
 from safedpa.dynamics.settings import LATENT_PREFIX
-from safedpa.dynamics.straight import call_function, is_recorded
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
@@ -24,8 +24,8 @@ __all__ = ["LearnedBase"]
 class LearnedBase(AbstractBase):
     """d(state)/dt = (f(x, z) + g(x, z) a) / period from networks; z are the parameters latent_0, latent_1, ...
 
-    ``nominal`` is the physics that the file names next to the weights: its parameters (a wheelbase, say) are what named
-    effects on top refer to; it does not move the robot. Raises ModelFileError when the weights are for another robot.
+    ``nominal`` is the physics that the file names next to the weights. It does not move the robot: named effects refer
+    to its parameters, such as a wheelbase. Raises ModelFileError when the weights are for another robot.
     """
 
     kind = "learned"
@@ -49,11 +49,12 @@ class LearnedBase(AbstractBase):
         self.parameters = (*nominal.parameters, *_latent_parameters(weights))
         self._latents = tuple(f"{LATENT_PREFIX}{index}" for index in range(described.latents))
         self._last: tuple[tuple[float, ...], tuple[float, ...], list[float]] | None = None
-        self._torch: Any = None
+        self._torch: Any = None  # built on first use: services run without torch
 
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
         names = self.system.state_names
         entries = [state[name] for name in names]
+        # z is read from the parameters, so that it can be a free latent like any other parameter
         latent = [parameters[name] for name in self._latents]
         nominal = [action[name] for name in self.system.action_names]
         if operations is FLOATS or operations is COMPLEX or is_recorded(entries[0]):
@@ -62,14 +63,17 @@ class LearnedBase(AbstractBase):
             change = self._batch(entries, latent, nominal)
         else:
             change = self._tensors(entries, latent, nominal)
+        # the networks predict the change over a period; as a rate, so that effects can be added to it
         return {name: value / self.weights.description.period for name, value in zip(names, change, strict=True)}
 
     def integrate(self, derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
-        """state + period rates: networks tell the change over a whole period, nothing is to be refined."""
+        """Returns state + period rates."""
+        # one Euler step: the networks predict the change over the whole period, so stages in between mean nothing
         return euler(derivative, state, time, period)
 
     def _single(self, entries: list[Scalar], latent: list[Scalar], nominal: list[Scalar]) -> list[Scalar]:
-        """The change of one robot."""
+        """Returns the change of one robot's state over a period."""
+        # one call for f and g: while equations are recorded, the networks become a single line of the recording
         states, actions = len(entries), len(nominal)
         known = call_function(self.known_of_one, (*entries, *latent), states * (1 + actions))
         rows = [known[start : start + actions] for start in range(states, len(known), actions)]
@@ -79,19 +83,17 @@ class LearnedBase(AbstractBase):
         ]
 
     def is_latent(self, paths: Sequence[str]) -> bool:
-        """Whether a model's free parameters are z and nothing else, in its order."""
+        """Returns whether a model's free parameters are exactly z, in its order."""
         return tuple(paths) == tuple(f"base.{name}" for name in self._latents)
 
     def known_of_one(self, *known: float) -> list[float]:
-        """``known_at`` for the entries of state and latent in a row."""
+        """Returns ``known_at`` for the entries of state and latent in one sequence."""
         states = len(self.system.state)
         return self.known_at(known[:states], known[states:])
 
     def known_at(self, state: tuple[float, ...], latent: tuple[float, ...]) -> list[float]:
-        """f (states,) and g (states, actions) in a row, at one state and latent; no one may write into it.
-
-        The last are kept, for the many actions that the filter tries.
-        """
+        """Returns f (states,) and g (states, actions) in one list, which callers must not change."""
+        # the filter tries many actions at one state, and f and g do not depend on the action
         last = self._last
         if last is None or last[0] != state or last[1] != latent:
             last = self._last = (state, latent, self.networks.row_of_one(state, latent))
@@ -118,7 +120,7 @@ class LearnedBase(AbstractBase):
 
 
 def _latent_parameters(weights: Weights) -> tuple[Parameter, ...]:
-    """One parameter per entry of z, in the range that the networks were trained on; at rest where nothing acts."""
+    """Returns one parameter per entry of z, with the range of the training; neutral is the nominal environment."""
     if not weights.description.latents:
         return ()
     low, high, nominal = (weights[name].tolist() for name in ("latent_low", "latent_high", "latent_nominal"))
@@ -128,7 +130,9 @@ def _latent_parameters(weights: Weights) -> tuple[Parameter, ...]:
             "1",
             low[index],
             high[index],
+            # typical: a quarter of the range, within the bounds that Parameter checks, and never 0
             min(max(0.25 * (high[index] - low[index]), 1e-6), high[index]) if high[index] > 0.0 else high[index],
+            # rounding in the weights' file may put it just outside
             neutral=min(max(nominal[index], low[index]), high[index]),
             meaning="learned: what the environment does to the motion",
         )

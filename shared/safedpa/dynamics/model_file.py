@@ -1,4 +1,4 @@
-"""Model files: a model as TOML that a person can read and change. Errors name the file and the key."""
+"""Reads and writes model files: TOML that users can read and change. Errors name the file and the key."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import bases_of, robots_with_bases
 from safedpa.dynamics.learned_base import LearnedBase
-from safedpa.dynamics.own import load_own_of_environment
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
+from safedpa.dynamics.user_files import load_user_files
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.effects_with_law import conditioned, law_behind
 from safedpa.effects.law import Varies, Where, law_of
@@ -25,6 +25,7 @@ from safedpa.networks import load_weights, save_weights
 __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
 
 FORMAT = 1
+"""Version of the file format."""
 _TOP = ("format", "robot", "period", "base", "networks", "effects")
 _NETWORKS = ("weights", "digest")
 _LAWS = (Where.key, Varies.key, "edge")
@@ -32,7 +33,7 @@ _PARAMETER_KEYS = ("value", "free", "unit")
 
 
 def load_model(source: str | Path) -> PhysicsModel:
-    """The model in a file, or one that ships with the project, by its name (``car`` or ``car.toml``).
+    """Returns the model in a file, or a shipped one by its name (``car`` or ``car.toml``).
 
     Raises ModelFileError naming the file and the key.
     """
@@ -44,23 +45,25 @@ def load_model(source: str | Path) -> PhysicsModel:
 
 
 def shipped_models() -> dict[str, Path]:
-    """Model files that ship with the project, by name without the ending."""
+    """Returns the shipped model files by name, without the ending."""
+    # column maps lie next to the models, and are no models
     with as_file(files("safedpa.dynamics") / "models") as folder:
         return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")}
 
 
 def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
-    """The model that a TOML text describes; see the docs page on model files. Weights are sought in ``folder``.
+    """Returns the model that a TOML text describes; weights are read from ``folder``. See the docs page on model files.
 
     Raises ModelFileError naming the key.
     """
-    load_own_of_environment()
+    # first: the text may name a robot or an effect of a user's file
+    load_user_files()
     try:
         table = parse_toml(text)
     except InputError as error:
         raise ModelFileError(str(error)) from error
     refuse_unknown(table, _TOP, "", ModelFileError)
-    if table.get("format") != FORMAT:
+    if table.get("format") != FORMAT:  # before anything else: other formats have other keys
         got = f"got {table['format']!r}" if "format" in table else "missing"
         raise ModelFileError(f"format: {got}, wanted {FORMAT}; this program reads no other")
     robot = table.get("robot")
@@ -81,6 +84,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
         item = _effect(base, entry)
         effects.append(item)
         settings.update(_settings(item.name, item.parameters, entry, ("name", *_LAWS)))
+    # a document may come from the bus: fits and adaptation take time that grows with the free parameters
     free = sum(setting.free for setting in settings.values())
     if free > limit("model_free"):
         raise ModelFileError(str(too_much("model_free", free)))
@@ -88,7 +92,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
 
 
 def save_model(model: PhysicsModel, path: Path) -> None:
-    """Writes ``write_model`` to a file, and a learned model's weights next to it."""
+    """Writes a model to a file, and a learned model's weights next to it."""
     name = ""
     if isinstance(model.base, LearnedBase):
         name = path.with_suffix(".safetensors").name
@@ -97,9 +101,9 @@ def save_model(model: PhysicsModel, path: Path) -> None:
 
 
 def write_model(model: PhysicsModel, weights: str = "") -> str:
-    """The TOML text that ``parse_model`` reads back to the same model; ``weights`` is the name of a learned one's file.
+    """Returns the TOML text that ``parse_model`` reads back to the same model.
 
-    Without that name the file that the weights came from is named, as its folder has it.
+    ``weights`` is the name of a learned model's file of weights; by default that of the file they were read from.
     """
     physical = model.base.nominal if isinstance(model.base, LearnedBase) else model.base
     lines = [
@@ -134,18 +138,18 @@ def _setting_lines(model: PhysicsModel, owner: str, parameters: tuple[Parameter,
     lines = []
     for parameter in parameters:
         setting = model.settings[f"{owner}.{parameter.name}"]
-        if owner == "base" and _goes_without_saying(parameter, setting):
+        if owner == "base" and _is_implied(parameter, setting):
             continue
+        # repr gives back the same float: fingerprints and replays depend on every bit
         value = f"{{ value = {setting.value!r}, free = true }}" if setting.free else repr(setting.value)
         lines.append(f"{parameter.name} = {value}  # {parameter.unit}")
     return lines
 
 
-def _goes_without_saying(parameter: Parameter, setting: Setting) -> bool:
-    """Whether a file without the key says the same: so fingerprints outlive new parameters that do nothing.
-
-    A neutral value other than 0 is written all the same (the pendulum's gravity): it does something.
-    """
+def _is_implied(parameter: Parameter, setting: Setting) -> bool:
+    """Returns whether a file without the key means the same."""
+    # so that a new parameter of a base does not change the fingerprints of old models, where it does nothing; a neutral
+    # value other than 0, such as the pendulum's gravity, does something and is written
     silent = parameter.neutral == 0.0 or parameter.name.startswith(LATENT_PREFIX)
     return silent and setting == base_default(parameter)
 
@@ -183,6 +187,7 @@ def _learned(nominal: AbstractBase, table: Any, folder: Path, period: float) -> 
             "they were changed after the model was written: choose the weights that it was written with"
         )
     trained = weights.description.period
+    # the networks predict the change over one period, and cannot be scaled to another; 1e-9 s allows for decimals
     if abs(trained - period) > 1e-9:
         raise ModelFileError(f"period: got {period:g} s, the networks were trained for {trained:g} s; write that")
     return LearnedBase(nominal, weights)
@@ -230,8 +235,8 @@ def _settings(
             found[path] = _setting(path, parameter, table[parameter.name])
         elif owner == "base" and parameter.neutral is not None:
             found[path] = base_default(parameter)
-        # an effect's parameter that is left out is an error, raised by the model: an effect that silently does
-        # nothing, or something typical, would be worse
+        # a missing parameter of an effect is an error, which the model raises: an effect that silently does nothing, or
+        # has a typical size, would be worse
     return found
 
 
@@ -239,7 +244,7 @@ def _setting(path: str, parameter: Parameter, entry: Any) -> Setting:
     table = entry if isinstance(entry, dict) else {"value": entry}
     refuse_unknown(table, _PARAMETER_KEYS, f"{path}.", ModelFileError)
     unit = table.get("unit", parameter.unit)
-    if unit != parameter.unit:
+    if unit != parameter.unit:  # never converted: a wrong unit is more often a mistake than intended
         raise ModelFileError(f"{path}.unit: got '{unit}', wanted '{parameter.unit}'; convert the value")
     free = table.get("free", False)
     if not isinstance(free, bool):

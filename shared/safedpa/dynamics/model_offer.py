@@ -1,4 +1,4 @@
-"""The model in an offer from the bus, checked against the one that it would replace."""
+"""Reads and checks a model that the bus offers as a replacement of the current one."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ __all__ = ["offered_model"]
 
 
 def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
-    """The model that the offer's document describes.
+    """Returns the model that the offer's document describes.
 
-    Networks do not travel: a learned model must have the weights of the current one. Raises InputError when the
-    document is not plain, is broken, belongs to another system or period, or is not the model that the offer names.
+    Weights are not sent over the bus: a learned model must have the weights of the current one. Raises InputError if
+    the document is not plain, is broken, belongs to another system or period, or differs from the offer's fingerprint.
     """
+    # before parsing: a hostile document must not reach the parser's costly paths
     check_plain_model(offer.document)
     weights = current.base.weights if isinstance(current.base, LearnedBase) else None
+    # the document names a file of weights: it is only read from the folder of the current ones
     folder = None if weights is None or weights.source is None else weights.source.parent
     model = parse_model(offer.document, folder)
     found = fingerprint(model)

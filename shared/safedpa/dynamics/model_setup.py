@@ -1,4 +1,4 @@
-"""The model with which a process begins, as it says it on the bus."""
+"""The setup message of a process that starts with a model."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ __all__ = ["model_setup"]
 
 
 def model_setup(setup: SetupMessage, model: PhysicsModel) -> SetupMessage:
-    """The setup of a process that begins with a model."""
+    """Returns ``setup`` with the model's fingerprint and document."""
     return replace(setup, fingerprint=fingerprint(model), document=write_model(model))

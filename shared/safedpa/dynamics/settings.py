@@ -1,4 +1,4 @@
-"""The values of a model's parameters, and the checks that they and the effects fit together."""
+"""The values of a model's parameters, and the checks that parameters and effects fit together."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from safedpa.errors import ModelFileError, did_you_mean
 __all__ = ["LATENT_PREFIX", "Setting", "base_default", "check_effects", "check_settings", "check_values", "wanted"]
 
 LATENT_PREFIX = "latent_"
-"""Names of a learned latent's entries among the base's parameters: latent_0, latent_1, ..."""
+"""Prefix of the base's parameters that are entries of a learned latent: latent_0, latent_1, ..."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The value of one parameter; ``free`` ones are refitted by diagnosis and estimated by adaptation."""
+    """The value of one parameter; a ``free`` one is fitted by the diagnosis and estimated by the adaptation."""
 
     value: float
     free: bool = False
 
     def __post_init__(self) -> None:
-        # fits hand in numpy's numbers, which a model file would print as np.float64(...)
+        # a fit passes NumPy's scalars, which a model file would print as np.float64(...)
         object.__setattr__(self, "value", float(self.value))
 
 
 def base_default(parameter: Parameter) -> Setting:
-    """What a base's parameter is when no one says; a learned latent is free: adaptation is there to estimate it."""
+    """Returns the setting of a base's parameter that a file leaves out; a learned latent is free, to be estimated."""
     assert parameter.neutral is not None
     return Setting(parameter.neutral, free=parameter.name.startswith(LATENT_PREFIX))
 
 
 def wanted(parameter: Parameter) -> str:
-    """What a parameter accepts, for messages: ``0 to 5 m/s2``."""
+    """Returns the range of a parameter for messages: ``0 to 5 m/s2``."""
     unit = "(no unit)" if parameter.unit == "1" else parameter.unit
     return f"{parameter.low:g} to {parameter.high:g} {unit}"
 
 
 def check_effects(base: AbstractBase, effects: Sequence[AbstractEffect]) -> None:
-    """Raises ModelFileError when an effect stands twice, or fits neither the robot nor its actions."""
+    """Raises ModelFileError when an effect is listed twice, or does not fit the robot or its actions."""
     seen: set[str] = set()
     for item in effects:
         if item.robot != base.system.name:
@@ -49,7 +49,7 @@ def check_effects(base: AbstractBase, effects: Sequence[AbstractEffect]) -> None
                 f"effect '{item.name}' belongs to robot '{item.robot}', the model to '{base.system.name}'; leave it out"
             )
         if item.name in seen:
-            raise ModelFileError(f"effect '{item.name}' stands twice; leave one out")
+            raise ModelFileError(f"effect '{item.name}' is listed twice; leave one out")
         missing = [name for name in item.needs if name not in base.system.action_names]
         if missing:
             raise ModelFileError(
@@ -63,7 +63,8 @@ def check_settings(parameters: Mapping[str, Parameter], settings: Mapping[str, S
     """Raises ModelFileError when a parameter is missing, unknown, out of bounds or not a number."""
     for path, parameter in parameters.items():
         if path not in settings:
-            check_values(parameters, settings)  # a path that is mistyped is missing as well
+            # a mistyped path is missing under its right name: report the typing error, which suggests that name
+            check_values(parameters, settings)
             raise ModelFileError(f"{path}: missing; give a number, {wanted(parameter)}")
     check_values(parameters, settings)
 
@@ -75,5 +76,5 @@ def check_values(parameters: Mapping[str, Parameter], settings: Mapping[str, Set
             raise ModelFileError(f"{path}: unknown parameter; {did_you_mean(path, parameters)}")
     for path, setting in settings.items():
         parameter = parameters[path]
-        if not parameter.low <= setting.value <= parameter.high:  # refuses NaN as well
+        if not parameter.low <= setting.value <= parameter.high:  # written so that NaN fails
             raise ModelFileError(f"{path}: got {setting.value:g}, wanted {wanted(parameter)}")

@@ -1,10 +1,13 @@
-"""The tangent of a step at an action: (f, g) with step(a) = f + g a, by the road that fits the numbers.
+"""Computes the tangent of a step at an action: (f, g) with step(a) = f + g a.
 
-For one robot it is the tangent of recorded equations, as one straight-line function. Dual numbers, one real number
-after the other: next to each value that depends on an entry of the action stands its slope, times 1e-30. These are the
-real and the imaginary part of ``complex_step``, without complex numbers: the value is computed once for all entries,
-and most slopes take one product. The slopes are those of ``complex_step``, mostly to the last bit; where a function has
-no rule here, complex numbers are taken for that one line.
+There is one method for each kind of numbers. One robot: the source of the recorded equations is differentiated line by
+line; before they are recorded, complex steps or central differences. Batches: central differences (NumPy) or forward
+mode (torch).
+
+The differentiated source carries, for each value that depends on an entry of the action, its slope times 1e-30: the
+real and imaginary part of ``complex_step`` as two floats. The value is computed once for all entries, and most slopes
+take one product. The slopes equal those of ``complex_step``, mostly to the last bit. For a function without a rule
+here, that one line computes with complex numbers.
 """
 
 from __future__ import annotations
@@ -17,18 +20,18 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
-from hashlib import blake2b
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
-from safedpa.dynamics.written_steps import WRITTEN
+from safedpa.equations.generated import digest, generated
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 __all__ = [
-    "StraightTangent",
+    "GENERATED_MODULE",
+    "ScalarTangent",
     "batched_difference",
     "compiled_tangent",
     "complex_step",
@@ -36,18 +39,19 @@ __all__ = [
     "intercept",
     "single_tangent",
     "tangent_text",
-    "written_key",
 ]
 
-StraightTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
-"""Entries after one period (states,) and their slopes in the action (states, actions), from state, felt action, latent
-and the time [s]."""
+ScalarTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
+"""(state, felt action, latent, time [s]) -> next state (states,), its slopes in the action (states, actions)."""
 
 Line = tuple[str, str, tuple[str, ...]]
-"""Name, form and operands of one operation."""
+"""(name, form, operands) of one operation."""
+
+GENERATED_MODULE = "safedpa.dynamics.generated_steps"
+"""Module that the build generates from the equations of the shipped models."""
 
 _IMAGINARY = 1e-30
-"""Imaginary part of a nudged action: its square vanishes next to every real part, so the slope is exact."""
+"""Imaginary part of a perturbed action: its square vanishes next to every real part, so the slope is exact."""
 
 _FUNCTIONS = tuple(field.name for field in fields(Operations))
 
@@ -58,14 +62,14 @@ _INLINE = {
     "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
     "where": "({1} if {0} else {2})",
 }
-"""Values that take no call."""
+"""Forms without a call, as ``FLOATS`` defines them. The sign is not listed: it has no slope."""
 
 _NAME = re.compile(r"\b[a-z]\w*\b")
-_DEEPEST = 40
-"""Brackets in one line: Python's own parser takes no more than 200 within each other."""
+_MAX_NESTING = 40
+"""Parentheses within each other in one line: Python's parser accepts no more than 200."""
 
 _LARGEST_COSH = 700.0
-"""Beyond, 1 / cosh is nothing; a little further ``cosh`` itself is refused."""
+"""Beyond, 1 / cosh underflows to 0; from 710.5 on ``math.cosh`` raises OverflowError."""
 
 _RULES = {
     "-{0}": "-{d0}",
@@ -80,7 +84,8 @@ _RULES = {
     "clip": "({d1} if {0} <= {1} else {d2} if {0} >= {2} else {d0})",
     "where": "({d1} if {0} else {d2})",
 }
-"""Slopes where ``d0`` belongs to the first operand and so on, ``own`` is the value itself; 0.0 where one has none."""
+"""Slope by form: ``own`` is the value, ``{0}`` the first operand, ``d0`` its slope ("0.0" if it has none)."""
+# clip: on a bound the slope is that of the bound, as complex steps have it
 
 _PRODUCTS: dict[tuple[object, ...], str] = {
     ("{0} + {1}", True, True): "{d0} + {d1}",
@@ -96,7 +101,7 @@ _PRODUCTS: dict[tuple[object, ...], str] = {
     ("{0} / {1}", True, False): "{d0} / {1}",
     ("{0} / {1}", False, True): "-({0} * ({d1} / {1})) / {1}",
 }
-"""By which of both operands have slopes."""
+"""Slope by form and by which operands have one: terms that are 0 are not written."""
 
 _COMPARISONS = tuple(f"{{0}} {sign} {{1}}" for sign in ("<", "<=", ">", ">=", "==", "!="))
 
@@ -107,22 +112,25 @@ def compiled_tangent(
     calls: Mapping[str, Callable[..., Any]],
     after: Sequence[str],
     actions: Sequence[str],
-) -> StraightTangent:
-    """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name."""
+) -> ScalarTangent:
+    """Returns the function of values and slopes for recorded lines; ``after`` and ``actions`` name variables."""
     text = tangent_text(head, tape, after, actions)
-    known: StraightTangent | None = None if calls else WRITTEN.get(written_key(text))
+    # the digest covers the text only, not what a call does
+    known: ScalarTangent | None = None if calls else generated(GENERATED_MODULE).get(digest(text))
     if known is not None:
         return known
+    # a constant that is infinite or NaN is written by its name, as repr does
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
     scope.update({name: getattr(FLOATS, name) for name in _FUNCTIONS})
     scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in _FUNCTIONS})
-    exec(text, scope)  # arithmetic on names of our own, nothing from outside
-    tangent: StraightTangent = scope["tangent"]
+    exec(text, scope)  # the text is arithmetic on generated names: nothing of a model file or a message is in it
+    tangent: ScalarTangent = scope["tangent"]
     return tangent
 
 
 def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str], actions: Sequence[str]) -> str:
-    """The same function as Python's own text."""
+    """Returns the source of that function."""
+    # all values first, then the slopes: one dead-code elimination over both drops what no result needs
     slopes = _Slopes(tape)
     columns = [slopes.of(action, index) for index, action in enumerate(actions)]
     wanted = [*after, *(named[name] for named in columns for name in after if name in named)]
@@ -135,43 +143,37 @@ def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str]
     return "\n    ".join(lines)
 
 
-def written_key(text: str) -> str:
-    """The name under which a recorded function is written ahead of time: BLAKE2b of its text in UTF-8, 16 bytes.
-
-    One with this text does the same to the last bit, unless it calls what no text says.
-    """
-    return blake2b(text.encode(), digest_size=16).hexdigest()
-
-
 @final
 class _Slopes:
-    """The lines of a tape, and of the slopes of its values in one entry of the action after the other."""
+    """The lines of a tape, followed by the lines of its slopes, entry by entry of the action."""
 
     def __init__(self, tape: Sequence[Line]) -> None:
         self._tape = tape
         self._sines = {(form, operands): name for name, form, operands in tape if form in ("sin", "cos")}
         self._shared: set[str] = set()
         self.lines = [(name, _value(form, operands)) for name, form, operands in tape]
-        """Terms by the variable that they set."""
+        """(variable, term) of each line."""
 
     def of(self, action: str, index: int) -> dict[str, str]:
-        """Adds the slopes in one entry; the variables that hold them, by those that hold the values."""
+        """Adds the lines of the slopes in one entry. Returns the slopes' variables by those of the values."""
         named = {action: repr(_IMAGINARY)}
         for name, form, operands in self._tape:
+            # comparisons and the sign are constant wherever they have a slope
             if form in (*_COMPARISONS, "sign") or not any(operand in named for operand in operands):
                 continue
             term = self._term(name, form, operands, named)
             if term in named.values() or term == "0.0":
-                named[name] = term
+                named[name] = term  # a copy of another slope needs no line of its own
             else:
                 named[name] = f"{name}_{index}"
                 self.lines.append((named[name], term))
         return named
 
     def _term(self, name: str, form: str, operands: tuple[str, ...], named: Mapping[str, str]) -> str:
-        """The slope of one operation's value."""
+        """Returns the slope of one operation's value."""
         known = {f"d{place}": named.get(operand, "0.0") for place, operand in enumerate(operands)}
         rule = _RULES.get(form) or _PRODUCTS.get((form, *(operand in named for operand in operands)))
+        # products and quotients by which operands have a slope: most have one, and half of the terms are left out
         if rule is not None:
             return rule.format(*operands, own=name, **known)
         if form == "sin":
@@ -179,16 +181,19 @@ class _Slopes:
         if form == "cos":
             return f"-({self._alongside('sin', operands)} * {known['d0']})"
         if form == "tanh":
+            # d(tanh x) = dx / cosh(x)^2: 1 - tanh(x)^2 would lose all digits for large x
             share = f"1.0 / cosh({operands[0]}) if abs({operands[0]}) < {_LARGEST_COSH} else 0.0"
             share = self._line(f"{name}_share", share)
             return f"{known['d0']} * {share} * {share}"
+        # other powers need a logarithm: they take the complex step below
         if form == "{0} ** {1}" and operands[0] in named and operands[1] in ("(2)", "(2.0)"):
             return f"2.0 * ({operands[0]} * {known['d0']})"
+        # no rule: one complex step for this line alone
         both = [f"complex({item}, {named[item]})" if item in named else item for item in operands]
         return (f"complex_{form}({', '.join(both)})" if form in _FUNCTIONS else f"({form.format(*both)})") + ".imag"
 
     def _alongside(self, function: str, operands: tuple[str, ...]) -> str:
-        """The variable that holds the sine or cosine of an angle."""
+        """Returns the variable that holds the sine or cosine of an angle, adding its line if there is none yet."""
         known = self._sines.get((function, operands))
         return known or self._line(f"{function}_{operands[0]}", f"{function}({operands[0]})")
 
@@ -207,7 +212,7 @@ def _value(form: str, operands: tuple[str, ...]) -> str:
 
 
 def _needed(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[tuple[str, str]]:
-    """Of terms by the variable that they set, those that the wanted variables depend on, in the same order."""
+    """Returns the lines that the wanted variables depend on, in the same order."""
     alive, retained = set(wanted), []
     for name, term in reversed(lines):
         if name in alive:
@@ -217,22 +222,23 @@ def _needed(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[tup
 
 
 def _nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:
-    """The lines, where a variable that one other alone needs stands in that one's line: not stored and loaded again."""
+    """Returns the lines as source; a variable that is used once is written into the line that uses it."""
+    # wanted variables count twice: they must stay variables, since the function returns them
     uses = Counter(word for _, term in lines for word in _NAME.findall(term)) + Counter(2 * list(wanted))
     terms: dict[str, str] = {}
     written = []
     for name, term in lines:
         whole = _NAME.sub(lambda found: terms.pop(found[0], found[0]), term)
-        if uses[name] == 1 and whole.count("(") < _DEEPEST:
+        if uses[name] == 1 and whole.count("(") < _MAX_NESTING:
             terms[name] = f"({whole})"
         else:
             written.append(f"{name} = {whole}")
     return written
 
 
-_NUDGE = 1e-5
-"""Share of an actuator's range by which the action is moved for a central difference. The error grows with its square
-(curvature: 1e-10) and with its inverse (rounding: 1e-16 of a position, 1e-10 at 10 m)."""
+_PERTURBATION = 1e-5
+"""Share of an actuator's range by which a central difference moves the action. The error of the method grows with its
+square (curvature: 1e-10), that of rounding with its inverse (1e-16 of a position: 1e-10 at 10 m)."""
 
 
 def single_tangent(
@@ -241,47 +247,48 @@ def single_tangent(
     ranges: Sequence[float],
     takes_complex: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """f (states,) and g (states, actions) for one robot: by complex steps where all equations take complex numbers."""
+    """Returns f (states,) and g (states, actions) for one robot: by complex steps if ``takes_complex``."""
     if takes_complex:
-        # Python's cmath refuses numbers that overflow; the differences answer them with NaN
+        # Python's cmath raises on overflow; the differences then return NaN
         with contextlib.suppress(ValueError, ArithmeticError):
-            return complex_step(lambda nudged: step(nudged, COMPLEX), action)
-    return _difference(lambda nudged: step(nudged, FLOATS), action, ranges)
+            return complex_step(lambda perturbed: step(perturbed, COMPLEX), action)
+    return _difference(lambda perturbed: step(perturbed, FLOATS), action, ranges)
 
 
 def complex_step(
     step: Callable[[Sequence[Any]], Sequence[Any]], action: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """slope = Im step(action + i h) / h: exact tangents, one step per action.
+    """Returns (f, g) with slopes Im step(action + i h) / h: exact, one step per entry of the action.
 
     Source: Squire and Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
     """
     after = []
     for index, value in enumerate(action):
-        nudged: list[Any] = list(action)
-        nudged[index] = complex(value, _IMAGINARY)
-        after.append(step(nudged))
+        perturbed: list[Any] = list(action)
+        perturbed[index] = complex(value, _IMAGINARY)
+        after.append(step(perturbed))
     g = [[entry.imag / _IMAGINARY for entry in row] for row in zip(*after, strict=True)]
+    # the real part is the step itself: the imaginary part is too small to change a digit of it
     return intercept([entry.real for entry in after[0]], g, action), np.array(g)
 
 
 def _difference(
     step: Callable[[Sequence[float]], Sequence[float]], action: Sequence[float], ranges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Central differences; exact where the step is affine, the mean of both sides at a kink."""
+    """Returns (f, g) by central differences: exact for an affine step, the mean of both sides at a kink."""
     slopes = []
     for index, width in enumerate(ranges):
-        nudge = _NUDGE * width
+        shift = _PERTURBATION * width
         up, down = list(action), list(action)
-        up[index] += nudge
-        down[index] -= nudge
-        slopes.append([(high - low) / (2.0 * nudge) for high, low in zip(step(up), step(down), strict=True)])
+        up[index] += shift
+        down[index] -= shift
+        slopes.append([(high - low) / (2.0 * shift) for high, low in zip(step(up), step(down), strict=True)])
     g = list(zip(*slopes, strict=True))
     return intercept(step(action), g, action), np.array(g)
 
 
 def intercept(value: Sequence[float], g: Sequence[Sequence[float]], action: Sequence[float]) -> NDArray[np.float64]:
-    """f = value - g action."""
+    """Returns f = value - g action."""
     return np.array(
         [
             entry - sum(slope * felt for slope, felt in zip(row, action, strict=True))
@@ -293,18 +300,19 @@ def intercept(value: Sequence[float], g: Sequence[Sequence[float]], action: Sequ
 def batched_difference(
     step: Callable[[Array], Array], action: Array, ranges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Central differences over numpy arrays: f (..., states), g (..., states, actions)."""
+    """Returns f (..., states) and g (..., states, actions) by central differences over NumPy arrays."""
     slopes = []
     for index, width in enumerate(ranges):
-        nudge = np.zeros(len(ranges))
-        nudge[index] = _NUDGE * width
-        slopes.append((step(action + nudge) - step(action - nudge)) / (2.0 * _NUDGE * width))
+        shift = np.zeros(len(ranges))
+        shift[index] = _PERTURBATION * width
+        slopes.append((step(action + shift) - step(action - shift)) / (2.0 * _PERTURBATION * width))
     g = np.stack(slopes, axis=-1)
+    # f through the step at the action itself, not the mean of both sides: there f + g a equals the step exactly
     return step(action) - np.einsum("...sa,...a->...s", g, action), g
 
 
 def forward_mode(step: Callable[[Array], Array], action: Any) -> tuple[Any, Any]:
-    """Forward-mode derivatives over torch tensors: f (..., states), g (..., states, actions), exact tangents."""
+    """Returns f (..., states) and g (..., states, actions) by forward-mode derivatives over torch tensors: exact."""
     import torch
 
     jvp, slopes = _forward_derivative(), []
@@ -319,7 +327,7 @@ def forward_mode(step: Callable[[Array], Array], action: Any) -> tuple[Any, Any]
 
 @cache
 def _forward_derivative() -> Callable[..., Any]:
-    """torch.func.jvp, called once so that torch's own deprecation warning from the first call stays silent."""
+    """Returns torch.func.jvp, called once so that its deprecation warning on the first call stays silent."""
     import torch
 
     with warnings.catch_warnings():

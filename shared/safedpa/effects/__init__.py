@@ -1,4 +1,9 @@
-"""Named physical effects: one a file, with equation, parameters, units, bounds, signature and source."""
+"""Named physical effects, each with equation, parameters, units, bounds, signature and source.
+
+Read ``effect`` first (the four kinds of effects and their order), then ``channel_effects`` (gain, lag, delay, ... of
+any command), ``library`` (all known effects) and ``law`` (effects that depend on where and when). The effects of a
+robot are in its own package; ``general`` makes them for a user's own system.
+"""
 
 from safedpa.effects.effect import (
     AbstractEffect,

@@ -1,9 +1,9 @@
-"""What a physical effect is: one of four small classes, each with one method to write.
+"""The four kinds of physical effects, each an abstract class with one or two methods to write.
 
 A model advances in a fixed order, whatever the order of effects in its file:
 
     true state  = restore(measured state)                SensorEffect
-    command     = transform(action, memory)              CommandEffect   once per period, may remember
+    command     = transform(action, memory)              CommandEffect   once per period, may have memory
     felt        = feel(command, true state, time)        FeltEffect      inside the integrator
     d(state)/dt = modify(rates of the base model)        RateEffect      inside the integrator
     measured    = measure(true state)                    SensorEffect
@@ -28,47 +28,47 @@ Named = Mapping[str, Scalar]
 
 
 class Stage(IntEnum):
-    """When an effect applies; lower first. The physical order from command to motion.
+    """The order in which effects apply, lower first: the physical order from command to motion.
 
-    Effects of one stage may stand in any order: they act on different quantities, or add up.
+    Effects of one stage may apply in any order: they act on different quantities, or add up.
     """
 
     COMMAND_SCALE = 10
-    """What the receiver makes of the number that was sent: gains, dead zones."""
+    """How the receiver scales the command: gains, dead zones."""
     COMMAND_DELAY = 20
-    """Pure delay of what was received."""
+    """Pure delay of the command."""
     COMMAND_LAG = 30
-    """The actuator's inertia."""
+    """Inertia of the actuator."""
     COMMAND_OFFSET = 40
-    """Where the linkage stands when nothing is asked: trim."""
+    """Position of the linkage at command 0: trim."""
     COMMAND_LINKAGE = 42
-    """What the linkage makes of it: left and right differ, play."""
+    """Properties of the linkage: different gains left and right, backlash."""
     COMMAND_STOPS = 44
-    """How far the linkage can go."""
+    """Mechanical stops of the linkage."""
     SUPPLY = 46
-    """What the supply lets the drive deliver: battery."""
+    """Limits of the supply: battery."""
     DRIVE = 50
-    """What the drive itself loses: back-EMF."""
+    """Losses of the drive itself: back-EMF."""
     RESISTANCE = 60
-    """Forces next to the drive that do not depend on the robot's mass: air, springs, bearings."""
+    """Forces that do not depend on the robot's mass: air, springs, bearings."""
     OWN_MASS = 62
-    """Mass on board: it divides drive and resistance."""
+    """Mass on board: drive and resistance are divided by it."""
     WEIGHT = 64
-    """Decelerations that mass on board does not change, because the force grows with the weight: rolling, cornering."""
+    """Decelerations that do not change with mass on board, since the force grows with weight: rolling, cornering."""
     MASS = 66
-    """Inertia that all of the above has to move: a towed load, a mass at the tip."""
+    """Inertia that all of the above has to accelerate: a towed load, a mass at the tip."""
     MOTION = 70
-    """How steering turns into a yaw rate: understeer."""
+    """From steering to yaw rate: understeer."""
     SLIP = 72
-    """Where the car travels next to where it points."""
+    """Direction of travel relative to the heading."""
     DRIFT = 74
-    """Motion of the medium or ground that carries the robot."""
+    """Motion of the medium or the ground."""
     SENSOR = 80
-    """What the sensor makes of the true state."""
+    """From the true state to the measured one."""
 
 
 class Context(NamedTuple):
-    """What a rate effect may look at: the state and the transformed action now, the base's parameters."""
+    """The inputs of a rate effect: the state and the felt action at an instant, and the base's parameters."""
 
     state: Named
     action: Named
@@ -76,27 +76,27 @@ class Context(NamedTuple):
     time: Scalar
     """Seconds since the start of the run."""
     period: float
-    """Seconds over which the action is held: friction laws round off their sign so that no period overshoots rest."""
+    """s over which the action is held: friction is smoothed near rest so that no period overshoots it."""
     operations: Operations
     holds: bool = False
-    """Whether dry friction holds what stands exactly, as rollouts need it; else it is rounded off, for slopes."""
+    """Whether dry friction keeps a stationary robot exactly at rest, for rollouts; else it is smoothed, for slopes."""
 
 
 class AbstractEffect(ABC):
-    """One physical effect: its equation, parameters, source, and what it looks like in residuals.
+    """One physical effect: its equation, parameters, source, and its signature in residuals.
 
-    Class attributes, all of them required:
+    Required class attributes:
 
-    - ``name``: as in model files and reports;
+    - ``name``: in model files and reports;
     - ``robot``: name of the system that it belongs to; empty for one that no file can name;
     - ``stage``: when it applies;
-    - ``equation``: one line a person can read;
-    - ``parameters``: its numbers;
+    - ``equation``: one readable line;
+    - ``parameters``: declared with unit, bounds and neutral value;
     - ``signature``: what the residuals of a model without it look like;
-    - ``source``: where the equation stands.
+    - ``source``: literature of the equation.
 
-    At the neutral values of all parameters the model is exactly the model without the effect. A parameter whose
-    neutral value is None only shapes the effect: it may have any value while the others are neutral.
+    At the neutral values of all parameters the model equals the model without the effect. A parameter whose neutral
+    value is None only shapes the effect: it may have any value while the others are neutral.
     """
 
     name: ClassVar[str]
@@ -109,16 +109,16 @@ class AbstractEffect(ABC):
     timed: ClassVar[bool] = False
     """Whether it depends on the time since the start of the run."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Names of actions without which the effect has no meaning (``throttle`` for a dead zone of the throttle)."""
+    """Actions that the system must have (``throttle`` for a dead zone of the throttle)."""
     mirrored: ClassVar[tuple[str, ...]] = ()
-    """Parameters whose sign flips when left and right are swapped (an offset of the steering)."""
+    """Parameters whose sign changes when left and right are swapped (an offset of the steering)."""
 
 
 class CommandEffect(AbstractEffect):
     """An effect between the action that was sent and the action that the mechanics feel."""
 
     def initial_memory(self, action: Named) -> Any:
-        """What the effect remembers after ``action`` has been held for a long time; None: nothing."""
+        """Returns the memory after ``action`` has been held for a long time; None for an effect without memory."""
         del action
         return None
 
@@ -131,7 +131,7 @@ class CommandEffect(AbstractEffect):
         period: float,
         operations: Operations,
     ) -> tuple[Named, Any]:
-        """The action felt, as its mean over the coming ``period`` [s], and the memory at its end."""
+        """Returns the felt action, as its mean over the coming ``period`` [s], and the memory at its end."""
 
 
 class FeltEffect(AbstractEffect):
@@ -139,7 +139,7 @@ class FeltEffect(AbstractEffect):
 
     @abstractmethod
     def feel(self, parameters: Named, context: Context) -> Named:
-        """The action felt, from ``context.action``."""
+        """Returns the felt action, from ``context.action``."""
 
 
 class RateEffect(AbstractEffect):
@@ -147,7 +147,7 @@ class RateEffect(AbstractEffect):
 
     @abstractmethod
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:
-        """The rates with the effect, from the rates without it."""
+        """Returns the rates with the effect, from the rates without it."""
 
 
 class SensorEffect(AbstractEffect):
@@ -155,8 +155,8 @@ class SensorEffect(AbstractEffect):
 
     @abstractmethod
     def measure(self, state: Named, parameters: Named) -> Named:
-        """The measured state, from the true one."""
+        """Returns the measured state for a true one."""
 
     @abstractmethod
     def restore(self, state: Named, parameters: Named) -> Named:
-        """The true state, from the measured one."""
+        """Returns the true state for a measured one."""

@@ -1,9 +1,9 @@
-"""Effects with a law: the same equation, its numbers those that hold here and now.
+"""Effects with a law: the same equation, with parameters that depend on state, action and time.
 
-A condition or a number that varies wraps an effect of the library; the name stays. What acts on rates is wrapped as it
-is. What acts on commands and remembers nothing (gains, offsets, dead zones, stops) acts, with a law, on the command
-that the mechanics feel, after every delay and lag, for there state and time are known. Lags, delays and sensors have no
-law: what they would remember, or how the measured state would be undone, is not defined.
+A law wraps an effect of the library and keeps its name. An effect on rates is wrapped as it is. An effect on commands
+without memory (gain, offset, dead zone, limit) acts on the felt command, after every delay and lag, where state and
+time are known. Effects with memory and sensor effects cannot have a law: their memory, or the inverse of the
+measurement, would not be defined.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ __all__ = ["Conditioned", "ConditionedCommand", "ConditionedRate", "conditioned"
 
 
 class Conditioned(AbstractEffect):
-    """What both kinds share; two of them are equal where effect, law and system are."""
+    """Base of both kinds; two are equal if their effects, laws and systems are."""
 
     inner: AbstractEffect
     law: Law
 
     def __init__(self, inner: AbstractEffect, law: Law, system: System) -> None:
         law.check(inner, system)
+        # class attributes of an effect, here of the instance: what reads effects need not know of laws
         self.inner, self.law, self.known = inner, law, system
         self.name: str = inner.name  # type: ignore[misc]
         self.robot: str = inner.robot  # type: ignore[misc]
@@ -68,24 +69,25 @@ class ConditionedRate(Conditioned, RateEffect):
 
 @final
 class ConditionedCommand(Conditioned, FeltEffect):
-    """A law on an effect on commands that remembers nothing."""
+    """A law on an effect on commands without memory."""
 
     inner: CommandEffect
 
     def feel(self, parameters: Named, context: Context) -> Named:  # noqa: D102
         own = self.law.numbers(self.inner, parameters, context)
+        # None: may_have_law() admits no command effect with memory
         return self.inner.transform(context.action, None, own, context.period, context.operations)[0]
 
 
 def may_have_law(item: AbstractEffect, system: System) -> bool:
-    """Whether an effect acts on rates, or on commands without remembering any."""
+    """Returns whether an effect acts on rates, or on commands without memory."""
     if isinstance(item, CommandEffect):
         return item.initial_memory(dict.fromkeys(system.action_names, 0.0)) is None
     return isinstance(item, RateEffect) and not isinstance(item, Conditioned)
 
 
 def conditioned(item: AbstractEffect, law: Law, system: System) -> ConditionedRate | ConditionedCommand:
-    """The effect with a law. Raises ModelFileError where effect, law and system do not fit each other."""
+    """Returns the effect with a law. Raises ModelFileError if effect, law and system do not fit."""
     if not may_have_law(item, system):
         raise ModelFileError(
             f"effect '{item.name}': got '{law.key}', but what remembers commands or changes the sensor cannot depend "
@@ -98,10 +100,10 @@ def conditioned(item: AbstractEffect, law: Law, system: System) -> ConditionedRa
 
 
 def plain(item: AbstractEffect) -> AbstractEffect:
-    """The effect without its law."""
+    """Returns the effect without its law."""
     return item.inner if isinstance(item, Conditioned) else item
 
 
 def law_behind(item: AbstractEffect) -> Law | None:
-    """The law of an effect, None of a plain one."""
+    """Returns the law of an effect, or None."""
     return item.law if isinstance(item, Conditioned) else None

@@ -1,4 +1,4 @@
-"""The library for a system of one's own: every general effect on its actions and on the rates of its states."""
+"""General effects for a user's own system: on each action, and on the rates of the states that forces change."""
 
 from __future__ import annotations
 
@@ -6,16 +6,9 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import final
 
+from safedpa.effects.channel_effects import ChannelEffect
 from safedpa.effects.effect import AbstractEffect, Context, Named, RateEffect, Stage
 from safedpa.effects.friction import direction_of
-from safedpa.effects.general_commands import (
-    ChannelDeadZone,
-    ChannelDelay,
-    ChannelGain,
-    ChannelLag,
-    ChannelLimit,
-    ChannelOffset,
-)
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
 from safedpa.systems import System, Variable
@@ -23,11 +16,11 @@ from safedpa.systems import System, Variable
 __all__ = ["StateDrag", "StateEffect", "StateFriction", "StatePush", "StateQuadraticDrag", "general_effects"]
 
 _REST = 0.02
-"""Of what is usual: below it a state counts as nearly at rest."""
+"""Share of the usual size of a state below which its friction is smoothed."""
 
 
 class StateEffect(RateEffect):
-    """An effect on d(``state``)/dt, called ``{state}_{kind}``; ``size`` is what is usual of the state, in its unit."""
+    """An effect on d(``state``)/dt, called ``{state}_{kind}``; ``size`` is the usual size of the state, in its unit."""
 
     stage = Stage.RESISTANCE
 
@@ -35,6 +28,7 @@ class StateEffect(RateEffect):
         self.robot: str = robot  # type: ignore[misc]
         self.state, self.size = state, size
         self.name: str = f"{state}_{kind}"  # type: ignore[misc]
+        # equations are written over v, the state
         self.equation: str = f"d({state})/dt {equation.replace('v', state)}"  # type: ignore[misc]
         self.parameters: tuple[Parameter, ...] = (parameter,)  # type: ignore[misc]
 
@@ -67,6 +61,7 @@ class StateQuadraticDrag(StateEffect):
 
     def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
         each = "1/m" if unit == "m/s" else f"1/s/({unit})"
+        # over the usual size, so that it decelerates as the linear drag with coefficient 0.3 1/s does there
         parameter = Parameter("coefficient", each, 0.0, 50.0 / size, 0.3 / size)
         super().__init__(robot, state, "quadratic_drag", "-= coefficient |v| v", parameter, size)
 
@@ -77,7 +72,7 @@ class StateQuadraticDrag(StateEffect):
 
 @final
 class StateFriction(StateEffect):
-    """dv/dt -= deceleration sign(v), the sign rounded off near rest."""
+    """dv/dt -= deceleration sign(v), smoothed near rest."""
 
     stage = Stage.WEIGHT
     signature = "a residual of one size against the motion, which changes sign with it"
@@ -112,10 +107,10 @@ class StatePush(StateEffect):
 
 
 def general_effects(system: System, moving: Mapping[str, float] | None = None) -> tuple[AbstractEffect, ...]:
-    """Gain, offset, dead zone, limit, lag and delay of every action; drag, quadratic drag, friction and push of states.
+    """Returns gain, offset, dead zone, limit, lag and delay of each action; drags, friction and push of states.
 
-    ``moving``: the states that forces change (speeds, rates), each with what is usual of it in its unit. Actions
-    without finite bounds count as up to 1 of their unit. Raises InputError for a state that the system lacks.
+    ``moving``: the states that forces change (speeds, rates), each with its usual size in its unit. Actions without
+    finite bounds are taken to reach 1 of their unit. Raises InputError for a state that the system lacks.
     """
     found: list[AbstractEffect] = []
     for action in system.action:
@@ -124,7 +119,7 @@ def general_effects(system: System, moving: Mapping[str, float] | None = None) -
         if name not in system.state_names:
             raise InputError(f"moving: got '{name}'; {did_you_mean(name, system.state_names)}")
         if not (isfinite(size) and size > 0.0):
-            raise InputError(f"moving: {name}: got {size!r}, wanted what is usual of it, above 0")
+            raise InputError(f"moving: {name}: got {size!r}, wanted its usual size, above 0")
         unit = system.state[system.state_names.index(name)].unit
         found += [
             StateDrag(system.name, name, size),
@@ -135,14 +130,46 @@ def general_effects(system: System, moving: Mapping[str, float] | None = None) -
     return tuple(found)
 
 
+_SIGNATURES = {
+    "gain": "the answer to the action differs by the same share at every size",
+    "offset": "a residual of one size and sign, whatever the action",
+    "lag": "a residual after each change of the action, of opposite sign to the change, dying out",
+    "delay": "a residual after each change of the action, as if it had not been sent yet, then none",
+    "limit": "a residual beyond one size of the action only, growing with the excess",
+    "dead_zone": "a residual against the action that grows with it up to a width, then of one size",
+}
+_SOURCES = {
+    "gain": "static gain of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
+    "offset": "trim of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
+    "lag": "first-order actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
+    "delay": "dead time; Astrom and Murray, Feedback Systems, 2nd ed., ch. 9",
+    "limit": "saturation; Tao and Kokotovic, Adaptive Control of Systems, 1996, ch. 1",
+    "dead_zone": "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2",
+}
+
+
 def _of_action(robot: str, action: Variable) -> list[AbstractEffect]:
     size = max(abs(action.low), abs(action.high))
-    size = size if isfinite(size) else 1.0
-    found: list[AbstractEffect] = [
-        ChannelGain(robot, action.name),
-        ChannelOffset(robot, action.name, action.unit, size),
-        ChannelLag(robot, action.name),
-        ChannelDelay(robot, action.name),
-        ChannelLimit(robot, action.name, action.unit, size),
+    size = size if isfinite(size) else 1.0  # the scale of offsets, limits and dead zones
+    parameters = {
+        "gain": Parameter("gain", "1", 0.05, 5.0, 0.85, neutral=1.0),
+        "offset": Parameter("offset", action.unit, -size, size, 0.05 * size),
+        "lag": Parameter("time_constant", "s", 0.0, 2.0, 0.15),
+        "delay": Parameter("seconds", "s", 0.0, 1.0, 0.1),
+        "limit": Parameter("limit", action.unit, 0.02 * size, size, 0.6 * size, neutral=size),
+    }
+    if action.low < 0.0:  # an action that cannot be negative starts at its own dead zone: an offset says the same
+        parameters["dead_zone"] = Parameter("width", action.unit, 0.0, 0.9 * size, 0.1 * size)
+    return [
+        ChannelEffect(
+            robot,
+            f"{action.name}_{kind}",
+            action.name,
+            kind,
+            parameter,
+            signature=_SIGNATURES[kind],
+            source=_SOURCES[kind],
+            needs=(action.name,),
+        )
+        for kind, parameter in parameters.items()
     ]
-    return [*found, ChannelDeadZone(robot, action.name, action.unit, size)] if action.low < 0.0 else found

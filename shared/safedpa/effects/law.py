@@ -1,13 +1,14 @@
-"""Laws by which the numbers of an effect depend on where, when and how fast: conditions, and numbers that vary.
+"""Laws: how the parameters of an effect depend on position, time or speed.
 
-Both are one thing: what an effect gets at an instant is a function of its own numbers and of one variable.
+There are two: an effect that acts in a region only, and a parameter that varies with a variable. In both, a parameter p
+at an instant is a function of the effect's parameters and of one variable v:
 
     where  p = neutral + w (p_inside - neutral),  w = 1/2 + 1/2 tanh(depth / edge)
     varies p = clip(p_0 + rate v, low, high)
 
-w rises from 0 to 1 over some ``edge`` about the border of a region, so that a model with a condition has slopes for
-fits and for the safety filter. v is the time since the start of the run, a state, an action, or the size of one of
-them (``abs_speed``).
+w rises from 0 to 1 over the width ``edge`` at the border of the region, so that the model has slopes there, for fits
+and for the safety filter. v is the time since the start of the run, a state, an action, or the absolute value of one
+(``abs_speed``).
 """
 
 from __future__ import annotations
@@ -28,50 +29,50 @@ __all__ = ["ABS", "PLACES", "SHAPES", "TIME", "Law", "Varies", "Where", "law_of"
 
 TIME: Final = "time"
 ABS: Final = "abs_"
-"""Before the name of a state or an action: its size."""
+"""Prefix of a state's or an action's name: its absolute value."""
 PLACES: Final = ("circle", "strip")
-"""Regions of the plane x, y."""
+"""Regions in the plane x, y."""
 SHAPES: Final = ("above", "below", "between")
 """Regions of one variable."""
 _LONGEST: Final = 1e7
-"""s; of a run."""
+"""s; the longest run."""
 
 
 class Law(Protocol):
-    """How the numbers of an effect follow from its own parameters and from what it sees."""
+    """How the parameters of an effect follow from its settings and its context."""
 
     key: ClassVar[str]
-    """In model files."""
+    """The key in model files."""
 
     @property
     def phrase(self) -> str:
-        """As model files and the command line have it: ``x above``, ``gain with time``."""
+        """The law in model files and on the command line: ``x above``, ``gain with time``."""
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """On which it depends."""
+        """Names of the variables that it depends on."""
 
     @abstractmethod
     def check(self, item: AbstractEffect, system: System) -> None:
-        """Raises ModelFileError where the law does not fit the effect, or the system has no such variable."""
+        """Raises ModelFileError if the law does not fit the effect, or the system lacks the variable."""
 
     @abstractmethod
     def parameters(self, item: AbstractEffect, system: System) -> tuple[Parameter, ...]:
-        """The law's own numbers."""
+        """Returns the law's own parameters."""
 
     @abstractmethod
     def numbers(self, item: AbstractEffect, own: Named, context: Context) -> Named:
-        """The effect's numbers at an instant, by name."""
+        """Returns the effect's parameters at an instant, by name."""
 
     @abstractmethod
     def sentence(self, values: Mapping[str, float], item: AbstractEffect, system: System) -> str:
-        """When and where, in words."""
+        """Returns when and where the effect acts, as text for reports."""
 
 
 @final
 @dataclass(frozen=True)
 class Where:
-    """The effect acts in a region alone; ``edge`` is the width over which it sets in, in the variable's unit (m)."""
+    """The effect acts in a region only; ``edge`` is the width over which it sets in, in the variable's unit."""
 
     shape: str
     variable: str
@@ -125,14 +126,15 @@ class Where:
         return found
 
     def inside(self, own: Named, context: Context) -> Scalar:
-        """1 in the region, 0 outside, 1/2 on its border."""
+        """Returns w: 1 in the region, 0 outside, 1/2 on its border."""
         return 0.5 + 0.5 * context.operations.tanh(self._depth(own, context) / self.edge)
 
     def _depth(self, own: Named, context: Context) -> Scalar:
-        """From the border of the region, positive inside."""
+        """Returns the signed distance to the border of the region, positive inside."""
         operations = context.operations
         if self.shape == "circle":
             dx, dy = context.state["x"] - own["at_x"], context.state["y"] - own["at_y"]
+            # + 1e-12: the slope of a distance does not exist at 0
             return own["radius"] - (dx * dx + dy * dy + 1e-12) ** 0.5
         if self.shape == "strip":
             angle, state = own["angle"], context.state
@@ -143,6 +145,7 @@ class Where:
             return value - own[f"{self.variable}_above"]
         if self.shape == "below":
             return own[f"{self.variable}_below"] - value
+        # the nearer end counts
         return operations.minimum(value - own[f"{self.variable}_from"], own[f"{self.variable}_to"] - value)
 
     def sentence(self, values: Mapping[str, float], item: AbstractEffect, system: System) -> str:  # noqa: D102
@@ -151,6 +154,7 @@ class Where:
             return f"inside the circle of {radius:.2f} m about x = {x:.2f}, y = {y:.2f} m"
         if self.shape == "strip":
             angle, offset, half = (values[name] for name in ("angle", "offset", "half_width"))
+            # the strip |n . (x, y) - offset| < half width, with its unit normal n = (cos angle, sin angle)
             text = f"where |{math.cos(angle):.2f} x + {math.sin(angle):.2f} y - {offset:.2f}| < {half:.2f} m"
             return text.replace("+ -", "- ").replace("- -", "+ ")
         unit, name = _unit(system, self.variable), _shown(self.variable)
@@ -168,7 +172,7 @@ class Where:
 @final
 @dataclass(frozen=True)
 class Varies:
-    """One number of the effect grows or falls in proportion to a variable; ``value`` is what it is at 0."""
+    """One parameter of the effect changes linearly with a variable; its setting is the value at 0."""
 
     parameter: str
     variable: str
@@ -184,7 +188,7 @@ class Varies:
 
     @property
     def rate(self) -> str:
-        """Name of the change for each unit of the variable."""
+        """Name of the parameter for the change per unit of the variable."""
         return f"{self.parameter}_per_{self.variable}"
 
     def check(self, item: AbstractEffect, system: System) -> None:  # noqa: D102
@@ -196,6 +200,7 @@ class Varies:
 
     def parameters(self, item: AbstractEffect, system: System) -> tuple[Parameter, ...]:  # noqa: D102
         own, known = self._varied(item), variables_of_law(system)[self.variable]
+        # typical: over a quarter of the variable's range (40 s of time, at most 8 units) p changes by its typical size
         reach = 0.25 * (40.0 if self.variable == TIME else min(known.high - max(known.low, 0.0), 8.0))
         size = abs(own.typical - (own.neutral or 0.0)) or 0.05 * (own.high - own.low)
         most = 1e3 * (own.high - own.low) / max(reach, 1e-9)
@@ -216,7 +221,7 @@ class Varies:
         return f"{verb} by {abs(rate):.2g}{'' if own.unit == '1' else ' ' + own.unit} {each}"
 
     def begin(self, system: System) -> str:
-        """Where the number is what its own parameter says: ``time 0 s``, ``|speed| 0 m/s``."""
+        """Returns where the parameter has the value of its setting: ``the start``, ``|speed| 0 m/s``."""
         return "the start" if self.variable == TIME else f"{_shown(self.variable)} 0{_unit(system, self.variable)}"
 
     def _varied(self, item: AbstractEffect) -> Parameter:
@@ -224,7 +229,7 @@ class Varies:
 
 
 def law_of(key: str, phrase: str, edge: float | None, owner: str) -> Where | Varies:
-    """The law that a model file or the command line names. Raises ModelFileError with what is wanted."""
+    """Returns the law that a model file or the command line names. Raises ModelFileError with what is wanted."""
     parts = phrase.split() if isinstance(phrase, str) else []
     if key == Varies.key:
         if len(parts) == 3 and parts[1] == "with":
@@ -247,10 +252,10 @@ class _Range:
 
 
 def variables_of_law(system: System) -> dict[str, _Range]:
-    """What a law may depend on, by name: time, states that are no angles, actions, and the sizes of both."""
+    """Returns the variables of laws by name: time, states except angles, actions, and the absolute values of both."""
     found = {TIME: _Range("s", 0.0, _LONGEST)}
     for item in (*system.state, *system.action):
-        if not item.angle:
+        if not item.angle:  # a wrapped angle jumps, so no threshold or slope over it means anything
             found[item.name] = _Range(item.unit, item.low, item.high)
             if item.low < 0.0 and item.name not in ("x", "y"):
                 found[ABS + item.name] = _Range(item.unit, 0.0, max(abs(item.low), abs(item.high)))
@@ -279,7 +284,7 @@ def _unit(system: System, variable: str) -> str:
 
 
 def _over(unit: str, other: str) -> str:
-    """unit / other, written as other units are."""
+    """Returns the unit of a quotient, such as ``m/s2/(m/s)``."""
     if other == "1":
         return unit
     below = f"({other})" if "/" in other else other

@@ -1,4 +1,4 @@
-"""The library: every effect that is known, by robot and name; a user's own ones join from a file."""
+"""The library: all known effects by robot and name, including those that users load from a file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
 from safedpa.installed import entry_points_of_group
-from safedpa.robot import AbstractRobot
-from safedpa.robot import robots as robots_declared
 from safedpa.systems import systems
+from safedpa.systems.robots import Robot
+from safedpa.systems.robots import robots as robots_declared
 
 __all__ = [
     "REGISTERED",
@@ -32,25 +32,22 @@ __all__ = [
 ]
 
 REGISTERED: dict[tuple[str, str], AbstractEffect] = {}
-"""Effects that this process loaded from files outside the project, by robot and name."""
+"""Effects that this process loaded from users' files, by robot and name."""
 
 
 def effects_of(robot: str) -> dict[str, AbstractEffect]:
-    """Every effect of one robot, by name, in alphabetical order."""
+    """Returns the effects of one robot by name, in alphabetical order."""
     merged = {**_shipped(robot), **REGISTERED}
     return {name: item for (owner, name), item in sorted(merged.items()) if owner == robot}
 
 
 def robots() -> tuple[str, ...]:
-    """Names of the robots that have effects, in alphabetical order."""
+    """Returns the names of the robots that have effects, in alphabetical order."""
     return tuple(sorted({owner for owner, _ in {**_shipped(), **REGISTERED}}))
 
 
 def effect(robot: str, name: str) -> AbstractEffect:
-    """One effect by name.
-
-    Raises InputError with the nearest names when there is none.
-    """
+    """Returns one effect by name. Raises InputError with the nearest names if there is none."""
     known = effects_of(robot)
     if name in known:
         return known[name]
@@ -63,10 +60,10 @@ def effect(robot: str, name: str) -> AbstractEffect:
 
 
 def load_effects(path: Path) -> list[AbstractEffect]:
-    """Adds the effects that a Python file defines to the library of this process.
+    """Adds the effects of a Python file to the library of this process, and returns them.
 
-    Loading a file again replaces the effects that it defined before. Raises InputError when the file cannot be read as
-    Python, defines no effect or an incomplete one, or reuses a name of the library.
+    Loading a file again replaces its effects. Raises InputError if the file cannot be run as Python, defines no effect
+    or an incomplete one, or reuses a name of the library.
     """
     found = add_effects(module_from(path), path)
     if not found:
@@ -77,7 +74,7 @@ def load_effects(path: Path) -> list[AbstractEffect]:
 
 
 def add_effects(module: ModuleType, path: Path) -> list[AbstractEffect]:
-    """Adds the effects that a module defines, none or several; raises InputError as ``load_effects`` does."""
+    """Adds the effects of a module, if any, and returns them. Raises InputError as ``load_effects``."""
     found = list(_effects_in(module))
     for item in found:
         _check_declaration(item, path)
@@ -103,7 +100,8 @@ def _check_declaration(item: AbstractEffect, path: Path) -> None:
 
 
 def _shipped(wanted: str = "") -> dict[tuple[str, str], AbstractEffect]:
-    """What robots and installed modules declare: all of it, or at least what is of one robot."""
+    """Returns the effects that robots and installed modules declare: all, or at least those of one robot."""
+    # importing the effects of all robots takes time that a service of one robot need not spend
     found = dict(_of_entry_points())
     for robot in robots_declared().values():
         if not wanted or wanted == robot.name or not robot.effects_of_its_own:
@@ -112,7 +110,7 @@ def _shipped(wanted: str = "") -> dict[tuple[str, str], AbstractEffect]:
 
 
 @cache
-def _of_robot(robot: AbstractRobot) -> dict[tuple[str, str], AbstractEffect]:
+def _of_robot(robot: Robot) -> dict[tuple[str, str], AbstractEffect]:
     return {(item.robot, item.name): item for item in robot.effects()}
 
 
@@ -123,7 +121,7 @@ def _of_entry_points() -> dict[tuple[str, str], AbstractEffect]:
 
 
 def effects_in_package(name: str) -> tuple[AbstractEffect, ...]:
-    """Every effect that the modules of a package define, by the modules' names."""
+    """Returns the effects that the modules of a package define, in the order of the modules' names."""
     package = importlib.import_module(name)
     modules = [importlib.import_module(info.name) for info in pkgutil.iter_modules(package.__path__, name + ".")]
     return tuple(item for module in modules for item in _effects_in(module))
@@ -131,22 +129,22 @@ def effects_in_package(name: str) -> tuple[AbstractEffect, ...]:
 
 def _effects_in(module: ModuleType) -> Iterator[AbstractEffect]:
     for _, member in inspect.getmembers(module, inspect.isclass):
-        own = member.__module__ == module.__name__
+        own = member.__module__ == module.__name__  # not the base classes that it imports
         if own and issubclass(member, AbstractEffect) and not inspect.isabstract(member):
             yield member()
-    for several in vars(module).values():  # EFFECTS = general_effects(...)
+    for several in vars(module).values():  # tables such as EFFECTS = general_effects(...)
         if isinstance(several, (list, tuple)):
             yield from (item for item in several if isinstance(item, AbstractEffect))
 
 
 def module_from(path: Path) -> ModuleType:
-    """A user's Python file, run; raises InputError when it cannot be."""
+    """Runs a user's Python file and returns the module. Raises InputError if that fails."""
     name = f"safedpa_own_effects_{path.stem}"
     specification = importlib.util.spec_from_file_location(name, path)
     if not path.is_file() or specification is None or specification.loader is None:
         raise InputError(f"{path}: got no Python file, wanted one that defines effects")
     module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
+    sys.modules[name] = module  # before it runs: dataclasses and pickle look a class's module up there
     try:
         specification.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # a user's file may fail in any way, or end as a program does

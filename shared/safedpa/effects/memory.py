@@ -1,4 +1,4 @@
-"""Effects that remember: first-order lag and pure delay of a command that is held over each period."""
+"""First-order lag and pure delay of a command that is held over each period, with their memories."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from safedpa.operations import Operations, Scalar
 __all__ = ["History", "delayed", "follow", "settled"]
 
 History = tuple[tuple[Scalar, float], ...]
-"""Commands and the seconds for which each was held, newest first; the last one has been held for ever."""
+"""Commands and the seconds for which each was held, newest first; the last one has been held forever."""
 
 _SMALLEST_TIME_CONSTANT = 1e-9
 """s; below it exp(-period / time_constant) is 0 in every precision, and the division stays defined."""
@@ -19,10 +19,9 @@ _SMALLEST_TIME_CONSTANT = 1e-9
 def follow(
     command: Scalar, felt: Scalar, time_constant: Scalar, period: float, operations: Operations
 ) -> tuple[Scalar, Scalar]:
-    """First-order lag over one period, exact for a held command; no lag at all at time_constant 0.
+    """Returns the mean of a first-order lag over one period and its value at the end: exact for a held command.
 
-    felt(t) = command + (felt - command) exp(-t / time_constant). Returns the mean of felt over the period and its
-    value at the end.
+    felt(t) = command + (felt - command) exp(-t / time_constant); at time_constant 0 felt = command.
     """
     decay = operations.exp(-period / operations.maximum(time_constant, _SMALLEST_TIME_CONSTANT))
     difference = felt - command
@@ -30,20 +29,21 @@ def follow(
 
 
 def settled(command: Scalar) -> History:
-    """The history of a command that has been held for ever."""
+    """Returns the history of a command that has been held forever."""
     return ((command, inf),)
 
 
 def delayed(
     command: Scalar, history: History, delay: Scalar, longest: float, period: float, operations: Operations
 ) -> tuple[Scalar, History]:
-    """Pure delay over one period: the exact mean of command(t - delay), also for periods of unequal length.
+    """Returns the exact mean of command(t - delay) over one period, also for periods of unequal length.
 
-    Returns that mean and the history at the end of the period, as far back as the ``longest`` delay [s] reaches.
+    And the history at the end of the period, as far back as the ``longest`` delay [s].
     """
+    # times relative to the start of the period: a command that was held from start to end acts delay seconds later
     total: Any = 0.0
     end = period
-    # a float delay meets one to three entries: the rest of the history need not be looked at
+    # a float delay overlaps with one to three entries: older ones need not be read
     reach = delay if isinstance(delay, float) else longest
     for value, duration in ((command, period), *history):
         start = end - duration
@@ -56,7 +56,7 @@ def delayed(
 
 
 def _overlap(start: float, end: float, delay: Scalar, period: float, operations: Operations) -> Scalar:
-    """Seconds shared by the window (-delay, period - delay) and the time (start, end) for which a command was held."""
+    """Returns the overlap [s] of the window (-delay, period - delay) with the time (start, end) of one command."""
     shared = operations.minimum(period - delay, end) - operations.maximum(-delay, start)
     return operations.maximum(shared, 0.0)
 
@@ -66,5 +66,6 @@ def _cached(history: History, longest: float) -> History:
     for index, (value, duration) in enumerate(history):
         age += duration
         if age >= longest:
+            # the oldest command that a delay can reach is held forever: the history never runs out
             return (*history[:index], (value, inf))
     return history

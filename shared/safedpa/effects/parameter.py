@@ -1,4 +1,4 @@
-"""One number of a model: its unit, the range in which it is physical, and how large it usually is."""
+"""The declaration of a parameter: its unit, its physical range, and its usual size."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ __all__ = ["Parameter"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A named number of a base model or an effect.
+    """A named parameter of a base model or an effect.
 
-    ``neutral`` is the value at which an effect does nothing; None for a number that only shapes it, such as the speed
-    at which a friction law fades. For a base model it is the value that is assumed when none is given, or None where
-    one must be given. ``typical`` is the size at which the effect is ordinary: the scale on which fits and random
-    draws work, and where a number without a neutral value starts.
+    ``neutral`` is the value at which an effect does nothing; None for a parameter that only shapes it, such as the
+    speed at which a friction law fades. For a base model it is the default, or None if a value must be given.
+    ``typical`` is the usual size of the parameter: the scale of fits and random draws, and the start of a fit if there
+    is no neutral value.
 
-    Raises ValueError when the bounds are empty or typical and neutral do not lie within them.
+    Raises ValueError if the bounds are empty, or typical or neutral lies outside them.
     """
 
     name: str
@@ -37,5 +37,5 @@ class Parameter:
 
     @property
     def start(self) -> float:
-        """Where a fit starts: the neutral value, or the typical one where there is none."""
+        """Where a fit starts: the neutral value, or the typical one if there is none."""
         return self.typical if self.neutral is None else self.neutral

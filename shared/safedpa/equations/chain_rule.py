@@ -1,4 +1,4 @@
-"""What actions change in h, from its slopes over the state: d(h)/d(a) = p'g, in plain numbers."""
+"""The chain rule d(h)/d(a) = p'g, with p the slopes of h over the state, on Python floats."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["chain_rule"]
 
 
 def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
-    """p'g (rows, actions) of slopes p (rows, states), g (states, actions). Raises ValueError where they do not fit."""
+    """Returns p'g (rows, actions) for p (rows, states), g (states, actions). Raises ValueError for other shapes."""
     states, actions = len(g), len(g[0]) if g else 0
     if states == 4 and actions == 2:
         return _of_a_car(slopes, g)
@@ -28,7 +28,7 @@ def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[
 
 
 def _of_a_car(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
-    """The same sums in the same order for four states and two actions: compiled, no number leaves its register."""
+    """The same sums in the same order for four states and two actions, unrolled: compiled, values stay in registers."""
     (a0, b0), (a1, b1), (a2, b2), (a3, b3) = _pair(g[0]), _pair(g[1]), _pair(g[2]), _pair(g[3])
     found: list[list[float]] = []
     for p in slopes:
@@ -38,6 +38,7 @@ def _of_a_car(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[l
         p1: float = p[1]
         p2: float = p[2]
         p3: float = p[3]
+        # 0.0 + as in the general loop: it turns -0.0 into 0.0
         found.append(
             [0.0 + p0 * a0 + p1 * a1 + p2 * a2 + p3 * a3, 0.0 + p0 * b0 + p1 * b1 + p2 * b2 + p3 * b3],
         )

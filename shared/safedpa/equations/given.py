@@ -1,4 +1,4 @@
-"""What an equation of alike things is given."""
+"""The arguments of an equation of rows."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["Given"]
 
 
 class Given(NamedTuple):
-    """What an equation of rows is given: floats, arrays, or numbers that are being recorded."""
+    """The arguments of an equation of rows: floats, arrays, or numbers that are being recorded."""
 
     state: Sequence[Scalar]
     """(states,)"""
     shared: Sequence[Scalar]
-    """What all items have in common, such as the lengths of the robot's body."""
+    """Values that all items have in common, such as the lengths of the robot's body."""
     each: Sequence[Scalar]
-    """The numbers of one item, such as an obstacle's place and radius."""
+    """Values of one item, such as an obstacle's position and radius."""
     form: tuple[int, ...] = ()
-    """Whole numbers that the equation itself depends on, such as the place of an entry in the state."""
+    """Integers that determine the equation itself, such as the index of an entry of the state."""

@@ -1,9 +1,9 @@
-"""Equations of many alike things, such as obstacles, recorded on one tape and sorted by what they depend on.
+"""Records equations of many items, such as obstacles, on one tape, and sorts the operations by what they depend on.
 
-A group is one equation that yields some numbers for each of its items; a row is one of these numbers. What depends on
-the shared numbers alone is computed once for a scene, what depends on the state besides once for a state, and the rest
-once for an item. Slopes go the short way in each of them: within an item from the result to what is computed for the
-state (few results, many operands), and from there over what was computed for the state from its entries on.
+A group is one equation with one or more results for each of its items; a row is one result of one item. Operations on
+shared values alone belong to the level "scene" and run once for a scene, those on the state to the level "state", and
+all others to the level "item". Differentiation uses the cheaper mode on each level: reverse mode within an item (few
+results, many operands), forward mode over the state's entries on the level of the state.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal, final
 
+from safedpa.equations.generated import digest
 from safedpa.equations.given import Given
-from safedpa.equations.slopes import Style, handed_on, negative, product, sum_of
+from safedpa.equations.slopes import Style, negative, operand_slopes, product, sum_of
 from safedpa.equations.tape import Line, Recorded, Tape, name_of
 from safedpa.operations import Operations, Scalar
 
@@ -24,8 +27,8 @@ __all__ = ["Equation", "Level", "RowGroup", "RowTape", "nested"]
 Level = Literal["scene", "state", "item"]
 
 _NAME = re.compile(r"\b[a-z]\w*\b")
-_DEEPEST = 40
-"""Brackets in one expression: Python's own parser takes no more than 200 within each other."""
+_MAX_NESTING = 40
+"""Parentheses within each other in one expression: Python's parser accepts no more than 200."""
 
 
 Equation = Callable[[Given, Operations], Sequence[Scalar]]
@@ -34,25 +37,25 @@ Equation = Callable[[Given, Operations], Sequence[Scalar]]
 @final
 @dataclass(frozen=True)
 class RowGroup:
-    """One equation for items of ``each`` numbers with ``shared`` numbers in common.
+    """One equation for items of ``each`` values, with ``shared`` values in common.
 
-    ``steepest`` is what no slope of its rows exceeds, by entry of the state, if that is known; ``body`` the place of
-    the first group whose shared numbers are the same: they count once.
+    ``grad_bound`` bounds the slopes of its rows, by entry of the state, if a bound is known. ``body`` is the index of
+    the first group with the same shared values, which are then stored once; -1: none.
     """
 
     equation: Equation
     shared: int
     each: int
     form: tuple[int, ...] = ()
-    steepest: Equation | None = None
+    grad_bound: Equation | None = None
     body: int = -1
 
 
 @final
 class RowTape:
-    """What the equations of all groups do with a state of so many entries.
+    """The recording of all groups' equations for a state of ``states`` entries.
 
-    Raises NotStraightError, or what else an equation raises, where they cannot be recorded.
+    Raises NotRecordableError, or any exception of an equation, if they cannot be recorded.
     """
 
     def __init__(self, states: int, groups: Sequence[RowGroup]) -> None:
@@ -60,14 +63,14 @@ class RowTape:
         self._tape = Tape()
         self.state = [f"s{index}" for index in range(states)]
         self.shared = [self._shared(number, group) for number, group in enumerate(self.groups)]
-        """By group, the names of its shared numbers."""
+        """By group, the names of its shared values."""
         self.each = [[f"e{number}_{index}" for index in range(group.each)] for number, group in enumerate(self.groups)]
         self.results = [self._run(number, group.equation) for number, group in enumerate(self.groups)]
-        """By group, the names of its rows of one item."""
-        self.steepest = self._bound()
-        """(states,) what no slope of any row exceeds, by name; None: not known."""
+        """By group, the names of the results of one item."""
+        self.grad_bound = self._bound()
+        """(states,) names of the bounds of all rows' slopes; None: not known."""
         needed = [name for names in self.results for name in names]
-        self._tape.keep([*needed, *(self.steepest or ())])
+        self._tape.keep([*needed, *(self.grad_bound or ())])
         self.lines = self._tape.lines
         self._levels: dict[str, Level] = {}
         self._moves = set(self.state)
@@ -77,6 +80,11 @@ class RowTape:
         for name in [name for names in self.each for name in names]:
             self._levels[name] = "item"
         self._sort()
+
+    @property
+    def digest(self) -> str:
+        """Identifies the functions that this package generates from the tape."""
+        return digest(f"{_package()}{(self.state, self.shared, self.each, self.results, self.grad_bound, self.lines)}")
 
     def _shared(self, number: int, group: RowGroup) -> list[str]:
         owner = number if group.body < 0 else group.body
@@ -93,10 +101,10 @@ class RowTape:
     def _bound(self) -> list[str] | None:
         operations, bound = self._tape.operations(), list[Any]()
         for number, group in enumerate(self.groups):
-            if group.steepest is None:
+            if group.grad_bound is None:
                 return None
             given = Given(self._numbers(self.state), self._numbers(self.shared[number]), (), group.form)
-            found = list(group.steepest(given, operations))
+            found = list(group.grad_bound(given, operations))
             bound = (
                 [_larger(one, other, operations) for one, other in zip(bound, found, strict=True)] if bound else found
             )
@@ -107,15 +115,16 @@ class RowTape:
         for name, _, operands in self.lines:
             levels = [self._levels[operand] for operand in operands if operand in self._levels]
             self._levels[name] = max(levels, key=order.index, default="scene")
+            # what does not move with the state has no slope over it
             if any(operand in self._moves for operand in operands):
                 self._moves.add(name)
 
     def level(self, name: str) -> Level:
-        """On what a number depends at most; a constant is the scene's."""
+        """Returns the level of a value; that of a constant is the scene."""
         return self._levels.get(name, "scene")
 
     def of(self, level: Level, wanted: Sequence[str]) -> list[Line]:
-        """The lines of one level that the wanted names need, in order."""
+        """Returns the lines of one level on which the wanted values depend, in order."""
         needed, retained = set(wanted), list[Line]()
         for line in reversed(self.lines):
             if line[0] in needed:
@@ -125,22 +134,23 @@ class RowTape:
         return retained[::-1]
 
     def item_slopes(self, result: str, style: Style) -> tuple[list[tuple[str, str]], dict[str, str]]:
-        """Lines (name, term) that compute d(result)/d(v) for each v of the state's level, and their terms by v."""
+        """Returns lines (name, term) for d(result)/d(v), v the values of the state's level, and their terms by v."""
         terms: dict[str, list[str]] = {result: ["1.0"]}
         lines: list[tuple[str, str]] = []
         for name, form, operands in reversed(self.of("item", [result])):
             if name not in terms or name not in self._moves:
                 continue
+            # all uses of a value come after it on the tape, so in reverse order its sum of terms is complete here
             slope = self._named(f"d_{name}", sum_of(terms.pop(name)), lines)
             if slope == "0.0":
                 continue
-            for operand, term in zip(operands, handed_on(form, slope, name, operands, style), strict=True):
+            for operand, term in zip(operands, operand_slopes(form, slope, name, operands, style), strict=True):
                 if operand in self._moves and term != "0.0":
                     terms.setdefault(operand, []).append(self._alongside(term, operand))
         return lines, {name: self._named(f"d_{name}", sum_of(found), lines) for name, found in terms.items()}
 
     def state_slopes(self, wanted: Sequence[str], style: Style) -> tuple[list[tuple[str, str]], dict[str, list[str]]]:
-        """Lines that compute d(v)/d(state) for each wanted v of the state's level, and their (states,) terms by v."""
+        """Returns lines for d(v)/d(state), v the wanted values of the state's level, and their (states,) terms by v."""
         known = {name: ["1.0" if name == other else "0.0" for other in self.state] for name in self.state}
         lines: list[tuple[str, str]] = []
         for name, form, operands in self.of("state", wanted):
@@ -152,17 +162,19 @@ class RowTape:
                 for place, operand in enumerate(operands):
                     slope = known.get(operand, ["0.0"] * len(self.state))[index]
                     if slope != "0.0":
-                        terms.append(self._alongside(handed_on(form, slope, name, operands, style)[place], operand))
+                        terms.append(
+                            self._alongside(operand_slopes(form, slope, name, operands, style)[place], operand)
+                        )
                 entries.append(self._named(f"{name}_{index}", sum_of(terms), lines))
             known[name] = entries
         return lines, known
 
     def chained(self, over: Mapping[str, str], known: Mapping[str, Sequence[str]], index: int) -> str:
-        """d(result)/d(entry of the state) from the slopes over what is computed for the state."""
+        """Returns d(result)/d(entry of the state), from the slopes over the values of the state's level."""
         return sum_of([product(slope, known[name][index]) for name, slope in over.items() if name in known])
 
     def _alongside(self, term: str, angle: str) -> str:
-        """The same with the sine or cosine of an angle where it is computed already."""
+        """Returns the term with the variable of a sine or cosine that is recorded already."""
         for form in ("sin", "cos"):
             known = next((name for name, other, operands in self.lines if (other, operands) == (form, (angle,))), None)
             term = term if known is None else term.replace(f"{form}({angle})", known)
@@ -170,7 +182,7 @@ class RowTape:
 
     @staticmethod
     def _named(name: str, term: str, lines: list[tuple[str, str]]) -> str:
-        """The term itself where it is a number or a name, else a variable that holds it."""
+        """Returns the term itself if it is a number or a name, else a variable for which it adds a line."""
         if re.fullmatch(r"-?[\w.]+", term):
             return term
         if term.startswith("-") and re.fullmatch(r"-\w+", term):
@@ -180,21 +192,28 @@ class RowTape:
 
 
 def _larger(one: Scalar, other: Scalar, operations: Operations) -> Scalar:
-    """The larger of two sizes, which is told at once where one is 0 or both are the same."""
+    """Returns the larger of two sizes."""
+    # without an operation where both are the same or one is the constant 0
     names = name_of(one), name_of(other)
     if names[0] == names[1] or names[1] == "(0.0)":
         return one
     return other if names[0] == "(0.0)" else operations.maximum(one, other)
 
 
-def nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:
-    """Lines as text, without those that nothing needs; what one other line alone needs stands within that one.
+@cache
+def _package() -> str:
+    """The digest of this package's sources: with other rules for slopes the same tape gives other functions."""
+    return digest("".join(path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))))
 
-    ``wanted`` are the names and terms that are needed after them.
+
+def nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:
+    """Returns lines as source, without unused ones; a value that is used once is written into the line that uses it.
+
+    ``wanted`` are the names and terms that are used after them.
     """
     after = Counter(word for term in wanted for word in _NAME.findall(term))
     retained: list[tuple[str, str]] = []
-    alive = set(after)
+    alive = set(after)  # backwards: a line is used if a later one that is used reads it
     for name, term in reversed(lines):
         if name in alive:
             retained.append((name, term))
@@ -205,7 +224,7 @@ def nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]
     found = []
     for name, term in retained:
         whole = _NAME.sub(lambda match: terms.pop(match[0], match[0]), term)
-        if uses[name] == 1 and not after[name] and whole.count("(") < _DEEPEST:
+        if uses[name] == 1 and not after[name] and whole.count("(") < _MAX_NESTING:
             terms[name] = f"({whole})"
         else:
             found.append(f"{name} = {whole}")

@@ -1,8 +1,7 @@
-"""What each operation hands on of a slope: the one table from which slopes of recorded equations are written.
+"""The derivative rules of all operations, as source: one table for forward and reverse mode.
 
-With own = form(a, b, ...) the slope of a result r reaches the operand a as d(r)/d(own) d(own)/d(a). Going from the
-result to the operands, this is how often d(r)/d(own) has to be passed on; going from the operands to the result, what
-d(a)/d(x) adds to d(own)/d(x): the same product.
+For own = form(a, b, ...) and a slope s, a rule gives s d(own)/d(a) for each operand a. In reverse mode s is
+d(r)/d(own), and the product a term of d(r)/d(a); in forward mode s is d(a)/d(x), and the product a term of d(own)/d(x).
 """
 
 from __future__ import annotations
@@ -11,15 +10,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import final
 
-__all__ = ["ARRAYS", "PLAIN", "Style", "handed_on", "negative", "product", "sum_of"]
+__all__ = ["ARRAYS", "PLAIN", "Style", "negative", "operand_slopes", "product", "sum_of"]
 
 
 class Style(ABC):
-    """How a choice between two numbers is written."""
+    """How a choice between two values is written: an expression for floats, ``where`` for arrays."""
 
     @abstractmethod
     def choice(self, condition: str, yes: str, no: str) -> str:
-        """``yes`` where the condition holds, else ``no``."""
+        """Returns the source of ``yes`` if the condition holds, else ``no``."""
 
 
 @final
@@ -38,15 +37,15 @@ PLAIN: Style = _Plain()
 ARRAYS: Style = _Arrays()
 
 Rule = Callable[[str, str, Sequence[str], Style], Sequence[str]]
-"""(slope, own, operands, style) -> what each operand gets; "0.0" for none."""
+"""(slope, own, operands, style) -> slope times the derivative by each operand; "0.0" where that is 0."""
 
 _NONE = "0.0"
 _SILENT = (*(f"{{0}} {sign} {{1}}" for sign in ("<", "<=", ">", ">=", "==", "!=")), "sign")
-"""Forms whose result is level wherever it has a slope."""
+"""Forms whose derivative is 0 wherever it exists."""
 
 
 def product(first: str, second: str) -> str:
-    """The text of a product, without the factors that are 1 or -1."""
+    """Returns the source of a product, without factors 1 and -1."""
     for one, other in ((first, second), (second, first)):
         if one == _NONE:
             return _NONE
@@ -58,14 +57,14 @@ def product(first: str, second: str) -> str:
 
 
 def negative(term: str) -> str:
-    """The text of -term, where term is a name, a number or a product of such."""
+    """Returns the source of -term, for a name, a number or a product of these."""
     if term == _NONE:
         return _NONE
     return term[1:] if term.startswith("-") else f"-{term}"
 
 
 def sum_of(terms: Sequence[str]) -> str:
-    """The text of a sum of products; "0.0" of none."""
+    """Returns the source of a sum of products; "0.0" for an empty sum."""
     retained = [term for term in terms if term != _NONE]
     if not retained:
         return _NONE
@@ -75,14 +74,15 @@ def sum_of(terms: Sequence[str]) -> str:
     return text
 
 
-def handed_on(form: str, slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
-    """Of ``slope`` over the result ``own`` of a form what is over each of its operands.
+def operand_slopes(form: str, slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
+    """Returns ``slope`` times the derivative of ``own`` = form(operands) by each operand.
 
     Raises KeyError for a form without a rule.
     """
     if form in _SILENT:
         return [_NONE] * len(operands)
     if form == "{0} ** {1}":
+        # only squares have a rule: another exponent would need a case of its own at the base 0
         if operands[1] not in ("(2)", "(2.0)"):
             raise KeyError(f"{form} with the exponent {operands[1]}")
         return product(slope, f"2.0 * {operands[0]}"), _NONE
@@ -119,7 +119,7 @@ def _where(slope: str, own: str, operands: Sequence[str], style: Style) -> Seque
 
 
 def _hypot(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
-    """Where both are 0 there is no direction: the second one is taken for it."""
+    # at (0, 0) the derivative does not exist: that along the second operand is taken, which is a subgradient
     some = f"{own} > 0.0"
     first, second = (product(slope, f"{operand} / {own}") for operand in operands)
     return style.choice(some, first, _NONE), style.choice(some, second, slope)

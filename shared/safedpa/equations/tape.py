@@ -1,6 +1,6 @@
-"""What equations do, written down: one line for each operation, by running them once with numbers not yet known.
+"""Records equations: they run once with symbolic numbers, and each operation becomes one line of a tape.
 
-Equations that ask for the value of a number while they run, to branch on it, cannot be written down.
+Equations that need the value of a number while they run, to branch on it, cannot be recorded.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any, final
 
 from safedpa.operations import Operations
 
-__all__ = ["FLOAT_FORMS", "FUNCTIONS", "Line", "NotStraightError", "Recorded", "Tape", "name_of"]
+__all__ = ["FLOAT_FORMS", "FUNCTIONS", "Line", "NotRecordableError", "Recorded", "Tape", "name_of"]
 
 Line = tuple[str, str, tuple[str, ...]]
-"""(name, form, operands) of one operation; the form has a place for each operand, or is a function's name."""
+"""(name, form, operands) of one operation; the form is a template such as ``{0} + {1}``, or a function's name."""
 
 FLOAT_FORMS = {
     "absolute": "abs({0})",
@@ -24,28 +24,29 @@ FLOAT_FORMS = {
     "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
     "where": "({1} if {0} else {2})",
 }
-"""What the table of floats does, without a call; the other functions are called under their names."""
+"""Functions of ``FLOATS`` as expressions, which saves a call; the others are called by their names."""
 
 FUNCTIONS = tuple(field.name for field in fields(Operations))
 
 
-class NotStraightError(TypeError):
-    """The equations ask for the value of a number while they are recorded."""
+class NotRecordableError(TypeError):
+    """The equations need the value of a number while they are recorded."""
 
 
 @final
 class Tape:
-    """What was done so far: one line for each operation, the same operation on the same numbers only once."""
+    """The operations so far, one line each; the same operation on the same operands is recorded once."""
 
     def __init__(self) -> None:
         self.lines: list[Line] = []
         self.calls: dict[str, Callable[..., Any]] = {}
-        """Functions that are no arithmetic, such as networks, by the name that they are called under."""
+        """Functions that are no arithmetic, such as networks, by the names under which lines call them."""
         self._known: dict[tuple[str, tuple[str, ...]], Recorded] = {}
 
     def record(self, form: str, *operands: Any) -> Recorded:
-        """The result of one operation."""
+        """Records one operation, and returns its result."""
         names = tuple(name_of(operand) for operand in operands)
+        # common subexpressions: operations have no side effects, so equal operands give an equal result
         if (form, names) not in self._known:
             name = f"n{len(self.lines)}"
             self.lines.append((name, form, names))
@@ -53,14 +54,14 @@ class Tape:
         return self._known[form, names]
 
     def call(self, function: Callable[..., Any], operands: Sequence[Any], count: int) -> list[Recorded]:
-        """The ``count`` results of a function of all ``operands``, called as it is."""
+        """Records a call of ``function(*operands)``, and returns its ``count`` results."""
         name = f"call{len(self.calls)}"
         self.calls[name] = function
         results = self.record(f"{name}({', '.join(f'{{{index}}}' for index in range(len(operands)))})", *operands)
         return [self.record(f"{{0}}[{index}]", results) for index in range(count)]
 
     def keep(self, results: Iterable[str]) -> None:
-        """Forgets the lines that no result needs: where x goes within a period, say, if nothing depends on x."""
+        """Removes the lines on which no result depends, such as a position in the stages of an integrator."""
         needed, retained = set(results), []
         for line in reversed(self.lines):
             if line[0] in needed:
@@ -69,26 +70,26 @@ class Tape:
         self.lines = retained[::-1]
 
     def operations(self) -> Operations:
-        """A table whose functions write themselves down."""
+        """Returns operations that record themselves."""
         table = {name: lambda *operands, name=name: self.record(name, *operands) for name in FUNCTIONS}
         return Operations(**table)
 
 
 @final
 class Recorded:
-    """A number that is not known yet, by the name of the variable that will hold it."""
+    """A symbolic number: the name of the variable that will hold it."""
 
     def __init__(self, tape: Tape, name: str) -> None:
         self.tape, self.name = tape, name
 
     def __bool__(self) -> bool:
-        raise NotStraightError("the equations branch on a number")
+        raise NotRecordableError("the equations branch on a number")
 
     def __float__(self) -> float:
-        raise NotStraightError("the equations turn a number into a float")
+        raise NotRecordableError("the equations turn a number into a float")
 
     __int__ = __index__ = __float__
-    __hash__ = None  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]  # equality records a comparison, so it cannot be a key
 
     def __neg__(self) -> Recorded:
         return self.tape.record("-{0}", self)
@@ -101,7 +102,7 @@ class Recorded:
 
 
 def _binary(form: str, *, swapped: bool = False, neutral: float | None = None) -> Callable[[Recorded, Any], Recorded]:
-    """With ``neutral`` next to it a number is that number again to the last bit, and nothing is written down."""
+    """Returns an operator method; with the operand ``neutral`` it returns the number itself and records nothing."""
 
     def operation(self: Recorded, other: Any) -> Recorded:
         if neutral is not None and isinstance(other, float) and other == neutral:
@@ -112,7 +113,7 @@ def _binary(form: str, *, swapped: bool = False, neutral: float | None = None) -
     return operation
 
 
-# Of sums none is neutral: 0 makes 0 of -0.
+# sums have no neutral operand: -0.0 + 0.0 is 0.0
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "**"}.items():
     _form, _one = f"{{0}} {_sign} {{1}}", 1.0 if _sign in "*/" else None
     setattr(Recorded, f"__{_name}__", _binary(_form, neutral=_one))
@@ -122,9 +123,10 @@ for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "
 
 
 def name_of(operand: Any) -> str:
-    """The variable's name, or the constant exactly as it is."""
+    """Returns the variable's name, or a constant as source that gives back its exact value."""
     if isinstance(operand, Recorded):
         return operand.name
+    # a bool is an int in Python, but the result of a comparison that was made instead of recorded
     if isinstance(operand, bool) or not isinstance(operand, (float, int)):
-        raise NotStraightError(f"got a {type(operand).__name__} among numbers")
+        raise NotRecordableError(f"got a {type(operand).__name__} among numbers")
     return f"({operand!r})" if isinstance(operand, int) else f"({float(operand)!r})"

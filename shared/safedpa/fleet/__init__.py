@@ -1,4 +1,10 @@
-"""A fleet's diagnosis: which effect is missing in which robots, and what all of them have in common."""
+"""Diagnosis of a fleet from recordings: which robots lack which effect, and what they have in common.
+
+``robots`` assigns recordings to robots, ``one_robot`` diagnoses each of them in ``workers``. ``similar_robots`` groups
+robots with the same effects, ``discovery`` controls the false discovery rate, ``pooled_evidence`` and ``common`` find
+effects of the whole fleet. ``document``, ``page`` and ``summary`` present the result. Read ``fleet_diagnosis.py``
+first.
+"""
 
 from safedpa.fleet.fleet_diagnosis import Fleet, Workers, diagnose_fleet
 from safedpa.fleet.inputs import Options

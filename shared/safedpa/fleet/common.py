@@ -1,4 +1,4 @@
-"""Effects that all robots of a fleet have: they belong to the model, and the corrected model is tried on every robot."""
+"""Effects common to all robots of a fleet, which belong into the model, and the test of the corrected model."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import SafedpaError
-from safedpa.fleet.alike import APART, connected_components, differ_significantly
 from safedpa.fleet.discovery import upper_tail
 from safedpa.fleet.inputs import Options
 from safedpa.fleet.one_robot import read_runs
 from safedpa.fleet.outcome import EffectEvidence, RobotOutcome, neutral_of
 from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, pooled_numbers
 from safedpa.fleet.robots import RobotLogs
+from safedpa.fleet.similar_robots import APART, connected_components, differ_significantly
 
 __all__ = [
     "Confirmation",
@@ -33,38 +33,39 @@ __all__ = [
     "together_effects",
 ]
 
+# Minimum number of robots for statements about the whole fleet.
 _FEWEST = 5
-"""Robots from which a fleet says anything of all its robots."""
+# Share of the robots in which an effect must be found to be common.
 _NEARLY_ALL = 0.8
-"""Share of the robots in which an effect has to be found to be common."""
+# Pooled evidence in standard errors from which an effect found in few robots is common. For 30 candidate effects the
+# probability of a false one is 1 in 1000.
 _TOGETHER = 4.0
-"""Standard errors over all robots from which an effect that was found in few of them is common: 1 in 1000 for 30."""
+# Maximum number of effects with pooled evidence that are tried on the robots.
 _ALTERNATIVES = 5
-"""Effects that show in all together and are tried on the robots at most."""
-_FALLS = 0.01
-"""Chance, by a coin for each robot, below which so many falls of the error confirm the corrected model."""
+# Significance level of the sign test that confirms the corrected model.
+_SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
 class FleetEffect:
-    """One effect of the whole fleet."""
+    """An effect of the whole fleet."""
 
     effect: str
     numbers: Mapping[str, Pooled]
     notice: Mapping[str, EffectEvidence]
-    """What each robot says, by name."""
+    """Evidence of each robot, by name."""
     found_in: int
     of: int
     together: float | None
-    """Standard errors over all robots, where only all together show it; None where it was found by itself."""
+    """Pooled evidence in standard errors, if only the pooled robots show the effect; None if it was found in robots."""
     rivals: tuple[str, ...]
     differs: bool
-    """Whether its number differs from robot to robot, so that the model holds it as a free one."""
+    """Whether its value differs between robots, so that it is a free parameter of the model."""
 
 
 @dataclass(frozen=True)
 class CorrectionTask:
-    """One robot on which the corrected model is tried, with the numbers of the other robots: settings by effect."""
+    """A test of the corrected model on one robot, with the values of the other robots as settings by effect."""
 
     robot: RobotLogs
     options: Options
@@ -73,7 +74,7 @@ class CorrectionTask:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Held-out errors with numbers that the robot itself had no part in."""
+    """Result of the test of a corrected model, by held-out errors with values from the other robots."""
 
     robots: int
     better: int
@@ -85,12 +86,12 @@ class Confirmation:
 
     @property
     def holds(self) -> bool:
-        """Whether so many robots are predicted better that a coin would not do that."""
-        return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.fall > 0
+        """Whether significantly more robots are predicted better than worse (sign test)."""
+        return self.robots > 0 and _coin(self.better, self.robots) < _SIGNIFICANCE and self.fall > 0
 
 
 def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[FleetEffect]:
-    """Effects that were found in nearly all robots that were judged, the most frequent first."""
+    """Returns effects found in nearly all judged robots, the most frequent first."""
     judged = [item for item in outcomes if item.judged]
     if len(judged) < _FEWEST:
         return []
@@ -100,9 +101,9 @@ def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[FleetEf
 
 
 def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[PooledEvidence]) -> list[FleetEffect]:
-    """Effects that show in all robots together only, the strongest first: one of them at most acts, as a rule.
+    """Returns effects with evidence only over all robots together, the strongest first.
 
-    They resemble each other, so trying them on the robots decides, not their order.
+    Usually at most one of them is present. They resemble each other, so a test on the robots decides, not their order.
     """
     judged = [item for item in outcomes if item.judged]
     if len(judged) < _FEWEST:
@@ -125,7 +126,8 @@ def _many(count: int, judged: Sequence[RobotOutcome]) -> bool:
 
 
 def _shows(item: PooledEvidence, judged: Sequence[RobotOutcome]) -> bool:
-    """Most of the robots have to gain by it: a few in which it is strong are a group of their own."""
+    """Whether the pooled evidence of an effect is sufficient, and most robots contribute to it."""
+    # A few robots with strong evidence are a group of their own and not the fleet.
     return item.score > _TOGETHER and item.robots >= _NEARLY_ALL * len(judged) and item.favourable > 0.6 * item.robots
 
 
@@ -150,7 +152,7 @@ def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
 
 
 def corrected_settings(robot: str, common: Sequence[FleetEffect], without: str = "") -> dict[str, dict[str, Setting]]:
-    """The fleet's numbers by effect, those of the robot ``without`` left out; free where they differ."""
+    """Returns the fleet's values by effect, without those of the robot ``without``; free if they differ."""
     found = {}
     for item in common:
         notice = [tried for name, tried in item.notice.items() if name != without]
@@ -167,7 +169,7 @@ def _setting(parameter: Parameter, value: float, free: bool) -> Setting:
 
 
 def corrected_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Setting]]) -> PhysicsModel:
-    """The given model with more effects."""
+    """Returns the model with additional effects."""
     model = given
     for name, own in settings.items():
         model = model.with_effect(effect(given.system.name, name), dict(own))
@@ -175,7 +177,7 @@ def corrected_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Set
 
 
 def corrected_error(task: CorrectionTask) -> tuple[str, float]:
-    """The robot's name and its held-out error with the corrected model; NaN where its data cannot be read any more."""
+    """Returns the robot's name and its held-out error with the corrected model; NaN if its data cannot be read."""
     from safedpa.diagnosis.fit.cross_validation import error_with
     from safedpa.diagnosis.fit.data_checks import prepare_runs
     from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
@@ -195,7 +197,7 @@ def corrected_error(task: CorrectionTask) -> tuple[str, float]:
 
 
 def confirm_correction(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
-    """How many robots the corrected model predicts better, from the errors by robot."""
+    """Compares the errors by robot with and without the correction."""
     both = [(before[name], after[name]) for name in before if name in after]
     known = [pair for pair in both if all(math.isfinite(error) and error > 0 for error in pair)]
     if not known:
@@ -206,7 +208,7 @@ def confirm_correction(before: Mapping[str, float], after: Mapping[str, float]) 
 
 
 def _coin(hits: int, trials: int) -> float:
-    """P(at least ``hits`` heads of ``trials``), exactly up to 50 coins, by the normal distribution beyond."""
+    """Returns P(at least ``hits`` heads in ``trials``), exact up to 50 trials, else by the normal approximation."""
     if trials <= 50:
         return float(sum(math.comb(trials, k) for k in range(hits, trials + 1)) / 2**trials)
     return upper_tail((hits - 0.5 - 0.5 * trials) / math.sqrt(0.25 * trials))

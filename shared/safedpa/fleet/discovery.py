@@ -1,11 +1,12 @@
-"""Many robots are many chances of a false alarm: which findings stand up to the size of the fleet.
+"""Control of the false discovery rate over the robots of a fleet.
 
-p_i = min(1, m_i Q(z_i)): Q the upper tail of the normal distribution, z_i the standard errors of gain on unseen blocks,
-m_i the candidates among which the best was chosen (Bonferroni). Of n robots the k with the smallest p are believed, k
-the largest with p_(k) <= q k / n: at most a share q of the believed ones is expected to be false.
+p_i = min(1, m_i Q(z_i)) with Q the upper tail of the normal distribution, z_i the gain on unseen blocks in standard
+errors, and m_i the number of candidates among which the best was chosen (Bonferroni). Of n robots, the k findings with
+the smallest p are accepted, with the largest k for which p_(k) <= q k / n. The expected share of false findings among
+them is then at most q.
 
-Source: Benjamini and Hochberg, Journal of the Royal Statistical Society B 57, 1995. Gains on unseen blocks are negative
-in the mean where nothing is there, so p is too large rather than too small.
+Source: Benjamini and Hochberg, Journal of the Royal Statistical Society B 57, 1995. Without an effect, gains on unseen
+blocks are negative on average, so that p is conservative.
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ from safedpa.arrays import FloatArray
 __all__ = ["FALSE_SHARE", "believed", "chance", "upper_tail"]
 
 FALSE_SHARE = 0.05
-"""Expected share of false findings among those that are believed."""
+"""Maximum expected share of false findings among the accepted ones."""
 
 
 def upper_tail(deviate: float) -> float:
-    """Q(z) = erfc(z / sqrt 2) / 2."""
+    """Returns Q(z) = erfc(z / sqrt 2) / 2."""
     return 0.5 * math.erfc(deviate / math.sqrt(2.0))
 
 
 def chance(evidence: float, trials: int) -> float:
-    """p of the best of ``trials`` candidates, at most 1; 1 where there is no evidence."""
+    """Returns the p-value of the best of ``trials`` candidates, at most 1; 1 without evidence."""
     return min(1.0, trials * upper_tail(evidence)) if not math.isnan(evidence) else 1.0
 
 
 def believed(chances: Sequence[float], share: float = FALSE_SHARE) -> tuple[list[bool], float]:
-    """Which of n findings stand, and the largest p that does (0 where none does)."""
+    """Returns which of n findings are accepted, and the largest accepted p-value (0 without any)."""
     p: FloatArray = np.asarray(chances, dtype=np.float64)
     if not len(p):
         return [], 0.0

@@ -1,4 +1,4 @@
-"""A fleet's diagnosis as plain data: the contents of fleet.json."""
+"""Analysis of a fleet's diagnosis, and the contents of fleet.json."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.fleet.alike import SimilarRobots, same_effects, with_one_name
 from safedpa.fleet.common import Confirmation, FleetEffect, common_effects, together_effects
 from safedpa.fleet.discovery import FALSE_SHARE, believed, chance
 from safedpa.fleet.outcome import RobotOutcome
 from safedpa.fleet.pooled_evidence import PooledEvidence, evidence_over, pooled_number, pooled_numbers
+from safedpa.fleet.similar_robots import SimilarRobots, same_effects, with_one_name
 
 __all__ = ["Analysis", "Group", "analyse_fleet", "fleet_document"]
 
+# Robust standard deviations of log(error) from which a robot is an outlier, and the minimum ratio to the fleet's error.
 _ODD = 5.0
-"""Robust standard deviations of log(error) from which a robot does not fit."""
 _ODD_RATIO = 1.5
-"""And how many times the fleet's error it has to have."""
+# Number of effects whose pooled evidence is reported.
 _POOLED = 8
-"""Effects whose pooled evidence is told."""
 
 ORDER = ("missing", "unexplained", "suspected", "nothing", "no_verdict", "unreadable", "failed")
-"""Kinds of groups, as they are told."""
+"""Kinds of groups in the order of the report."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Robots about which the same is said."""
+    """Robots with the same result."""
 
     kind: str
     effects: tuple[str, ...]
@@ -41,7 +40,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Everything that was compared."""
+    """The complete comparison of a fleet."""
 
     robot: str
     """Kind of robot."""
@@ -51,19 +50,19 @@ class Analysis:
     limit: float
     common: tuple[FleetEffect, ...]
     together: tuple[FleetEffect, ...]
-    """Effects of which one may be common to all: only all robots together show it."""
+    """Effects with evidence only over all robots together; one of them may be common to all."""
     evidence: tuple[PooledEvidence, ...]
     odd: tuple[tuple[str, float], ...]
-    """Robots that even the model with what was found predicts much worse than the others, and how many times."""
+    """Outliers: robots with a much larger error than the others, even with the effects found, and the ratio."""
 
 
 def analyse_fleet(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
-    """Groups, false discoveries, pooled evidence and odd ones among the robots of one fleet."""
+    """Computes groups, false discoveries, pooled evidence and outliers of a fleet."""
     named = with_one_name(sorted(outcomes, key=lambda item: item.name))
     judged = [item for item in named if item.judged]
     chances = {i.name: chance(i.evidence, i.trials) if i.found else 1.0 for i in judged}
-    stationary_for, limit = believed([chances[item.name] for item in judged])
-    sure = {item.name for item, well in zip(judged, stationary_for, strict=True) if well}
+    significant, limit = believed([chances[item.name] for item in judged])
+    sure = {item.name for item, well in zip(judged, significant, strict=True) if well}
     evidence = evidence_over(judged)
     groups = _groups(named, sure, robot)
     common = common_effects(judged, robot)
@@ -100,7 +99,7 @@ def _group(kind: str, part: SimilarRobots) -> Group:
 
 
 def _by_text(kind: str, outcomes: Sequence[RobotOutcome]) -> list[Group]:
-    """One group for each set of variables on which what remains depends."""
+    """Returns one group for each set of variables on which the unexplained error depends."""
     sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
         sets.setdefault(tuple(sorted(outcome.depends_on)), []).append(outcome)
@@ -121,9 +120,10 @@ def _odd(judged: Sequence[RobotOutcome]) -> tuple[tuple[str, float], ...]:
 def fleet_document(
     analysis: Analysis, corrected: Sequence[tuple[FleetEffect, Confirmation]], **about: Any
 ) -> dict[str, Any]:
-    """The document of ``fleet.json``; ``corrected``: what all have in common, and whether it held on the robots.
+    """Returns the contents of ``fleet.json``.
 
-    ``about``: model, horizon, by, left_out and what it cost.
+    ``corrected`` has the common effects with the result of their test; ``about`` has the model, horizon, by, left_out
+    and the number of robots diagnosed.
     """
     place = {member.name: number for number, group in enumerate(analysis.groups) for member in group.members}
     return {
@@ -195,7 +195,7 @@ def _discovery_document(analysis: Analysis) -> dict[str, Any]:
 
 
 def _free_document(outcomes: Sequence[RobotOutcome]) -> dict[str, Any]:
-    """Free parameters of the given model over the robots."""
+    """Returns the pooled free parameters of the given model."""
     numbers: dict[str, list[Any]] = {}
     for outcome in outcomes:
         for path, number in (outcome.free or {}).items():

@@ -1,4 +1,4 @@
-"""A fleet's diagnosis from recordings to fleet.json: what is not done yet is done, then the robots are compared."""
+"""The diagnosis of a fleet from recordings to fleet.json: diagnose each robot, then compare the robots."""
 
 from __future__ import annotations
 
@@ -50,28 +50,28 @@ __all__ = [
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 Corrected = list[tuple[FleetEffect, Confirmation]]
-"""What was tried, and whether it held next to what held before it."""
+"""The tested effects with their results, each tested together with those confirmed before it."""
 
+# Robots on which a corrected model is tested, evenly spread. More would not change the result of the sign test.
 _MOST_TRIED = 40
-"""Robots on which a corrected model is tried, evenly spread: more would not change what a coin says."""
 
 
 class Workers(Protocol):
-    """Who does the work: answers in the order in which they are done, ``failed(job, reason)`` for what went wrong."""
+    """Runs jobs; yields the answers in order of completion, and ``failed(job, reason)`` for a failed job."""
 
     def __call__(
         self, work: Callable[[Job], Answer], jobs: Sequence[Job], failed: Callable[[Job, str], Answer]
     ) -> Iterator[Answer]:
-        """Runs ``work`` on every job somewhere."""
+        """Runs ``work`` on every job."""
 
 
 def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Corrected:
-    """Tries what the fleet has in common on robots, each with the others' numbers; writes the model with what holds.
+    """Tests the common effects on the robots, each with the values of the others; writes the confirmed model.
 
-    First what nearly all were found to have, one after the other; then, next to it, the best of what shows in all
-    together only. Nothing is left at ``path`` where nothing holds.
+    Tests the effects found in nearly all robots one after the other, then the best of those with pooled evidence only.
+    Writes no file at ``path`` if none is confirmed.
     """
-    path.unlink(missing_ok=True)  # of an earlier fleet
+    path.unlink(missing_ok=True)  # the model of an earlier run
     if not tasks:
         return []
     reported: Corrected = []
@@ -94,7 +94,7 @@ def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Work
 def _errors(
     common: Sequence[FleetEffect], analysis: Analysis, tasks: Sequence[Task], workers: Workers
 ) -> Mapping[str, float]:
-    """Held-out errors by robot, each with the other robots' numbers."""
+    """Returns held-out errors by robot, each with the values of the other robots."""
     known = {item.name for item in analysis.outcomes if item.judged}
     judged = [task for task in tasks if task.robot.name in known]
     picked = np.unique(np.linspace(0, len(judged) - 1, min(len(judged), _MOST_TRIED)).astype(int))
@@ -118,11 +118,12 @@ def _save(model: PhysicsModel, path: Path) -> None:
 
 
 ROBOTS = "robots"
-"""Folder of the robots' folders."""
+"""Folder that contains a folder per robot."""
 
 
 def write_result(result: RobotResult, out: Path) -> None:
-    """Writes ``out/robots/NAME``: a hidden folder first, then renamed. Raises RecordingError when it cannot be."""
+    """Writes the folder ``out/robots/NAME`` atomically. Raises RecordingError if that fails."""
+    # A hidden folder first, which is then renamed: a killed run leaves no half-written result behind.
     folder = out / ROBOTS / result.name
     part = folder.with_name(f".{result.name}.{uuid4().hex[:8]}.part")
     old = part.with_suffix(".old")
@@ -143,18 +144,16 @@ def write_result(result: RobotResult, out: Path) -> None:
 
 
 def has_current_result(task: Task, out: Path) -> bool:
-    """Whether the robot's result is there and belongs to the same model, options and recordings.
-
-    What failed by the program's own fault is done again.
-    """
+    """Whether the robot's result exists and belongs to the same model, options and recordings."""
     found = read_result(out / ROBOTS / task.robot.name)
+    # "failed" means a defect of the program, which may be fixed now.
     if found is None or found["digest"] != task.digest or found["status"] == "failed":
         return False
     return same_files(found["files"], task.robot.files)
 
 
 def read_result(folder: Path) -> dict[str, Any] | None:
-    """A robot's ``result.json``; None where there is none of this format."""
+    """Reads a robot's ``result.json``; None if there is none of this format."""
     try:
         found = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -163,7 +162,7 @@ def read_result(folder: Path) -> dict[str, Any] | None:
 
 
 def iterate_results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any] | None]]:
-    """(result.json, report.json or None) of every robot, one at a time."""
+    """Yields (result.json, report.json or None) of every robot."""
     for task in tasks:
         folder = out / ROBOTS / task.robot.name
         found = read_result(folder)
@@ -174,7 +173,7 @@ def iterate_results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str
 
 
 def clear_others(tasks: Sequence[Task], out: Path) -> None:
-    """Takes away folders of robots that the fleet does not have any more, and what a killed run left half written."""
+    """Removes the folders of robots that are no longer in the fleet, and those left behind by a killed run."""
     names = {task.robot.name for task in tasks}
     folder = out / ROBOTS
     for path in folder.iterdir() if folder.is_dir() else ():
@@ -185,7 +184,7 @@ def clear_others(tasks: Sequence[Task], out: Path) -> None:
 
 
 def write_scripts(out: Path) -> None:
-    """Writes plotly.js once for the robots' pages."""
+    """Writes plotly.js, which the pages of all robots share."""
     text = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
     with atomic_path(out / "plotly.min.js") as temporary:
         temporary.write_bytes(text)
@@ -196,7 +195,7 @@ ReportProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Fleet:
-    """What was asked: robots, model and options, and the folder for everything that is written."""
+    """Inputs of a fleet's diagnosis: robots, model and options, and the output folder."""
 
     found: DiscoveredRobots
     options: Options
@@ -206,12 +205,11 @@ class Fleet:
 def diagnose_fleet(
     fleet: Fleet, workers: Workers, report_progress: ReportProgress = lambda _done, _all: None, *, again: bool = False
 ) -> Any:
-    """Diagnoses every robot whose result is not there yet, or is of other inputs; returns the document of fleet.json.
+    """Diagnoses all robots without a current result; returns the contents of fleet.json.
 
-    Writes ``robots/NAME/`` (result.json, report.json, report.html, model.toml) as each robot is done, then
-    ``fleet.json``, ``fleet.html`` and, where the fleet has an effect in common, ``model.toml``. ``again``: all of it.
-    Raises InputError and ModelFileError for a model or options that no robot could be diagnosed with, RecordingError
-    when the folder cannot be written.
+    Writes ``robots/NAME/`` (result.json, report.json, report.html, model.toml) after each robot, then ``fleet.json``,
+    ``fleet.html`` and, if an effect is common to the fleet, ``model.toml``. ``again`` repeats all robots. Raises
+    InputError and ModelFileError for an unusable model or options, RecordingError if the folder cannot be written.
     """
     options, out = fleet.options, fleet.out
     given = load_model(options.model)
@@ -237,10 +235,10 @@ def diagnose_fleet(
 
 
 def _refuse_given(model: Path, out: Path) -> None:
-    """The corrected model must not take the place of the given one."""
+    """Raises InputError if the corrected model would overwrite the given one."""
     if model.resolve() == (out / "model.toml").resolve():
         raise InputError(
-            f"--out {out}: got the given model's own folder; choose another one, model.toml is written there"
+            f"--out {out}: contains the given model; choose another folder, because model.toml is written there"
         )
 
 
@@ -256,7 +254,7 @@ def _about(fleet: Fleet, diagnosed: int) -> dict[str, Any]:
 
 
 def _own_recordings(fleet: Fleet) -> list[RobotLogs]:
-    """The robots with files of their own: recordings of several robots are split into ``recordings`` first."""
+    """Returns the robots with separate files; splits recordings of several robots first."""
     if fleet.found.by != "robot":
         return list(fleet.found.robots)
     pieces: dict[Path, dict[str, Path]] = {}
@@ -270,7 +268,7 @@ def _own_recordings(fleet: Fleet) -> list[RobotLogs]:
 
 
 def _split(path: Path, out: Path) -> dict[str, Path]:
-    """Pieces by robot, in a folder that is named by the recording's contents and is there whole or not at all."""
+    """Splits a recording by robot into a folder named by a hash of the recording; reuses an existing one."""
     folder = out / "recordings" / f"{path.stem}-{file_stamp(path)['sha256'][:12]}"
     if not folder.is_dir():
         part = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.part")

@@ -1,6 +1,6 @@
-"""Whether a robot's diagnosis is still that of its inputs: a digest of model, options and recordings.
+"""Digest of model, options and recordings, by which the result of a robot is recognised as current.
 
-A recording whose size and time of change are as before is taken for the same; else its contents decide.
+A recording with unchanged size and modification time counts as unchanged; otherwise its contents are compared.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class Options:
-    """What every robot of a fleet is diagnosed with: model, column map and own effects by path or name."""
+    """Options of the diagnosis of every robot: model, column map and user effects by path or name."""
 
     model: str
     columns: str | None = None
     horizon: float = 1.0
     effects: str | None = None
     scripts: str = "../../plotly.min.js"
-    """Where a robot's page finds plotly.js, which the whole fleet shares."""
+    """Relative path from a robot's page to plotly.js, which the whole fleet shares."""
 
 
 def options_digest(options: Options) -> str:
-    """Hex digest of everything but the recordings: the version too, another one may judge otherwise."""
+    """Returns a hex digest of all inputs but the recordings, including the version of the program."""
     digest = hashlib.sha256(f"{version('safedpa')} {options.horizon!r}".encode())
     for source in (options.model, options.columns, options.effects):
         files = _files_of(source)
@@ -41,7 +41,7 @@ def options_digest(options: Options) -> str:
 
 
 def _files_of(source: str | None) -> list[Path]:
-    """The file that a name stands for, and weights next to a model; none where it is the name of what ships."""
+    """Returns the named file and, for a model, the weights next to it; empty for the name of a shipped file."""
     path = Path(source) if source else None
     if path is None or not path.is_file():
         return []
@@ -50,7 +50,7 @@ def _files_of(source: str | None) -> list[Path]:
 
 
 def file_stamp(path: Path) -> dict[str, Any]:
-    """Path, size, time of change and SHA-256 of a file. Raises OSError when it cannot be read."""
+    """Returns path, size, modification time and SHA-256 of a file. Raises OSError if it cannot be read."""
     status = path.stat()
     with path.open("rb") as file:
         digest = hashlib.sha256()
@@ -65,7 +65,7 @@ def file_stamp(path: Path) -> dict[str, Any]:
 
 
 def same_files(stamps: Iterable[Mapping[str, Any]], paths: Iterable[Path]) -> bool:
-    """Whether files are still those that were stamped, wherever they lie now."""
+    """Whether the files are the stamped ones, possibly in another folder."""
     before, now = list(stamps), list(paths)
     if [Path(item["path"]).name for item in before] != [path.name for path in now]:
         return False

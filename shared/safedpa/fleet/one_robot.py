@@ -1,6 +1,6 @@
-"""One robot of a fleet: its recordings read, diagnosed, and put into words, in a process of its own.
+"""The diagnosis of one robot of a fleet, which runs in a worker process.
 
-What comes back is small, a few texts, whatever the length of the recordings.
+The result consists of a few texts and is small, whatever the length of the recordings.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ __all__ = ["FORMAT", "RobotResult", "Status", "Task", "diagnose_robot", "failed_
 
 FORMAT = 1
 Status = Literal["diagnosed", "no_verdict", "unreadable", "failed"]
-"""``no_verdict``: the data allow none (too short, say). ``failed``: the program did, which is a fault to report."""
+"""``no_verdict``: the data do not allow one, for example because they are too short. ``failed``: a defect of the
+program."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One robot to diagnose."""
+    """A robot to diagnose."""
 
     robot: RobotLogs
     options: Options
@@ -40,7 +41,7 @@ class Task:
 
 @dataclass(frozen=True)
 class RobotResult:
-    """What stands in ``result.json``, and the texts of the other files by name."""
+    """The contents of ``result.json``, and the texts of the other files by name."""
 
     name: str
     document: dict[str, Any]
@@ -48,7 +49,7 @@ class RobotResult:
 
 
 def diagnose_robot(task: Task) -> RobotResult:
-    """Reads and diagnoses one robot. Never raises for what is wrong with its data: that is its result."""
+    """Reads and diagnoses one robot. Problems with its data do not raise; they are reported in the result."""
     begin, processor = time.perf_counter(), time.process_time()
     try:
         status, reason, report, texts, unread = _diagnosed(task)
@@ -63,7 +64,7 @@ def diagnose_robot(task: Task) -> RobotResult:
 
 
 def failed_result(task: Task, reason: str) -> RobotResult:
-    """The result of a robot whose process died or raised what no one expected."""
+    """Returns the result of a robot whose process died or raised an unexpected exception."""
     return RobotResult(task.robot.name, _document(task, "failed", reason, []))
 
 
@@ -80,7 +81,8 @@ def _document(task: Task, status: Status, reason: str, unread: list[dict[str, st
 
 
 def _stamps(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """Stamps of the files, none where one cannot be read: then the robot is done again the next time."""
+    """Returns the stamps of the files; empty if one cannot be read."""
+    # Without stamps the result never counts as current, so the robot is diagnosed again next time.
     try:
         return [file_stamp(path) for path in paths]
     except OSError:
@@ -111,20 +113,20 @@ def _diagnosed(
 
 
 def _why_none(report: Report) -> str:
-    """Why there is no verdict."""
+    """Returns why there is no verdict."""
     if report.unexplained is not None:
         return report.unexplained.expression
     if report.verdict != "undecided":
-        return "the model predicts badly whatever is added"
+        return "the model predicts badly with any added effect"
     if report.closest:
-        return f"not enough data to tell; closest: {report.closest[0].effect}"
+        return f"not enough data; closest: {report.closest[0].effect}"
     return "the data are too uniform to tell"
 
 
 def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[list[Run], list[dict[str, str]]]:
-    """The robot's runs that can be read, named apart, and the files that cannot, with the reason.
+    """Returns the robot's readable runs with distinct names, and the unreadable files with the reason.
 
-    Raises InputError and ColumnMapError for what is wrong with the options, not with a file.
+    Raises InputError and ColumnMapError for problems with the options.
     """
     from safedpa.comparison.comparison import with_distinct_names
     from safedpa.errors import RunError
@@ -142,14 +144,14 @@ def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[
 
 
 def _model_text(model: PhysicsModel) -> dict[str, str]:
-    """The diagnosed model as a file; a learned one lies in one folder with its weights, so it has none here."""
+    """Returns the text of the diagnosed model; none for a learned one, which needs its weights next to it."""
     from safedpa.dynamics import LearnedBase, write_model
 
     return {} if isinstance(model.base, LearnedBase) else {"model.toml": write_model(model)}
 
 
 def _page(document: Mapping[str, Any], runs: Sequence[Run], report: Report, task: Task) -> str:
-    """The robot's report with the fleet's one plotly.js in place of its own four megabytes."""
+    """Returns the robot's report page, with the fleet's shared plotly.js instead of 4 MB of its own."""
     from importlib.resources import files
 
     from safedpa.report.diagnosis_page import report_page
@@ -158,6 +160,6 @@ def _page(document: Mapping[str, Any], runs: Sequence[Run], report: Report, task
     own = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
     policy = "script-src 'unsafe-inline'"
     if own not in text or policy not in text:
-        raise InputError("report page: got another template; wanted plotly.js in a script of its own")
+        raise InputError("report page: unexpected template, wanted plotly.js in a separate script element")
     shared = f'<script src="{task.options.scripts}"></script>'
     return text.replace(f"<script>{own}</script>", shared).replace(policy, f"{policy} 'self' file:")

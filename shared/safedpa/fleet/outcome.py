@@ -1,4 +1,4 @@
-"""What a robot's report says, as far as a fleet compares it."""
+"""The part of a robot's report that the fleet comparison uses."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from safedpa.errors import InputError
 
 __all__ = ["EffectEvidence", "Number", "RobotOutcome", "neutral_of", "outcome_of"]
 
+# Weight of evidence from the Kalman filter: a value has to be 9 standard deviations from neutral, where unseen blocks
+# have to gain 3 standard errors.
 _BY_FILTER = 3.0
-"""The filter's standard deviations count a third: it has to put a number 9 away from doing nothing where unseen blocks
-have to gain 3 standard errors."""
+# Standard errors above which the unseen blocks were decisive.
 _BLOCKS = 3.0
-"""Standard errors above which unseen blocks decided."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted number with one standard deviation, NaN where it could not be told."""
+    """A fitted value with its standard deviation, NaN if unknown."""
 
     value: float
     std: float
@@ -30,31 +30,31 @@ class Number:
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """One effect in one robot: its numbers by name, and what unseen blocks say of it in standard errors."""
+    """An effect in one robot: its parameter values, and the gain on unseen blocks in standard errors."""
 
     effect: str
     numbers: Mapping[str, Number]
     score: float
     equals: tuple[str, ...] = ()
-    """Effects that this robot's data cannot tell from it."""
+    """Effects that this robot's data cannot distinguish from it."""
     others: Mapping[str, EffectEvidence] | None = None
-    """The same stage's candidates among ``equals``, by name."""
+    """The candidates of the same stage among ``equals``, by name."""
 
 
 @dataclass(frozen=True)
 class RobotOutcome:
-    """One robot's diagnosis."""
+    """The diagnosis of one robot."""
 
     name: str
     status: str
     reason: str
     found: tuple[EffectEvidence, ...] = ()
     evidence: float = -math.inf
-    """Of the weakest found effect, of the best candidate where none was found: standard errors on unseen blocks."""
+    """Gain on unseen blocks in standard errors, of the weakest found effect or, without one, the best candidate."""
     trials: int = 1
-    """Candidates among which the best was chosen."""
+    """Number of candidates among which the best was chosen."""
     last: Mapping[str, EffectEvidence] | None = None
-    """Every single effect in the last stage, next to all that was found."""
+    """All single effects of the last stage, in addition to those found."""
     free: Mapping[str, Number] | None = None
     """Refitted parameters of the given model, by path."""
     error_before: float = math.nan
@@ -65,9 +65,9 @@ class RobotOutcome:
     processor_seconds: float = 0.0
     memory_mebibytes: float = 0.0
     unread: int = 0
-    """Files that could not be read next to those that could."""
+    """Number of unreadable files."""
     findings: int = 0
-    """Messages about the data's quality."""
+    """Number of messages about the data's quality."""
 
     @property
     def judged(self) -> bool:
@@ -76,13 +76,14 @@ class RobotOutcome:
 
 
 def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> RobotOutcome:
-    """The outcome of ``result.json`` and ``report.json``, which is None where there was nothing to diagnose."""
+    """Returns the outcome from ``result.json`` and ``report.json`` (None without a diagnosis)."""
     costs = {name: float(result.get(name, 0.0)) for name in _COSTS}
     common = {"name": result["robot"], "status": result["status"], "reason": result["reason"], **costs}
     common["unread"] = len(result["unreadable_files"])
     if report is None:
         return RobotOutcome(**common)
-    # where and when are a robot's own: a number that holds in one place is not pooled with one that holds everywhere
+    # Conditions (where, when) are specific to a robot. A value that is valid in one region is not pooled with one that
+    # is valid everywhere.
     laws = {item["effect"]: item for item in report.get("conditions") or ()}
     every = set(report["added"])
     added = tuple(name for name in report["added"] if name not in laws)
@@ -110,7 +111,7 @@ _COSTS = ("measured_seconds", "processor_seconds", "memory_mebibytes")
 
 
 def neutral_of(robot: str, effect: str, parameter: str) -> float | None:
-    """The value at which a parameter does nothing; None where it has none, or the effect is no longer known."""
+    """Returns the value at which a parameter has no effect; None if it has none or the effect is unknown."""
     try:
         known = effects_of(robot).get(effect)
     except InputError:
@@ -120,13 +121,13 @@ def neutral_of(robot: str, effect: str, parameter: str) -> float | None:
 
 
 def _found(name: str, report: Mapping[str, Any]) -> EffectEvidence:
-    """An accepted effect with its final numbers; the candidate is the one that was accepted last."""
+    """Returns an accepted effect with its final values; the candidate is the one accepted last."""
     own = [c for c in report["candidates"] if name in c["effect"].split(" + ") and c["decision"] == "accepted"]
     item = own[-1] if own else None
     numbers = {
         path.split(".")[1]: _number(value) for path, value in report["parameters"].items() if path.split(".")[0] == name
     }
-    if item is None:  # it took the place of one that was accepted
+    if item is None:  # it replaced an accepted effect and was no candidate itself
         return EffectEvidence(name, numbers, math.inf)
     equals = tuple(other for other in item["indistinguishable_from"] if " + " not in other)
     same = [c for c in report["candidates"] if c["stage"] == item["stage"] and c["effect"] in equals]
@@ -134,7 +135,7 @@ def _found(name: str, report: Mapping[str, Any]) -> EffectEvidence:
 
 
 def _last(report: Mapping[str, Any]) -> dict[str, EffectEvidence]:
-    """Single effects of the last stage that were not added, in which nothing passed any more."""
+    """Returns the single effects of the last stage, in which none was accepted."""
     every = [item for item in report["candidates"] if " + " not in item["effect"]]
     stage = max((item["stage"] for item in every), default=0)
     return {i["effect"]: _tried(i) for i in every if i["stage"] == stage and i["decision"] != "accepted"}
@@ -154,7 +155,7 @@ def _float(value: float | None) -> float:
 
 
 def _evidence(item: EffectEvidence, robot: str) -> float:
-    """Standard errors of unseen blocks where they decided; else those of the filter, a third of them."""
+    """Returns the gain on unseen blocks in standard errors if decisive, else a third of the filter's evidence."""
     if item.score > _BLOCKS:
         return item.score
     away = []

@@ -1,4 +1,4 @@
-"""A fleet's diagnosis as one offline HTML page: groups as cards, each number over the robots, all robots in a table."""
+"""A fleet's diagnosis as one offline HTML page: groups as cards, values over the robots, and a table of all robots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from safedpa.fleet.document import Analysis
 from safedpa.fleet.outcome import Number, neutral_of
 from safedpa.fleet.pooled_evidence import estimates
-from safedpa.fleet.story import (
+from safedpa.fleet.summary import (
     common_sentence,
     discovery_sentence,
     group_title,
@@ -24,24 +24,24 @@ from safedpa.report.panels import Panels
 
 __all__ = ["error_figure", "fleet_page", "group_colour", "strip_figure", "write_fleet_page"]
 
+# The palette of Okabe and Ito, which colour-blind people can distinguish.
 _MISSING = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""The palette of Okabe and Ito."""
 _OTHERS = {"unexplained": "#222222", "suspected": "#C9B800", "nothing": "#AEB8C2"}
 _GOLDEN = 0.618034
+# Height of one group's lane in pixels.
 _LANE = 46
-"""Pixels of one group's lane."""
 _MOST_PANELS = 12
 
 
 def group_colour(number: int, document: Mapping[str, Any]) -> str:
-    """The colour of a group everywhere on the page; groups beyond the palette begin it again."""
+    """Returns the colour of a group on the page; the palette repeats for many groups."""
     kind = document["groups"][number]["kind"]
     before = sum(group["kind"] == "missing" for group in document["groups"][:number])
     return _MISSING[before % len(_MISSING)] if kind == "missing" else _OTHERS.get(kind, "#8A96A3")
 
 
 def error_figure(document: Mapping[str, Any]) -> dict[str, Any]:
-    """One line a robot, from the given model's error down to that with what was found; group by group."""
+    """Returns a figure with one line per robot, from the given model's error to that with the effects found."""
     judged = [robot for robot in document["robots"] if robot["error_after"] is not None]
     judged.sort(key=lambda robot: (robot["group"], robot["error_after"]))
     panels = Panels(rows=1, columns=1, height=300)
@@ -68,7 +68,7 @@ def error_figure(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _gapped(lines: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float]]:
-    """Vertical lines as one trace, with gaps between them."""
+    """Returns vertical lines as one trace with gaps between them."""
     x: list[float] = []
     y: list[float] = []
     for place, low, high in lines:
@@ -78,9 +78,9 @@ def _gapped(lines: Sequence[tuple[float, float, float]]) -> tuple[list[float], l
 
 
 def strip_figure(document: Mapping[str, Any], analysis: Analysis) -> dict[str, Any] | None:
-    """One panel a number: a lane for each group that has it, and below what the others' data say of it, in grey.
+    """Returns a figure with one panel per parameter: a lane per group that has it, and the other robots in grey.
 
-    Then the given model's free parameters over all robots. None where there is neither.
+    Includes the given model's free parameters. None without any parameter.
     """
     wanted = _wanted(document)[:_MOST_PANELS]
     if not wanted:
@@ -94,7 +94,7 @@ def strip_figure(document: Mapping[str, Any], analysis: Analysis) -> dict[str, A
 
 
 def _wanted(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(effect, parameter): what all have in common, what was found, then (base, parameter) of what is free."""
+    """Returns (effect, parameter) of common effects and found effects, then (base, parameter) of free parameters."""
     common = (document["common"] or {"effects": []})["effects"]
     shared = [(item["effect"], parameter) for item in common for parameter in item["parameters"]]
     found = [
@@ -108,7 +108,7 @@ def _wanted(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _lanes(document: Mapping[str, Any], effect: str) -> list[int]:
-    """Groups with a lane of their own for an effect; every group for a free parameter."""
+    """Returns the groups with a lane for an effect; all groups for a free parameter."""
     groups = range(len(document["groups"]))
     own = [n for n in groups if any(item["effect"] == effect for item in document["groups"][n]["effects"])]
     with_free = [
@@ -147,7 +147,7 @@ def _rest(document: Mapping[str, Any], lanes: Sequence[int], numbers: Mapping[st
 
 
 def _numbers(analysis: Analysis, effect: str, parameter: str) -> tuple[dict[str, Number], str]:
-    """What each robot's data say of one number, by the robot's name, and its unit."""
+    """Returns each robot's estimate of one parameter by name, and its unit."""
     notice = estimates(effect, [item for item in analysis.outcomes if item.judged])
     numbers = {name: item.numbers[parameter] for name, item in notice.items() if parameter in item.numbers}
     for outcome in analysis.outcomes:
@@ -167,7 +167,7 @@ def _points(
     *,
     errors: bool = True,
 ) -> None:
-    """A robot a point, spread over the lane so that they do not hide each other."""
+    """Draws one point per robot, spread over the lane so that they do not overlap."""
     heights = [lane + 0.5 * ((index * _GOLDEN + 0.5) % 1.0 - 0.5) for index in range(len(names))]
     own = [numbers[name] for name in names]
     stds = [item.std if math.isfinite(item.std) else 0.0 for item in own]
@@ -183,7 +183,7 @@ def _points(
 
 
 def write_fleet_page(document: Mapping[str, Any], analysis: Analysis, folder: Path) -> Path:
-    """Writes ``fleet.html`` into a folder that exists, whole or not at all. Raises RecordingError when it cannot be."""
+    """Writes ``fleet.html`` atomically into an existing folder. Raises RecordingError if that fails."""
     path = folder / "fleet.html"
     with atomic_path(path) as temporary:
         temporary.write_text(fleet_page(document, analysis), encoding="utf-8")
@@ -191,7 +191,7 @@ def write_fleet_page(document: Mapping[str, Any], analysis: Analysis, folder: Pa
 
 
 def fleet_page(document: Mapping[str, Any], analysis: Analysis) -> str:
-    """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
+    """Returns the page: figures, tables and plotly.js in one file without external requests."""
     strips = strip_figure(document, analysis)
     figures = [error_figure(document)] + ([strips] if strips else [])
     return rendered(
@@ -247,7 +247,7 @@ def _card(group: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 
 def _between(value: Mapping[str, Any]) -> str:
-    """mean 0.45, each known to ± 0.001, ± 0.04 from robot to robot"""
+    """Returns a text such as ``mean 0.45, each known to ± 0.001, ± 0.04 from robot to robot``."""
     if value["robots"] == 1:
         return "" if value["stated"] is None else f"known to ± {value['stated']:.2g}"
     parts = [f"mean {value['mean']:.3g}"]
@@ -289,7 +289,8 @@ def _row(robot: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any
 
 
 def _chance(value: float) -> str:
-    """A chance with one digit; below one in a billion no one knows it."""
+    """Formats a p-value with one digit."""
+    # Below one in a billion the normal approximation means nothing.
     return "< 1e−9" if value < 1e-9 else f"{value:.1g}".replace("e-0", "e−").replace("e-", "e−")
 
 

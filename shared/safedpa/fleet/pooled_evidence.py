@@ -1,10 +1,11 @@
-"""What a fleet says that no single robot can: an effect too weak in each, but there in all; one number from many.
+"""Pooled evidence and pooled parameter values over the robots of a fleet.
 
-Evidence over n robots, z_i the gains on unseen blocks in standard errors (Stouffer):
+Pooling finds effects that are too weak in each single robot. Evidence over n robots with the gains z_i on unseen blocks
+in standard errors (Stouffer):
 
     z = sum(z_i) / sqrt(n)
 
-A number over robots, x_i with stated deviations s_i, that differs from robot to robot by a spread t:
+Values x_i with standard deviations s_i, which differ between robots by a spread t (random effects):
 
     Q = sum w_i (x_i - sum(w x) / sum(w))^2,  w_i = 1 / s_i^2,   t^2 = max(0, (Q - n + 1) / (sum w - sum w^2 / sum w))
     mean = sum(v x) / sum(v),  v_i = 1 / (s_i^2 + t^2)
@@ -25,43 +26,43 @@ from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
 
 __all__ = ["Pooled", "PooledEvidence", "estimates", "evidence_over", "pooled_number", "pooled_numbers"]
 
+# Rounding error of the sum of weights, relative to it.
 _ROUNDING = 1e-12
-"""Share of the weights' sum that its rounding errors may come to."""
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """One parameter over several robots."""
+    """A parameter over several robots."""
 
     mean: float
     std: float
     """Standard deviation of the mean."""
     spread: float
-    """From robot to robot, beyond what the stated deviations explain."""
+    """Standard deviation between robots, beyond that of the estimates."""
     low: float
     high: float
     stated: float
-    """Median of the robots' own standard deviations; NaN where none states one."""
+    """Median of the robots' own standard deviations; NaN if none is known."""
     robots: int
     unit: str
 
 
 @dataclass(frozen=True)
 class PooledEvidence:
-    """An effect over the robots in which it was not found by themselves."""
+    """Evidence for an effect over the robots in which it was not found individually."""
 
     effect: str
     score: float
-    """Standard errors."""
+    """Pooled evidence in standard errors."""
     robots: int
     favourable: int
-    """Robots that gain anything by it."""
+    """Number of robots with a positive gain."""
     rivals: tuple[str, ...] = ()
-    """Effects whose pooled evidence is not surely less: the fleet cannot tell them apart either."""
+    """Effects with evidence that is not significantly lower: the fleet cannot distinguish them."""
 
 
 def pooled_number(numbers: Sequence[Number]) -> Pooled:
-    """Mean and spread of one parameter; robots that state no deviation count as much as the others do in the median."""
+    """Returns mean and spread of a parameter; an unknown deviation is replaced by the median of the known ones."""
     values = np.array([item.value for item in numbers])
     stds = np.array([item.std for item in numbers])
     known = np.isfinite(stds) & (stds > 0)
@@ -72,8 +73,8 @@ def pooled_number(numbers: Sequence[Number]) -> Pooled:
     centre = float((weights * values).sum() / weights.sum())
     surplus = float((weights * (values - centre) ** 2).sum()) - (len(values) - 1)
     size = float(weights.sum() - (weights**2).sum() / weights.sum())
-    reported_apart = size > _ROUNDING * float(weights.sum())  # of one robot it is 0 but for rounding errors
-    spread = math.sqrt(max(0.0, surplus / size)) if reported_apart else 0.0
+    has_spread = size > _ROUNDING * float(weights.sum())  # for one robot, size is 0 except for rounding errors
+    spread = math.sqrt(max(0.0, surplus / size)) if has_spread else 0.0
     shrunk = 1.0 / (stds**2 + spread**2)
     mean = float((shrunk * values).sum() / shrunk.sum())
     deviation = float(shrunk.sum() ** -0.5)
@@ -82,13 +83,13 @@ def pooled_number(numbers: Sequence[Number]) -> Pooled:
 
 
 def pooled_numbers(tried: Sequence[EffectEvidence]) -> dict[str, Pooled]:
-    """Every parameter of one effect over several robots, by name."""
+    """Returns the pooled parameters of an effect by name."""
     names = tried[0].numbers if tried else {}
     return {name: pooled_number([item.numbers[name] for item in tried if name in item.numbers]) for name in names}
 
 
 def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, EffectEvidence]:
-    """What each robot says of an effect, found or not, by the robot's name; robots that did not try it are missing."""
+    """Returns each robot's evidence for an effect by name, found or not; without robots that did not try it."""
     notice = {}
     for outcome in outcomes:
         own = {item.effect: item for item in outcome.found}
@@ -99,7 +100,7 @@ def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, Effect
 
 
 def evidence_over(outcomes: Sequence[RobotOutcome]) -> list[PooledEvidence]:
-    """Every effect over the robots in which it was tried last and not found, the strongest first."""
+    """Returns the pooled evidence of each effect over the robots that tried it in vain, the strongest first."""
     scores: dict[str, dict[str, float]] = {}
     for outcome in outcomes:
         for name, item in (outcome.last or {}).items():
@@ -115,7 +116,7 @@ def evidence_over(outcomes: Sequence[RobotOutcome]) -> list[PooledEvidence]:
 
 
 def _free(item: EffectEvidence) -> bool:
-    """Whether any number was not pushed to a bound; there it speaks against the effect, whatever else was refitted."""
+    """Whether at least one parameter is not at a bound; parameters at their bounds are evidence against the effect."""
     return any(math.isfinite(number.std) for number in item.numbers.values())
 
 
@@ -125,7 +126,7 @@ def _evidence(effect: str, scores: Mapping[str, float]) -> PooledEvidence:
 
 
 def _close(best: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Whether the robots' scores differ by less than two standard errors in the mean, and the other has evidence."""
+    """Whether the mean difference of the scores is below two standard errors, and the other effect has evidence."""
     both = [best[name] - other[name] for name in best if name in other]
     if len(both) < 2 or sum(other.values()) <= 0:
         return False

@@ -1,6 +1,6 @@
-"""A recording of many robots, read once: its robots' names, and one small recording for each of them.
+"""Recordings of many robots: the names of the robots, and splitting into one recording per robot.
 
-A robot's diagnosis reads its own recording alone; reading the whole for every robot would cost the square of the fleet.
+Splitting once avoids that the diagnosis of every robot reads the recording of the whole fleet.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ __all__ = ["robots_in", "split_recording"]
 
 
 def robots_in(path: Path) -> tuple[list[str], str]:
-    """Names of the robots whose states a recording holds, sorted, and why there is none (empty where there is one)."""
+    """Returns the sorted names of the robots with states in a recording, and why there are none (else empty)."""
     try:
         names = _indexed(path)
         names = {robot for _, robot, _ in _states(path, headers=True)} if names is None else names
     except (SafedpaError, OSError) as error:
         return [], str(error)
-    return sorted(names), "" if names else "holds no robot's states"
+    return sorted(names), "" if names else "contains no states of robots"
 
 
 def _indexed(path: Path) -> set[str] | None:
-    """The robots by the index at the recording's end; None where it has none (not closed, damaged, or no recording)."""
+    """Returns the robots from the recording's index; None without one (not closed, damaged, or not a recording)."""
     channels = channels_at_end(path)
     return None if channels is None else {robot for robot in map(_state_robot, channels) if robot}
 
 
 def split_recording(path: Path, folder: Path) -> dict[str, Path]:
-    """Copies each robot's states, undecoded, into ``folder/ROBOT.mcap``; returns the files by robot.
+    """Copies each robot's states without decoding into ``folder/ROBOT.mcap``; returns the files by robot.
 
-    Memory does not grow with the recording. What is behind a damage is not copied. Raises RunError when the file is no
-    recording, OSError when the folder cannot be written.
+    Memory does not grow with the recording. Stops at the first damage. Raises RunError if the file is not a recording,
+    OSError if the folder cannot be written.
     """
     from mcap.writer import CompressionType, Writer
 
@@ -63,7 +63,7 @@ def split_recording(path: Path, folder: Path) -> dict[str, Path]:
 
 
 def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, Any]]:
-    """(key, robot, record) of every state; of the channels alone where ``headers`` are wanted."""
+    """Yields (key, robot, record) of every state, or with ``headers`` of the channels only."""
     from mcap.records import Channel, Message
 
     known: dict[int, tuple[str, str]] = {}
@@ -79,7 +79,7 @@ def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, An
 
 
 def _state_robot(channel: Any) -> str:
-    """The robot whose states a channel carries, empty where it carries something else."""
+    """Returns the robot whose states a channel contains; empty for other channels."""
     try:
         _, robot, topic = topic_of(current_key(channel.topic))
     except InputError:
@@ -88,6 +88,6 @@ def _state_robot(channel: Any) -> str:
 
 
 def _records(path: Path) -> Iterator[Any]:
-    """Records of a recording up to its end or to the first damage. Raises InputError when it is none."""
+    """Yields the records up to the end or the first damage. Raises InputError if the file is not a recording."""
     with contextlib.suppress(DamageError):
         yield from records_of(path, validate=False)

@@ -1,4 +1,4 @@
-"""Which recordings belong to which robot of a fleet: by folder, by file, or by the robot's name inside a recording."""
+"""Assigns recordings to the robots of a fleet: by folder, by file, or by the robot's name in a recording."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ENDINGS = (".csv", ".parquet", ".mcap")
 
 @dataclass(frozen=True)
 class RobotLogs:
-    """One robot's recordings; ``inside`` is its name inside a recording, None where a file is one robot."""
+    """Recordings of one robot; ``inside`` is its name in the recordings, None if the files have one robot only."""
 
     name: str
     files: tuple[Path, ...]
@@ -28,7 +28,7 @@ class RobotLogs:
 
 @dataclass(frozen=True)
 class DiscoveredRobots:
-    """The robots by name, what a robot is told by, and recordings that belong to none, with the reason."""
+    """The robots, how they were distinguished, and recordings without a robot, with the reason."""
 
     robots: tuple[RobotLogs, ...]
     by: By
@@ -36,28 +36,28 @@ class DiscoveredRobots:
 
 
 def robots_in_folder(folder: Path, by: By = "auto") -> DiscoveredRobots:
-    """The robots whose recordings lie below a folder.
+    """Finds the robots with recordings below a folder.
 
-    ``folder``: each folder in it is a robot, with every recording below it. ``file``: each file is one. ``robot``: the
-    names inside MCAP recordings. ``auto``: by folder where there are such folders, else by robot where a recording
-    holds several, else by file. Hidden files are no recordings. Raises InputError where there is none.
+    ``folder``: each subfolder is a robot, with all recordings below it. ``file``: each file is a robot. ``robot``: by
+    the names in MCAP recordings. ``auto``: by folder if there are subfolders with recordings, else by robot if a
+    recording has several, else by file. Hidden files are ignored. Raises InputError without any recording.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; wanted one with the recordings of a fleet, FOLDER/ROBOT/*.csv, say")
+        raise InputError(f"{folder}: is not a folder; wanted the recordings of a fleet, such as FOLDER/ROBOT/*.csv")
     files = _recordings_below(folder)
     if not files:
-        raise InputError(f"{folder}: holds no recording; wanted files that end in {', '.join(_ENDINGS)}")
+        raise InputError(f"{folder}: contains no recording; wanted files that end in {', '.join(_ENDINGS)}")
     nested = any(path.parent != folder for path in files)
     return _grouped(files, folder, by if by != "auto" else "folder" if nested else _loose(files))
 
 
 def robots_of_files(paths: Sequence[Path], by: By = "auto") -> DiscoveredRobots:
-    """The robots of files that were named one by one; by folder, the folder that holds a file is its robot.
+    """Finds the robots of the given files; with ``folder``, the folder of a file is its robot.
 
-    Raises InputError where there is no file, or where folders of the same name would be one robot.
+    Raises InputError without files, and if folders of the same name would be one robot.
     """
     if not paths:
-        raise InputError("runs: got none; wanted recordings, or --fleet FOLDER")
+        raise InputError("runs: missing; wanted recordings, or --fleet FOLDER")
     base = Path(os.path.commonpath([path.absolute().parent for path in paths]))
     several = len({path.absolute().parent for path in paths}) > 1
     base = base if several else base.parent
@@ -65,13 +65,14 @@ def robots_of_files(paths: Sequence[Path], by: By = "auto") -> DiscoveredRobots:
 
 
 def _loose(files: Sequence[Path]) -> By:
-    """By file, unless a recording of the bus holds several: a robot that is recorded alone is often just 'car'."""
+    """Returns ``robot`` if a recording of the bus has several robots, else ``file``."""
+    # Not by the name of a single recorded robot, which is often the same, such as 'car', in all files.
     bus = [path for path in files if path.suffix.lower() == ".mcap"]
     return "robot" if any(len(robots_in(path)[0]) > 1 for path in bus) else "file"
 
 
 def _recordings_below(folder: Path) -> list[Path]:
-    """Every recording, in order; what a fleet's diagnosis wrote there itself is none."""
+    """Returns all recordings in order, without the output of an earlier diagnosis of a fleet."""
     found = []
     for place, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(".") and not _own(Path(place) / name))

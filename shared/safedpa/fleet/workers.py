@@ -1,11 +1,11 @@
-"""Who diagnoses the robots of a fleet: processes of one machine, or a cluster through Ray.
+"""Workers that diagnose the robots of a fleet: processes on one machine, or a cluster through Ray.
 
-On one machine: one robot after the other in each process, bounded memory, and a process that dies costs one robot. A
-pool that a dead process broke does not say whose fault it was: the robots that were under way are done again one at a
-time, and the one with which it breaks again is named.
+On one machine, each process handles one robot after the other with bounded memory. If a process dies, the pool does not
+report which job caused that. The jobs that were running are therefore repeated one at a time, and a job with which the
+process dies again is reported as failed.
 
-On a cluster the same work, by an optional extra of the package, tested on a local instance. Ray's workers need this
-package installed, and the recordings under the same paths.
+On a cluster, Ray's workers need this package installed and the recordings under the same paths. Ray is an optional
+extra; the tests use a local instance.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, TypeVar
 
-from safedpa.dynamics.own import EFFECTS_VARIABLE
+from safedpa.dynamics.user_files import EFFECTS_VARIABLE
 from safedpa.errors import InputError
 from safedpa.extras import need
 
 __all__ = ["available_cores", "in_processes", "on_cluster", "one_thread_each"]
 
 
+# The object store of a local instance only has answers of a few hundred kilobytes, no recordings.
 _LOCAL: dict[str, Any] = {"object_store_memory": 128 * 1024 * 1024, "include_dashboard": False}
-"""A local instance keeps no recordings in its store, only answers of a few hundred kilobytes."""
+# Jobs submitted per core of the cluster, which limits the answers in the object store.
 _PER_CORE = 2
-"""Jobs handed over for each core of the cluster: the store holds no more answers than that."""
 
 
 def on_cluster(
@@ -39,14 +39,14 @@ def on_cluster(
     failed: Callable[[Job, str], Answer],
     cores: int | None = None,
 ) -> Iterator[Answer]:
-    """Answers in the order in which they are done; ``failed(job, reason)`` for one that raises or kills its process.
+    """Runs jobs on a Ray cluster; yields answers in order of completion, ``failed(job, reason)`` for a failed job.
 
-    ``address``: of a running cluster (``auto``, ``ray://HOST:10001``), or ``local`` for an instance of its own with
-    ``cores``. Raises MissingExtraError when Ray is not installed, InputError when no cluster answers.
+    ``address`` is that of a running cluster (``auto``, ``ray://HOST:10001``), or ``local`` for a new local instance
+    with ``cores``. Raises MissingExtraError if Ray is not installed, InputError if no cluster answers.
     """
     ray = _started(address, cores)
 
-    def answer(job: Job) -> Answer:  # Ray takes nothing but functions that are written in Python
+    def answer(job: Job) -> Answer:  # Ray accepts Python functions only, and `work` may be a compiled one
         return work(job)
 
     try:
@@ -66,7 +66,7 @@ def on_cluster(
 
 
 def _answer(ray: Any, reference: Any, job: Job, failed: Callable[[Job, str], Answer]) -> Answer:
-    """The answer of one job. Whatever it raised there is its failure, not that of the fleet."""
+    """Returns the answer of one job; an exception in the job is reported by ``failed``."""
     try:
         found: Answer = ray.get(reference)
     except ray.exceptions.RayError as error:
@@ -76,7 +76,7 @@ def _answer(ray: Any, reference: Any, job: Job, failed: Callable[[Job, str], Ans
 
 
 def _started(address: str, cores: int | None) -> Any:
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anybody
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no telemetry
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     need("cluster", what="--ray")
     import ray
@@ -92,7 +92,7 @@ def _started(address: str, cores: int | None) -> Any:
 
 
 def _patiently(ray: Any, settings: dict[str, Any]) -> None:
-    """A local instance; Ray gives it half a minute, which a busy machine may need twice."""
+    """Starts a local instance, with a second attempt: Ray's limit of half a minute may be too short."""
     try:
         _begun(ray, settings)
     except InputError:
@@ -103,7 +103,7 @@ def _patiently(ray: Any, settings: dict[str, Any]) -> None:
 def _begun(ray: Any, settings: dict[str, Any]) -> None:
     try:
         ray.init(**settings)
-    except Exception as error:  # Ray raises just that when a node does not start in time
+    except Exception as error:  # Ray raises a plain Exception if a node does not start in time
         address, reason = settings["address"], " ".join(str(error).split())[:200]
         raise InputError(f"--ray {address}: no cluster answers ({reason}); name its address, or 'local'") from error
 
@@ -111,22 +111,22 @@ def _begun(ray: Any, settings: dict[str, Any]) -> None:
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
+# Jobs after which a worker process is replaced, so that memory retained by libraries does not accumulate.
 _TASKS_OF_A_PROCESS = 50
-"""After so many a process makes room for a fresh one: what libraries keep does not add up over a fleet."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Returns the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_processes(
     work: Callable[[Job], Answer], jobs: Sequence[Job], processes: int, failed: Callable[[Job, str], Answer]
 ) -> Iterator[Answer]:
-    """Answers in the order in which they are done; ``failed(job, reason)`` for one that raises or kills its process.
+    """Runs jobs in processes; yields answers in order of completion, ``failed(job, reason)`` for a failed job.
 
-    ``work`` is a function of a module. At most two jobs for each process are handed over at a time.
+    ``work`` is a module-level function. At most two jobs per process are submitted at a time.
     """
     waiting = list(jobs)
     while waiting:
@@ -136,7 +136,7 @@ def in_processes(
             alone: list[Job] = []
             yield from _in_pool(work, [job], 1, failed, alone)
             if alone:
-                yield failed(job, "its process was killed, for want of memory perhaps")
+                yield failed(job, "its process was killed, possibly for lack of memory")
 
 
 def _in_pool(
@@ -146,7 +146,7 @@ def _in_pool(
     failed: Callable[[Job, str], Answer],
     broken: list[Job],
 ) -> Iterator[Answer]:
-    """Answers until nothing waits or the pool breaks; jobs that were under way then are appended to ``broken``."""
+    """Yields answers until no job is left or the pool breaks; appends the jobs running then to ``broken``."""
     running: dict[Future[Answer], Job] = {}
     with one_thread_each(), _pool(processes) as pool:
         while waiting or running:
@@ -174,7 +174,7 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _end_with_parent() -> None:
-    """Lets a process end when the one that started it was killed: it would wait for its next job for ever."""
+    """Ends this worker process if its parent is killed; otherwise it would wait for its next job forever."""
     Thread(target=_wait_for_parent, daemon=True).start()
 
 
@@ -187,7 +187,7 @@ def _wait_for_parent() -> None:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """While it lasts, processes that are started use one thread of linear algebra each."""
+    """Limits the linear algebra of processes started in this context to one thread each."""
     before: dict[str, Any] = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:

@@ -1,7 +1,8 @@
-"""What comes from outside is measured before it is parsed: one table of limits, and the only doors to the parsers.
+"""Limits for everything that comes from outside: inputs are measured before they are parsed.
 
-Text, tables and archives from people, files, the bus and pages are read through the functions here. They refuse with
-one line that says which limit was passed, in a time and a memory that do not depend on what was sent.
+``table`` lists the limits; read it first. All text, tables and archives from users, files, the bus and web pages are
+parsed through the functions here. A refusal is one line that names the limit; its time and memory are bounded whatever
+the input. ``text`` parses TOML and JSON, ``reading`` reads files, ``readable`` makes foreign text safe to print.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Names and sentences that others chose, made fit for a terminal, a log and a page."""
+"""Makes foreign names and sentences safe to show in a terminal, a log or a web page."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ __all__ = ["printable", "readable"]
 
 
 def readable(text: str, longest: int | None = None) -> str:
-    r"""The text with every character that is not printable written as ``\xNN`` or ``\uNNNN``.
+    r"""Returns the text with every unprintable character escaped as ``\xNN`` or ``\uNNNN``.
 
-    Such are control and format characters, unassigned ones, and all spaces but the ordinary one: they move, colour,
-    hide or reorder others, or look like what they are not.
-
-    Cut at ``longest`` letters (else the table's ``name_letters``), and it says so.
+    Unprintable are control, format and unassigned characters, and all spaces but the ordinary one: they can move,
+    colour, hide or reorder text. A text longer than ``longest`` characters (default: the limit ``name_letters``) is
+    cut, with a note of its length.
     """
     most = limit("name_letters") if longest is None else longest
     shown = text[:most]
     if not shown.isprintable():
         shown = "".join(sign if sign.isprintable() else _visible(sign) for sign in shown)
-    return shown if len(text) <= most else f"{shown}... ({len(text)} letters)"
+    return shown if len(text) <= most else f"{shown}... ({len(text)} characters)"
 
 
 def printable(text: str, but: str = "", also: str = "") -> str:
-    """The text at its own width: ``?`` for each character that is not printed, and each of ``but``; ``also`` stays."""
+    """Replaces each unprintable character, and each of ``but``, by ``?``; keeps those of ``also``. The length stays."""
     return "".join(sign if (sign.isprintable() or sign in also) and sign not in but else "?" for sign in text)
 
 

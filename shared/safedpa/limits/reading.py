@@ -1,4 +1,4 @@
-"""Files, measured before they are read: only ordinary ones, and no larger than their limit."""
+"""Reads files with a size limit; refuses anything but regular files."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ __all__ = ["file_of_at_most", "text_of_file", "text_of_file_or_shipped"]
 
 
 def file_of_at_most(path: Path, name: str) -> bytes:
-    """The bytes of an ordinary file, if they are no more than the limit ``name``.
+    """Returns the bytes of a regular file that is no larger than the limit ``name``.
 
-    Raises InputError for a device, a pipe or a socket, which may never end; LimitError; and OSError as ``open`` does.
+    Raises LimitError if it is larger, InputError for a device, pipe or socket (which may never end), and OSError as
+    ``open`` does.
     """
     most = limit(name)
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would wait
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer blocks otherwise
     with open(descriptor, "rb") as file:
         found = os.fstat(descriptor)
         if stat.S_ISDIR(found.st_mode):
             raise IsADirectoryError(21, "is a folder", str(path))
         if not stat.S_ISREG(found.st_mode):
-            raise InputError(f"{path}: is no ordinary file; wanted one")
+            raise InputError(f"{path}: is not a regular file; wanted one")
         if found.st_size > most:
             raise too_much(name, f"{found.st_size} bytes", str(path))
         content = file.read(most + 1)
-    if len(content) > most:  # it grew, or has no size of its own, such as those of /proc
+    if len(content) > most:  # the file grew, or reports size 0 as those in /proc do
         raise too_much(name, f"more than {most} bytes", str(path))
     return content
 
 
 def text_of_file(path: Path, name: str) -> str:
-    """The same as text in UTF-8; raises UnicodeDecodeError besides."""
+    """Reads a UTF-8 text file like ``file_of_at_most``; also raises UnicodeDecodeError."""
     return file_of_at_most(path, name).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def text_of_file_or_shipped(
     source: str | Path, shipped: Mapping[str, Path], wanted: str, error: type[InputError] = InputError
 ) -> tuple[Path, str]:
-    """A TOML file and its text: the one named, or one that ships, by its name with or without ``.toml``.
+    """Returns the path and text of a TOML file: a path, or the name of a shipped file with or without ``.toml``.
 
-    Raises ``error`` that says what was ``wanted``, and InputError as ``text_of_file`` does.
+    Raises ``error``, which says what was ``wanted``, if it cannot be read, and InputError as ``text_of_file`` does.
     """
     path = Path(source)
     if (not path.exists() or path.is_dir()) and path.stem in shipped and path.parent == Path():

@@ -1,7 +1,7 @@
-"""Files of weights (safetensors), measured by their header before any tensor is read.
+"""Checks files of weights (safetensors) by their header before any tensor is read.
 
-A file is: 8 bytes, the length of the header; the header, a JSON object from tensor names to ``dtype``, ``shape`` and
-``data_offsets``; the numbers.
+Format: 8 bytes with the length of the header; the header, a JSON object from tensor names to ``dtype``, ``shape`` and
+``data_offsets``; the data.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _BYTES = {"F64": 8, "F32": 4, "F16": 2, "BF16": 2, "I64": 8, "I32": 4, "I16": 2,
 
 
 def check_tensor_file(path: Path) -> None:
-    """Raises LimitError naming the limit, InputError where shapes and bytes do not fit, OSError as ``open`` does."""
+    """Raises LimitError for a passed limit, InputError if shapes and file size disagree, OSError as ``open`` does."""
     if not path.is_file():
         raise FileNotFoundError(2, "no such file", str(path))
     size = path.stat().st_size
@@ -38,7 +38,7 @@ def check_tensor_file(path: Path) -> None:
         raise InputError("ends within its header; wanted a file that 'safedpa train' wrote")
     table = parse_json(header)
     if not isinstance(table, dict):
-        raise InputError("the header is no table of tensors; wanted a file that 'safedpa train' wrote")
+        raise InputError("the header is not a table of tensors; wanted a file that 'safedpa train' wrote")
     table.pop(_METADATA, None)
     if len(table) > limit("tensors"):
         raise too_much("tensors", len(table))
@@ -52,7 +52,7 @@ def _check_tensor(name: str, entry: Any, room: int) -> None:
     shape = entry.get("shape") if isinstance(entry, dict) else None
     numbers = isinstance(shape, list) and len(shape) <= 8 and all(type(side) is int for side in shape)
     if shape is None or not numbers or not all(0 <= side < _LARGEST_SIDE for side in shape):
-        raise InputError(f"tensor {name[:60]!r}: got no shape, wanted a list of at most 8 whole numbers")
+        raise InputError(f"tensor {name[:60]!r}: got an invalid shape, wanted a list of at most 8 whole numbers")
     wanted = math.prod(shape) * _BYTES.get(str(entry.get("dtype")), 1)
     if wanted > room:
-        raise InputError(f"tensor {name[:60]!r}: its shape wants {wanted} bytes, the file has {room}")
+        raise InputError(f"tensor {name[:60]!r}: its shape needs {wanted} bytes, the file has {room}")

@@ -1,4 +1,4 @@
-"""TOML and JSON, measured first: in one pass over the characters, which takes as long whatever they are."""
+"""Parses TOML and JSON after a check of their size and nesting, in one pass of linear time."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ _OPENING, _CLOSING = frozenset("[{"), frozenset("]}")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table that a TOML text describes. Raises LimitError naming the limit, or InputError: ``not TOML``.
+    """Parses TOML; raises LimitError for a passed limit and InputError (``not TOML``) for invalid text.
 
-    Measured: bytes, depth of brackets, parts of a key, digits of a number, outside of strings and comments.
+    Limited are bytes and, outside of strings and comments, nesting, parts of a dotted key and digits of a number.
     """
     _check_bytes(text, "toml_bytes")
     _measure_toml(text)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is the first; so is a number of too many digits
-        raise InputError(f"not TOML: {_text(error)}") from error
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and too many digits are ValueErrors
+        raise InputError(f"not TOML: {_error_text(error)}") from error
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text describes. Raises LimitError naming the limit, or InputError: ``not JSON``."""
+    """Parses JSON; raises LimitError for a passed limit and InputError (``not JSON``) for invalid text."""
     if isinstance(text, bytes):
         if len(text) > limit("json_bytes"):
             raise too_much("json_bytes", f"{len(text)} bytes")
         try:
             text = text.decode()
         except UnicodeDecodeError as error:
-            raise InputError(f"not JSON: {_text(error)}") from error
+            raise InputError(f"not JSON: {_error_text(error)}") from error
     _check_bytes(text, "json_bytes")
     _measure_json(text)
     try:
         return json.loads(text, parse_int=_integer)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {_text(error)}") from error
+        raise InputError(f"not JSON: {_error_text(error)}") from error
 
 
 def refuse_unknown(
     table: Iterable[str], known: Collection[str], prefix: str = "", error: type[InputError] = InputError
 ) -> None:
-    """Raises ``error`` naming the first key of a table that is none of those known, with what stands before it."""
+    """Raises ``error`` for the first key of a table that is not ``known``; ``prefix`` is put before its name."""
     for key in table:
         if key not in known:
             raise error(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")
@@ -60,7 +60,7 @@ def refuse_unknown(
 def _check_bytes(text: str, name: str) -> None:
     most = limit(name)
     if len(text) > most or (4 * len(text) > most and len(text.encode(errors="replace")) > most):
-        raise too_much(name, f"{len(text)} letters or more bytes")
+        raise too_much(name, f"{len(text)} characters, in at least as many bytes")
 
 
 def _measure_toml(text: str) -> None:
@@ -92,12 +92,12 @@ def _measure_toml(text: str) -> None:
 
 @lru_cache(maxsize=8)
 def _signs(digits: int) -> re.Pattern[str]:
-    """What counts, and a number of more digits than that; an underscore may stand between digits of TOML."""
+    """Pattern of the characters to count, and of a number with too many digits (TOML allows underscores in them)."""
     return re.compile(rf"{_TOML}|[0-9_]{{{digits + 1}}}")
 
 
 def _after_string(text: str, start: int, quote: str) -> int:
-    """Behind the string that begins at ``start``. Raises InputError where it does not end."""
+    """Returns the position after the string that begins at ``start``; raises InputError if it does not end."""
     if text.startswith(quote * 3, start):
         mark, at = quote * 3, start + 3
     else:
@@ -120,14 +120,14 @@ def _after_string(text: str, start: int, quote: str) -> int:
 
 def _measure_json(text: str) -> None:
     most, depth = limit("json_depth"), 0
-    for sign in _ALONGSIDE_BRACKETS.sub("", text):
+    for sign in _NOT_BRACKETS.sub("", text):
         depth += 1 if sign in "[{" else -1
         if depth > most:
             raise too_much("json_depth", f"more than {most}")
 
 
-_ALONGSIDE_BRACKETS = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)|[^\[\]{}"]++', re.DOTALL)
-"""Strings, also one that does not end, and everything else that opens and closes nothing."""
+_NOT_BRACKETS = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)|[^\[\]{}"]++', re.DOTALL)
+"""Matches everything but brackets: strings, also an unterminated one, and all other characters."""
 
 
 def _integer(text: str) -> int:
@@ -136,5 +136,5 @@ def _integer(text: str) -> int:
     return int(text)
 
 
-def _text(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return "brackets too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())[:200]

@@ -1,15 +1,13 @@
-"""How the model that a robot's services use is changed: all of them from one tick on, or none.
+"""Model changes: all services of a robot use the new model from the same tick on, or none does.
 
-A change is offered to every service. When all have answered that they loaded and checked it, the decision is kept and
-the tick told from which everyone uses it (``take``); when one refuses or stays silent, the offer is dropped. A service
-that is found on another model, because it was restarted at a bad moment, gets the right one by the same two phases;
-where it cannot use that one, everybody goes back to the version before.
-Source: two-phase commit with presumed abort (Mohan, Lindsay, Obermarck, 1986).
+A change is offered to every service. When all have answered that they loaded and checked the model, the decision is
+stored and the tick of the change is announced (``take``). If a service refuses or does not answer, the offer is
+dropped. Source: two-phase commit with presumed abort (Mohan, Lindsay, Obermarck, 1986).
 
-Before it, a request may be refused with its reason; next to it, services are found that use another model than the one
-agreed on, as their health tells.
+Heartbeats reveal services that use another model than the agreed one, for example after a restart during a change. They
+receive the agreed model by the same two phases. If one cannot use it, all services return to the previous version.
 
-Nothing here knows the network: messages go in and out, time is counted in the robot's ticks.
+This module is independent of the network: messages go in and out, and time is counted in ticks of the robot.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from typing import Final, final
 
 from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
 from safedpa.errors import RecordingError, did_you_mean
-from safedpa.live.under_way import ChangeInProgress, ModelMismatchMonitor, with_stamp
+from safedpa.live.change_progress import ChangeInProgress, ModelMismatchMonitor, with_stamp
 from safedpa.live.versions import ModelVersion, OfferedEffect, PersistedState, VersionFolder
 
 __all__ = ["ChangeSettings", "ModelChanges"]
@@ -31,27 +29,27 @@ __all__ = ["ChangeSettings", "ModelChanges"]
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """Patience, in ticks at which the robot was heard."""
+    """Time limits in ticks of the robot."""
 
     prepare: int = 1200
-    """For the document of an accepted effect, when it has to be made first: a minute at 20 Hz."""
+    """To create the model of an accepted effect: a minute at 20 Hz."""
     ready: int = 60
-    """For every service to load and check an offer: three seconds at 20 Hz; it takes them a few milliseconds."""
+    """For all services to load and check an offer: three seconds at 20 Hz; they need a few milliseconds."""
     ahead: int = 5
-    """From the decision to the tick of the change: 0.25 s at 20 Hz, for the message to reach everyone."""
+    """From the decision to the tick of the change: 0.25 s at 20 Hz, so that the message reaches all services before."""
     taken: int = 40
-    """After that tick, for every service to say that it uses the new model."""
+    """After that tick, for all services to confirm that they use the new model."""
     repeat: int = 10
     """Between two repetitions of a decision to services that have not confirmed it."""
 
 
 @final
 class ModelChanges:
-    """The versions of one robot's model. May be used from several threads.
+    """The versions of one robot's model, and the change in progress. Thread-safe.
 
-    ``step`` is called once per tick and returns what is to be published; ``hear`` takes what the services say;
-    ``answer`` takes requests. With a folder, what was agreed on outlives the process. Raises InputError when the folder
-    cannot be read.
+    ``step`` is called once per tick and returns the message to publish; ``hear`` handles messages of services;
+    ``answer`` handles requests. With a folder, the agreed versions survive a restart of the process. Raises InputError
+    if the folder cannot be read.
     """
 
     def __init__(
@@ -69,10 +67,9 @@ class ModelChanges:
         self._strays = ModelMismatchMonitor()
         self._finding = 0
         self._candidates: dict[str, OfferedEffect] = {}
-        self.sentence = (
-            "the model is the one that the robot began with" if retained is None else "taken up after a restart"
-        )
-        """What became of the last change."""
+        self.sentence = "this is the robot's initial model" if retained is None else "restored after a restart"
+        """Result of the last change."""
+        # An offer without a decision before the restart: presumed abort. The services must discard it.
         if self._retained.offered:
             lost = ChangeInProgress(
                 self._retained.change, "undecided", "", self.fingerprint, (), ModelVersion(self._retained.offered, "")
@@ -82,55 +79,56 @@ class ModelChanges:
 
     @property
     def version(self) -> ModelVersion:
-        """In force at the newest state's tick."""
+        """The version that is active at the newest state's tick."""
         return self._version
 
     @property
     def fingerprint(self) -> str:
-        """Of the model in force."""
+        """Fingerprint of the active model."""
         return self._version.fingerprint
 
     @property
     def versions(self) -> tuple[ModelVersion, ...]:
-        """Agreed on, oldest first; the last is in force, or will be in a few ticks. ``roll_back`` removes it."""
+        """The agreed versions, oldest first. The last is active, or will be in a few ticks. ``roll_back`` removes
+        it."""
         return self._retained.versions
 
     @property
     def under_way(self) -> str:
-        """``preparing``, ``offer`` or ``take`` while a change is under way, else empty."""
+        """Stage of the change in progress, ``preparing``, ``offer`` or ``take``; empty without one."""
         change = self._change
         return "" if change is None else change.stage
 
     @property
     def wanted(self) -> OfferedEffect | None:
-        """An accepted candidate whose document is to be made: answer with ``prepared`` or ``failed``."""
+        """An accepted candidate whose model has to be created: answer with ``prepared`` or ``failed``."""
         change = self._change
         return change.candidate if change is not None and change.version is None else None
 
     @property
     def rejected(self) -> frozenset[tuple[int, str]]:
-        """(finding, effect) that a person rejected."""
+        """(finding, effect) of the rejected candidates."""
         return frozenset(self._retained.rejected)
 
     def propose(self, finding: int, candidates: Mapping[str, OfferedEffect]) -> None:
-        """What may be accepted from now on: candidates of one finding by effect, best first; empty: none."""
+        """Sets the candidates of a finding that may be accepted from now on, by effect, best first."""
         with self._lock:
             self._finding, self._candidates = finding, dict(candidates)
 
     def prepared(self, made: OfferedEffect) -> None:
-        """The document of the wanted candidate was made; ignored when no one waits for it any more."""
+        """Continues the change with the created model; ignored if it is no longer wanted."""
         with self._lock:
             if self._change is not None and self.wanted is not None and self.wanted.effect == made.effect:
                 self._change.complete(made)
 
     def failed(self, reason: str) -> None:
-        """The wanted document cannot be made."""
+        """Ends the change because the wanted model cannot be created."""
         with self._lock:
             if self._change is not None and self.wanted is not None:
                 self._change.refused = reason
 
     def hear(self, message: TakeoverMessage | HealthMessage) -> None:
-        """Takes a service's answer to an offer, or its health with the model that it uses."""
+        """Handles a service's answer to an offer, or its heartbeat with the model that it uses."""
         with self._lock:
             if isinstance(message, HealthMessage):
                 self._strays.hear(message)
@@ -138,7 +136,7 @@ class ModelChanges:
                 self._change.hear(message)
 
     def step(self, state: StateMessage) -> ModelMessage | None:
-        """Goes on with what is under way; the message to publish, if there is one. Once per tick, ticks growing."""
+        """Advances the change in progress; returns the message to publish, if any. Call once per tick, in order."""
         with self._lock:
             self._state = state
             self._settle(state)
@@ -149,7 +147,7 @@ class ModelChanges:
             return None if message is None else with_stamp(message, state, time.time())
 
     def answer(self, request: Request) -> Answer:
-        """Does what is asked, or says why not; called on any thread."""
+        """Carries out a request or refuses it with the reason; may be called on any thread."""
         with self._lock:
             refusal = _refusal_of(
                 request,
@@ -196,14 +194,14 @@ class ModelChanges:
             return self._answer(False, f"refused: {problem}")
         what = f"reject {request.effect} of finding {request.finding}"
         noted = ChangeInProgress(self._retained.change, what, request.who, self.fingerprint, (), None)
-        self._reported.append(noted.message("drop"))  # for the recording; no service was offered anything
+        self._reported.append(noted.message("drop"))  # only for the recording: nothing was offered to the services
         return self._answer(True, f"{request.effect} is rejected")
 
     def _open_candidates(self) -> tuple[str, ...]:
         return tuple(effect for effect in self._candidates if (self._finding, effect) not in self.rejected)
 
     def _settle(self, state: StateMessage) -> None:
-        """From its tick on the new version is in force; a robot that restarted begins with it."""
+        """Activates the new version from its tick on, or at once if the robot has restarted."""
         self._strays.settle(state, again=False)
         change, coming = self._change, self._coming
         if coming is None or change is None:
@@ -237,7 +235,8 @@ class ModelChanges:
         return change.message("offer")
 
     def _decide(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
-        """Kept first, told then: anyone who asks after a crash hears what was decided."""
+        """Decides the change: all services are ready."""
+        # Store the decision before announcing it: after a crash in between, services that ask get the decision.
         problem = self._keep(replace(self._retained, versions=change.versions, offered=""))
         if problem:
             return self._give_up(change, problem)
@@ -245,14 +244,14 @@ class ModelChanges:
         change.epoch, change.from_tick = state.epoch, state.tick + self._settings.ahead
         self._coming = change.version
         if not change.repair:
-            self._candidates = {}  # they were sought for the model that goes
+            self._candidates = {}  # they were found for the model that is replaced
         self.sentence = f"{change.name}: used from tick {change.from_tick} on{change.consequence}"
         return change.message("take")
 
     def _collect(self, change: ChangeInProgress) -> ModelMessage | None:
         late = bool(change.refused) or change.steps > self._settings.ahead + self._settings.taken
         if not change.unconfirmed and self._coming is None:
-            self._finish(f"{change.name}: taken by everyone{change.consequence}")
+            self._finish(f"{change.name}: taken by all services{change.consequence}")
             self._strays.corrected()
         elif late and self._coming is None:
             self._finish(f"{change.name}: {change.unconfirmed} did not confirm it")
@@ -261,7 +260,7 @@ class ModelChanges:
         return None
 
     def _give_up(self, change: ChangeInProgress, reason: str) -> ModelMessage:
-        """Everyone stays on the version in force; where one of them cannot use it, all go back."""
+        """Drops the change: all services keep the active version, or go back if one of them cannot use that."""
         self._finish(f"{change.name}: dropped, {reason}")
         self._keep(replace(self._retained, offered=""))
         if change.repair:
@@ -274,7 +273,7 @@ class ModelChanges:
         self._change, self.sentence = None, sentence
 
     def _repair(self) -> ChangeInProgress | None:
-        """Offers the version in force again, where some service is known to use another one."""
+        """Offers the active version again if a service uses another one."""
         strays = self._strays.found(self.fingerprint)
         if not strays:
             return None
@@ -283,7 +282,7 @@ class ModelChanges:
         return change
 
     def _keep(self, retained: PersistedState) -> str:
-        """Why it cannot be kept; what is kept stays as it was then."""
+        """Stores the state; returns why that failed, in which case the previous state remains."""
         try:
             if self._folder is not None:
                 self._folder.save(retained)
@@ -321,7 +320,6 @@ class ModelChanges:
 
 
 _REQUESTS: Final = ("accept", "reject", "roll_back", "status")
-"""What may be asked."""
 
 
 def _refusal_of(
@@ -334,28 +332,30 @@ def _refusal_of(
     versions: int,
     alive: bool,
 ) -> str:
-    """Why a request is refused; empty when it is not.
+    """Returns why a request is refused; empty if it is not.
 
-    ``in_force`` is the model's fingerprint, ``under_way`` the change that is being made, ``finding`` the newest one
-    with its ``candidates``, ``versions`` how many were agreed on, ``alive`` whether the robot was heard.
+    ``in_force`` is the fingerprint of the active model, ``under_way`` the change in progress, ``finding`` the number of
+    the newest finding with its ``candidates``, ``versions`` the number of agreed versions, ``alive`` whether the robot
+    has sent a state.
     """
     if request.do not in _REQUESTS:
         return f"'{request.do}': {did_you_mean(request.do, _REQUESTS)}"
     if request.do == "status":
         return ""
     if under_way:
-        return f"{under_way} is under way; ask again when it is done"
+        return f"{under_way} is in progress; ask again when it is done"
     if not alive:
-        return "the robot was not heard yet; start it first"
+        return "the robot has not sent a state yet; start it first"
     return _about_model(request, in_force, versions) or _about_candidate(request, finding, candidates)
 
 
 def _about_model(request: Request, in_force: str, versions: int) -> str:
+    # A user decides on the basis of what a page shows, which may be outdated.
     if request.model != in_force:
         seen = f"you saw {request.model}" if request.model else "you name none"
-        return f"the model in force is {in_force}, {seen}; look at it again first"
+        return f"the active model is {in_force}, {seen}; look at it again first"
     if request.do == "roll_back" and versions < 2:
-        return "this is the model that the robot began with; there is none to go back to"
+        return "this is the robot's initial model; there is no earlier one"
     return ""
 
 
@@ -366,5 +366,5 @@ def _about_candidate(request: Request, finding: int, candidates: Sequence[str]) 
         return f"the newest finding has number {finding}, you name {request.finding}; look at it again first"
     if request.effect not in candidates:
         known = did_you_mean(request.effect, candidates) if candidates else "nothing is proposed now"
-        return f"effect '{request.effect}' is no candidate; {known}"
+        return f"effect '{request.effect}' is not a candidate; {known}"
     return ""

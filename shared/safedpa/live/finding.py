@@ -1,6 +1,7 @@
-"""One robot's findings: from learning what the error usually is to candidates for what the model lacks.
+"""Live diagnosis of one robot: learns the usual error, raises a finding, and searches for the missing effect.
 
-The last minutes of the robot are kept meanwhile: bounded, and cut into a run for a search.
+``DriveHistory`` keeps the last two minutes of states and actions for a search. ``RobotDiagnosis`` goes through the
+stages of ``FindingMessage``: learning, watching, raised, searching, candidates or nothing.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, parse_model
+from safedpa.live.model_monitor import ModelMonitor, VerdictFacts
 from safedpa.live.named_candidate import named_candidate
-from safedpa.live.watch import ModelMonitor, VerdictFacts
-from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
+from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.records.run import Run, Stretch
 from safedpa.systems import System
 
@@ -28,40 +29,40 @@ __all__ = ["FIRST_SEARCH", "DriveHistory", "RobotDiagnosis"]
 
 @final
 class DriveHistory:
-    """States and the actions that followed them, at most ``longest`` [s] of them."""
+    """The newest states and actions of a robot, at most ``longest`` [s] of them."""
 
     def __init__(self, system: System, period: float, longest: float = 120.0) -> None:
         self._system = system
         self._period = period
         self._rows: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=max(2, round(longest / period)))
-        """Tick, state, and what was applied before it."""
+        """Tick, state, and the action applied before it."""
 
     def add(self, tick: int, state: FloatArray, applied: FloatArray) -> None:
-        """Keeps one tick; one that cannot be believed is left out, which makes a gap."""
+        """Adds one tick; implausible values are left out and leave a gap."""
         if self._system.is_plausible(state) and np.isfinite(applied).all():
             self._rows.append((tick, state, applied))
 
     def last(self, seconds: float) -> list[tuple[int, FloatArray, FloatArray]]:
-        """Tick, state, and what was applied before it, of the newest rows."""
+        """Returns tick, state and the action applied before it, for the last ``seconds``."""
         return list(self._rows)[-max(1, round(seconds / self._period)) :]
 
     def seconds_since(self, tick: int) -> float:
-        """How much of the time from a tick on is kept [s]."""
+        """Returns the recorded time [s] since a tick."""
         return self._period * sum(row[0] >= tick for row in self._rows)
 
     def excerpt(self, first: int, name: str) -> Run:
-        """The rows from tick ``first`` on as a run, cut where ticks are missing, its time the robot's."""
+        """Returns the rows from tick ``first`` on as a run, split into stretches at missing ticks."""
         rows = [row for row in self._rows if row[0] >= first]
         ticks = np.array([row[0] for row in rows], dtype=np.int64)
         states = np.array([row[1] for row in rows]).reshape(len(rows), len(self._system.state))
         before = np.array([row[2] for row in rows]).reshape(len(rows), len(self._system.action))
-        # the action of a row holds until the next one: it is reported with the next tick
+        # The action taken in a row is reported as "applied" with the next tick.
         known = np.append(np.diff(ticks) == 1, False)[: len(rows)]
         actions = np.where(known[:, None], np.roll(before, -1, axis=0), 0.0)
         t = np.asarray(ticks * self._period, dtype=np.float64)
         ends = np.flatnonzero(~known)
         starts = np.append(0, ends + 1)[: len(ends)]
-        # a stretch ends before the row whose action is not known
+        # A stretch ends before the row whose action is not known.
         stretches = [Stretch(int(begin), int(end)) for begin, end in zip(starts, ends, strict=True) if end - begin > 1]
         for index in range(2, len(self._system.state)):
             if index in self._system.angles:
@@ -74,27 +75,27 @@ def _unwrapped(angles: FloatArray) -> FloatArray:
 
 
 FIRST_SEARCH: Final = 15.0
-"""s of driving after the change for the first search; each further one has twice as much."""
+"""s of driving after the change that the first search uses; each further search uses twice as much."""
+# s; no further search with more data than this.
 _LONGEST = 100.0
-"""s; with more data nothing is searched again."""
+# Messages between two with the report, which is large: a listener that joins later has it within ten seconds.
 _REPORT_EVERY = 10
-"""Messages: a report is large, and who comes late gets it within ten seconds."""
-_NONE = 1.0
-"""Of the evidence: it does not fall to 0 even where nothing has ever happened."""
+# The finding is closed below this evidence. It does not reach 0 even if the error was never outside its band.
+_NO_EVIDENCE = 1.0
+# Horizons of the past that a new model predicts immediately.
 _REPLAYED = 3.0
-"""Horizons of the past that a new model predicts at once."""
-_REPORTED_SECONDS = 60.0
-"""How long after a change of the model the error before is told next to the error now."""
+# s after a model change during which the error of the previous model is shown next to the current one.
+_COMPARISON_SECONDS = 60.0
 
 
 @dataclass
 class _Finding:
-    """What is known of the finding that is open."""
+    """The open finding."""
 
     first: int
-    """Tick from which on the data are of the changed robot alone."""
+    """First tick whose data are entirely from after the change of the robot."""
     seconds: float = FIRST_SEARCH
-    """Data that the next search wants."""
+    """Amount of data in s for the next search."""
     searching: bool = False
     outcome: WorkOutcome | None = None
 
@@ -104,16 +105,15 @@ class _Adopted:
     at: float
     """s"""
     before: float
-    """Error of the model that was replaced."""
+    """Error of the previous model."""
 
 
 @final
 class RobotDiagnosis:
-    """Follows one robot; ``observe`` once a tick. The work that takes seconds goes to the worker.
+    """Live diagnosis of one robot. Call ``observe`` once per tick; searches run in ``worker``.
 
-    ``document`` is the text of the model file in force, ``folder`` where the weights of a learned one are; ``period``
-    [s] that of the robot's ticks, by default the model's; ``number`` that of the robot's last finding, before it
-    restarted.
+    ``document`` is the text of the active model's file, ``folder`` has the weights of a learned model. ``period`` [s]
+    is the robot's, by default the model's. ``number`` is the number of the robot's last finding before it restarted.
     """
 
     def __init__(
@@ -134,22 +134,22 @@ class RobotDiagnosis:
         self._document = document
         model = parse_model(document, folder)
         self.fingerprint = fingerprint(model)
-        """Of the model in force."""
+        """Fingerprint of the active model."""
         self._period = model.period if period is None else period
         self.watch = ModelMonitor(model, horizon, period=self._period)
         self.history = DriveHistory(model.system, self._period)
         self.number = number
-        """Of the newest finding; they are counted over all drives of the robot."""
+        """Number of the newest finding, counted over all drives of the robot."""
         self._finding: _Finding | None = None
         self._adopted: _Adopted | None = None
         self.time = 0.0
-        """s; of the newest tick, by the robot's clock."""
+        """Time of the newest tick in s, by the robot's clock."""
         self._reported: tuple[object, ...] = ()
         self._sent = 0
 
     @property
     def stage(self) -> str:
-        """As in ``FindingMessage``."""
+        """The stage as in ``FindingMessage``."""
         finding = self._finding
         if finding is None:
             return "learning" if self.watch.band is None else "watching"
@@ -159,13 +159,13 @@ class RobotDiagnosis:
 
     @property
     def outcome(self) -> WorkOutcome | None:
-        """Of the newest search about the open finding."""
+        """Result of the newest search for the open finding."""
         return None if self._finding is None else self._finding.outcome
 
     def adopt(self, document: str) -> None:
-        """From now on another model is in force: the finding is closed and the band learned again.
+        """Switches to another active model: closes the finding and learns the error band again.
 
-        The last seconds are predicted by the new model at once, so that its error is told without a gap.
+        Predicts the last seconds with the new model, so that its error is available immediately.
         """
         model = parse_model(document, self._folder)
         self._adopted = _Adopted(self.time, self.watch.error)
@@ -176,24 +176,24 @@ class RobotDiagnosis:
         self._close()
 
     def dismiss(self) -> None:
-        """What was found is not wanted: how the model errs now is what is usual from here on."""
+        """Closes the finding after all candidates were rejected; learns the present error as the usual one."""
         self.watch = ModelMonitor(self.watch.model, self._horizon, self.watch.scale, self._period)
         self._close()
 
     def pause(self) -> None:
-        """Gives up a search that goes on: the worker is needed for something else."""
+        """Cancels a running search, because the worker is needed for another job."""
         if self._finding is not None and self._finding.searching:
             self._worker.cancel(self._robot)
             self._finding.searching = False
 
     def data(self) -> Run | None:
-        """What the robot did since the change, up to now; None without an open finding."""
+        """Returns the data since the change of the robot; None without an open finding."""
         return None if self._finding is None else self.history.excerpt(self._finding.first, self._robot)
 
     def observe(
         self, state: StateMessage, latent: LatentMessage | None, verdict: VerdictMessage | None
     ) -> FindingMessage | None:
-        """Takes one tick; returns what is to be told, once a second and whenever something changes."""
+        """Handles one tick; returns the message to publish, once a second and on every change."""
         values, applied = np.array(state.values), np.array(state.applied)
         self.time = state.robot_time
         self.history.add(state.tick, values, applied)
@@ -213,8 +213,9 @@ class RobotDiagnosis:
             if changed is None:
                 return
             self.number += 1
+            # A forecast that began before the change ends up to one horizon after it.
             self._finding = _Finding(changed + round(self._horizon / state.period))
-        if self.watch.evidence.value < _NONE:  # the error is back in its band
+        if self.watch.evidence.value < _NO_EVIDENCE:  # the error is back in its band
             self._close()
             return
         self._search(self._finding)
@@ -239,12 +240,12 @@ class RobotDiagnosis:
         self._finding = None
 
     def close(self) -> None:
-        """The robot has left."""
+        """Ends the diagnosis of a robot that has left."""
         self._worker.cancel(self._robot)
         self._finding = None
 
     def _latent(self, latent: LatentMessage | None) -> FloatArray | None:
-        """The latent if it belongs to the model; else the model's own values stand in."""
+        """Returns the latent if it belongs to the model; None uses the model's own values."""
         names = self.watch.model.latent_names
         if latent is None or latent.model != self.fingerprint or len(latent.values) != len(names) or not names:
             return None
@@ -276,10 +277,10 @@ class RobotDiagnosis:
     def _sentence(self, stage: str) -> str:
         watch, finding = self.watch, self._finding
         error = f"the error over {self._horizon:g} s is {watch.error:.3f}"
-        if self._adopted is not None and self.time - self._adopted.at < _REPORTED_SECONDS and finding is None:
-            error = f"{error}, {self._adopted.before:.3f} with the model before"
+        if self._adopted is not None and self.time - self._adopted.at < _COMPARISON_SECONDS and finding is None:
+            error = f"{error}, {self._adopted.before:.3f} with the previous model"
         if finding is None or watch.band is None:
-            learned = f"still learning what is usual: {watch.seconds_to_learn:.0f} s of driving to go"
+            learned = f"still learning the usual error: {watch.seconds_to_learn:.0f} s of driving to go"
             return (
                 f"{error}; {learned}"
                 if watch.band is None
@@ -307,12 +308,13 @@ def _reported_outcome(outcome: WorkOutcome) -> str:
 
 
 def _error_reported(error: float | None) -> str:
-    """Not every prediction stays a number, and not every candidate is tried on unseen data."""
+    """Formats an error; it may be missing."""
+    # A prediction may diverge, and not every candidate is tried on unseen data.
     return "unknown" if error is None else f"{error:.3f}"
 
 
 def _decision(verdict: VerdictMessage | None) -> VerdictFacts | None:
-    """Of a verdict that rests on a prediction; a fallback predicts nothing."""
+    """Returns the facts of a verdict that has a prediction; None for others, such as a fallback."""
     if verdict is None or verdict.status not in ("passed", "corrected", "relaxed", "violated"):
         return None
     return VerdictFacts(verdict.h_now, verdict.h_next, verdict.margin)

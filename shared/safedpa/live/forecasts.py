@@ -1,9 +1,7 @@
-"""Open-loop predictions of one running robot, one horizon ahead, compared with what happened.
+"""Open-loop predictions of a running robot over one horizon, and their errors.
 
-x[k+1] = model(x[k], a[k], z), from a measured start, with the actions that were applied and the latent that was known
-at the start; nothing is looked at later. A few predictions run side by side, one model step each in every period.
-
-And their errors: of one forecast, and of a stretch of them.
+x[k+1] = model(x[k], a[k], z) from a measured start, with the applied actions and the latent known at the start. The
+measurements in between are not used. Two predictions run concurrently, with one model step each per period.
 """
 
 from __future__ import annotations
@@ -26,15 +24,16 @@ _PLANE = ("x", "y", "yaw")
 
 
 def channels(system: System) -> tuple[tuple[str, str], ...]:
-    """Name and unit of the entries of ``channel_errors``: of a robot in the plane along and across its heading."""
+    """Returns name and unit of the entries of ``channel_errors``; in the plane, position errors are along and across
+    the heading."""
     own = [(variable.name, variable.unit) for variable in system.state]
     if system.state_names[:3] != _PLANE:
         return tuple(own)
-    return (("place along the heading", "m"), ("place across the heading", "m"), *own[2:])
+    return (("position along the heading", "m"), ("position across the heading", "m"), *own[2:])
 
 
 def channel_errors(system: System, forecast: Forecast) -> FloatArray:
-    """measured - predicted (channels,), the place turned into the frame of the start's heading."""
+    """Returns measured - predicted (channels,), with the position error in the frame of the initial heading."""
     error = system.difference(forecast.measured, forecast.predicted)
     if system.state_names[:3] == _PLANE:
         cosine, sine = np.cos(forecast.began[2]), np.sin(forecast.began[2])
@@ -43,9 +42,9 @@ def channel_errors(system: System, forecast: Forecast) -> FloatArray:
 
 
 def stretch_error(system: System, forecasts: Sequence[Forecast], scale: FloatArray) -> float:
-    """Root mean square error of each state over ``scale`` (states,), mean over the states whose scale is not 0.
+    """Returns the RMS error of each state divided by ``scale`` (states,), averaged over states with a non-zero scale.
 
-    The same number as a report's ``heldout_error``, without its trimming: a stretch has few forecasts.
+    Same definition as ``heldout_error`` of a report, but without its trimming, because a stretch has few forecasts.
     """
     moved = scale > 0.0
     if not forecasts or not moved.any():
@@ -56,28 +55,28 @@ def stretch_error(system: System, forecasts: Sequence[Forecast], scale: FloatArr
     return float(min(found.mean(), 1e6)) if not np.isnan(found).any() else 1e6
 
 
-_SIDE_BY_SIDE = 2
-"""Predictions that run at a time: one begins in every half of the horizon."""
+# Concurrent predictions: one starts in each half of the horizon.
+_CONCURRENT = 2
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """One prediction that has come to its end."""
+    """A completed prediction."""
 
     start: int
     """Tick of the measured start."""
     end: int
-    """Tick with which it is compared."""
+    """Tick of the comparison."""
     began: FloatArray
     """Measured state at the start (states,)."""
     measured: FloatArray
     """Measured state at the end (states,)."""
     predicted: FloatArray
-    """(states,)"""
+    """Predicted state at the end (states,)."""
     actions: FloatArray
-    """Mean of what was applied (actions,)."""
+    """Mean of the applied actions (actions,)."""
     variation: FloatArray
-    """Sum of the changes of what was applied, without sign (actions,): what a window asks of a model."""
+    """Total variation of the applied actions (actions,), which determines how demanding the prediction is."""
 
 
 @dataclass
@@ -102,7 +101,7 @@ class _Last:
 
 @final
 class ForecastTracker:
-    """Follows one robot with a tick every ``period`` [s], by default the model's.
+    """Runs the predictions for one robot with the period ``period`` [s], by default the model's.
 
     Raises InputError for a horizon shorter than two periods.
     """
@@ -116,9 +115,9 @@ class ForecastTracker:
         self._last: _Last | None = None
 
     def observe(self, tick: int, state: FloatArray, applied: FloatArray, latent: FloatArray | None) -> list[Forecast]:
-        """Takes the state (states,) of a tick and what was applied since the last one (actions,).
+        """Handles the state (states,) of a tick and the action applied since the last one (actions,).
 
-        Returns what came to its end. After a gap in the ticks, or a state that cannot be believed, all begins again.
+        Returns the completed predictions. After a gap in the ticks or an implausible state, all predictions restart.
         """
         last = self._last
         if not self._model.system.is_plausible(state) or not np.isfinite(applied).all():
@@ -148,7 +147,8 @@ class ForecastTracker:
                 mean = own.summed / (tick - own.start)
                 ended.append(Forecast(own.start, tick, own.began, state, own.state, mean, own.variation))
         last.running = [own for own in last.running if tick - own.start < self.steps]
-        # what the actuators remember does not depend on the state: one step of the model tells it
+        # The actuators' internal state does not depend on the robot's state, so one model step from any state updates
+        # it.
         if memory:
             memory = model.advance(last.state, applied, memory, latent, period=self._period)[1]
         last.memory = memory
@@ -157,6 +157,6 @@ class ForecastTracker:
 
     def _begin(self, last: _Last, tick: int, state: FloatArray, latent: FloatArray | None) -> None:
         newest = max((own.start for own in last.running), default=None)
-        if newest is None or tick - newest >= self.steps / _SIDE_BY_SIDE:
+        if newest is None or tick - newest >= self.steps / _CONCURRENT:
             none = np.zeros(len(self._model.system.action))
             last.running.append(_Running(tick, state, state, last.memory, latent, none, none))

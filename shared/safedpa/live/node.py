@@ -1,4 +1,4 @@
-"""The diagnosis service's step: what the newest tick says about each robot's model, and the changes of that model."""
+"""The node of the diagnosis: monitors the model of each robot and carries out model changes."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from safedpa.bus import (
 )
 from safedpa.dynamics import fingerprint, parse_model
 from safedpa.errors import MessageError
+from safedpa.live.candidate_forecasts import CandidateForecasts, PredictEffect
 from safedpa.live.change import ModelChanges
 from safedpa.live.finding import RobotDiagnosis
-from safedpa.live.foresight import CandidateForecasts, Foretell
+from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.live.versions import ModelVersion, OfferedEffect
-from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.systems import System
 
 __all__ = ["DiagnosisNode"]
@@ -45,20 +45,20 @@ class _DiagnosedRobot:
     diagnosis: RobotDiagnosis
     footprint: tuple[float, ...] = ()
     reported: WorkOutcome | None = None
-    """Whose candidates are proposed."""
+    """Search result whose candidates were proposed."""
     preparing: SearchJob | None = None
     ahead: CandidateForecasts = field(default_factory=CandidateForecasts)
 
 
 @final
 class DiagnosisNode(AbstractNode):
-    """Watches over the model of every robot, searches where it fails, and changes it when that is asked for.
+    """Monitors the model of every robot, searches for missing effects, and changes the model on request.
 
-    ``document`` is the text of the model file that robots begin with; raises ModelFileError when it is none. ``margin``
-    is the text of the filter's margin for it; empty: the shipped one. ``folder`` holds the weights of a learned model.
-    ``changes`` makes what keeps a robot's versions from the robot's name and the first one; by default they live as
-    long as the node. ``foretell`` says what a candidate's margin would do; without it nothing is predicted. No one waits
-    for any of it. ``answer`` may be called from any thread.
+    ``document`` is the text of the initial model's file, ``margin`` that of the filter's margin for it (empty: the
+    shipped one), and ``folder`` has the weights of a learned model. ``changes(robot, first)`` creates the store of a
+    robot's versions; by default it is in memory. ``predict_effect`` predicts the effect of a candidate's margin;
+    without it nothing is predicted. ``answer`` may be called from any thread. Raises ModelFileError for an invalid
+    document.
     """
 
     name = "diagnosis"
@@ -74,14 +74,14 @@ class DiagnosisNode(AbstractNode):
         margin: str = "",
         changes: Callable[[str, ModelVersion], ModelChanges] = lambda _robot, first: ModelChanges(first),
         folder: Path | None = None,
-        foretell: Foretell | None = None,
+        predict_effect: PredictEffect | None = None,
     ) -> None:
         model = parse_model(document, folder)
         self._folder = folder
         self._system: System = model.system
         self._first = ModelVersion(fingerprint(model), document, margin)
         self._worker = worker
-        self._foretell = foretell
+        self._predict_effect = predict_effect
         self._new_changes = changes
         self._lock = RLock()
         self._changes: dict[str, ModelChanges] = {}
@@ -113,23 +113,23 @@ class DiagnosisNode(AbstractNode):
             self.changes_of(robot).hear(message)
 
     def answer(self, robot: str, request: Request) -> Answer:
-        """Does what is asked about a robot, or says why not."""
+        """Carries out a request about a robot, or refuses it with the reason."""
         changes = self.changes_of(robot)
         answer, known = changes.answer(request), self._robots.get(robot)
-        if request.do != "status" or known is None or self._foretell is None:
+        if request.do != "status" or known is None or self._predict_effect is None:
             return answer
-        reported = known.ahead.reported(changes.version.margin, self._foretell)
+        reported = known.ahead.reported(changes.version.margin, self._predict_effect)
         return replace(answer, foreseen=tuple(reported.get(effect, "") for effect in answer.candidates))
 
     def changes_of(self, robot: str) -> ModelChanges:
-        """The versions of a robot's model; they outlive a restart of the robot."""
+        """Returns the versions of a robot's model, which survive a restart of the robot."""
         with self._lock:
             if robot not in self._changes:
                 self._changes[robot] = self._new_changes(robot, self._first)
             return self._changes[robot]
 
     def diagnosis_of(self, robot: str) -> RobotDiagnosis | None:
-        """What is known of a robot that is driving; None of another one."""
+        """Returns the diagnosis of a robot that is driving; None for any other robot."""
         known = self._robots.get(robot)
         return None if known is None else known.diagnosis
 
@@ -160,19 +160,19 @@ class DiagnosisNode(AbstractNode):
             )
 
     def _propose(self, known: _DiagnosedRobot, changes: ModelChanges) -> None:
-        """Hands on what may be accepted; when a person rejected all of it, the error is usual from now on."""
+        """Proposes the candidates of a new search result; closes the finding once all were rejected."""
         outcome, number = known.diagnosis.outcome, known.diagnosis.number
         if outcome is not known.reported:
             known.reported = outcome
             effects = () if outcome is None else outcome.effects
             changes.propose(number, {effect: OfferedEffect(effect) for effect in effects})
-            if self._foretell is not None:
+            if self._predict_effect is not None:
                 known.ahead.begin(self._works(known, changes, effects))
         if outcome is not None and outcome.effects and {(number, e) for e in outcome.effects} <= changes.rejected:
             known.diagnosis.dismiss()
 
     def _prepare(self, robot: str, known: _DiagnosedRobot, changes: ModelChanges) -> None:
-        """Has the model with the accepted effect made, and its margin calibrated on the newest data."""
+        """Has the worker create the model with the accepted effect and calibrate its margin on the newest data."""
         wanted = changes.wanted
         if wanted is None and known.preparing is None:
             known.ahead.step(robot, self._worker)
@@ -187,15 +187,16 @@ class DiagnosisNode(AbstractNode):
             return
         works = [] if wanted is None else self._works(known, changes, (wanted.effect,))
         if not works:
-            changes.failed("the finding is not open any more: the error is back in its band")
+            changes.failed("the finding is closed: the error is back in its band")
             return
+        # The worker does one job per robot; an accepted effect has priority over a search.
         known.diagnosis.pause()
         known.ahead.interrupted()
         known.preparing = works[0]
         self._worker.begin(robot, known.preparing)
 
     def _works(self, known: _DiagnosedRobot, changes: ModelChanges, effects: tuple[str, ...]) -> list[SearchJob]:
-        """To make the models with these effects, on the newest data; none where no finding is open."""
+        """Returns the jobs that create the models with these effects on the newest data; none without a finding."""
         run, outcome = known.diagnosis.data(), known.diagnosis.outcome
         if run is None or outcome is None:
             return []

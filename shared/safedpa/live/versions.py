@@ -1,4 +1,4 @@
-"""Versions of a robot's model, and the folder in which they outlive the process that agrees on them."""
+"""Versions of a robot's model, and the folder that stores them across restarts."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _STATE = "changes.json"
 
 @dataclass(frozen=True)
 class ModelVersion:
-    """One model that was or is in force, and where it came from."""
+    """A model that was or is active, and its origin."""
 
     fingerprint: str
     document: str
-    """The model file's text."""
+    """Text of the model file."""
     margin: str = ""
-    """The filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
+    """The filter's margin for it as JSON; empty: the margin shipped with this model, or none."""
     change: int = 0
-    """Number of the change that brought it; 0: the robot began with it."""
+    """Number of the change that introduced it; 0: the initial model."""
     why: str = ""
     who: str = ""
     data: str = ""
-    """Which stretch of which run it was learned from."""
+    """Run and time range from which it was learned."""
 
 
 @dataclass(frozen=True)
 class OfferedEffect:
-    """An effect that may be accepted, and the model with it; without a document it is made when it is accepted."""
+    """An effect that may be accepted, with its model. Without a document, the model is created on acceptance."""
 
     effect: str
     fingerprint: str = ""
@@ -46,25 +46,25 @@ class OfferedEffect:
 
 @dataclass(frozen=True)
 class PersistedState:
-    """What must outlive the process: versions, the last one in force, and how far changes were counted."""
+    """State that survives a restart: the versions (the last one is active) and the number of the last change."""
 
     versions: tuple[ModelVersion, ...]
     change: int = 0
     offered: str = ""
-    """Fingerprint of what is offered and not decided, else empty."""
+    """Fingerprint of an offer that is not decided; empty without one."""
     rejected: tuple[tuple[int, str], ...] = field(default=())
     """(finding, effect)."""
 
 
 @final
 class VersionFolder:
-    """A folder with one file for each version's model and margin, and one with the state, replaced as a whole."""
+    """A folder with the model and margin of each version, and a file with the state, which is replaced atomically."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def load(self) -> PersistedState | None:
-        """What was kept before; None in a new folder. Raises InputError when it cannot be read."""
+        """Loads the stored state; None for a new folder. Raises InputError if it cannot be read."""
         path = self.folder / _STATE
         try:
             table = parse_json(text_of_file(path, "json_bytes"))
@@ -74,13 +74,13 @@ class VersionFolder:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError, InputError) as error:
-            raise InputError(f"{path}: cannot be read ({error}); move it away to begin without it") from error
+            raise InputError(f"{path}: cannot be read ({error}); move it away to start without it") from error
         if not retained.versions:
-            raise InputError(f"{path}: got no version, wanted at least one; move it away to begin without it")
+            raise InputError(f"{path}: got no version, wanted at least one; move it away to start without it")
         return retained
 
     def save(self, retained: PersistedState) -> None:
-        """Keeps it before anybody acts on it. Raises RecordingError when that fails; what was kept before stays."""
+        """Stores the state. Raises RecordingError if that fails; the previous state then remains."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             newest = retained.versions[-1]
@@ -88,6 +88,7 @@ class VersionFolder:
             write_through(self.folder / f"{stem}.toml", newest.document)
             if newest.margin:
                 write_through(self.folder / f"{stem}.margin.json", newest.margin)
+            # The state last: it refers to the files above, and a crash in between leaves the old state valid.
             table: dict[str, Any] = asdict(retained)
             write_through(self.folder / _STATE, json.dumps(table, indent=1))
         except OSError as error:

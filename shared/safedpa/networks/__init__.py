@@ -1,4 +1,9 @@
-"""Learned networks at work: weights on disk, and inference in plain numpy, for one robot or many."""
+"""Inference of learned networks in NumPy, for one robot or many, and their weights on disk.
+
+Read ``weights`` first (the file and its description), then ``frame`` (inputs and the robot's own frame),
+``learned_networks`` (f, g and mu), ``history`` and ``stream`` (the history encoder phi). ``tensors`` and ``reference``
+are the same networks in torch, for fits and tests.
+"""
 
 from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.history import HistoryEncoder

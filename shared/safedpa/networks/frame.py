@@ -1,8 +1,8 @@
-"""What networks see of a state, and in which frame they tell its change.
+"""The inputs of the networks (features of a state), and the frame in which they predict its change.
 
-A car that stands elsewhere moves alike: its networks see no position, and tell the change of position along and across
-the heading. So they need not learn what geometry knows. The equations run on the entries of one state, Python floats,
-on numpy arrays and on torch tensors.
+Motion does not depend on position and heading, so the networks get no position, and predict changes along and across
+the heading: they need not learn geometry. The equations work on Python floats (the entries of one state), NumPy arrays
+and torch tensors.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 from safedpa.errors import InputError
 from safedpa.networks.plain_rows import turn_rows
 from safedpa.operations import FLOATS, Operations, Scalar, operations_for
-from safedpa.robot import robots
+from safedpa.systems.robots import robots
 
 __all__ = ["Frame", "frame_of"]
 
 Array = Any
-"""A numpy array or a torch tensor; what comes out is of the kind that went in."""
+"""A NumPy array or a torch tensor; results have the kind of the arguments."""
 
 
 @dataclass(frozen=True)
@@ -31,26 +31,26 @@ class Frame:
     feature_names: tuple[str, ...]
     _features: Callable[[Sequence[Scalar], Operations], list[Scalar]]
     _rotation: Callable[[Sequence[Scalar], Operations], tuple[Scalar, Scalar]] | None
-    """Cosine and sine of the heading, for robots that have one."""
+    """Cosine and sine of the heading; None for a robot without one."""
     _angle: int | None
-    """Which entry of the state is an angle."""
+    """Index of the state's angle; None: no entry is one."""
     _turned: tuple[tuple[int, int], ...] = ((0, 1),)
-    """Entries of the state that are vectors of the world, x and y each: the position, a velocity."""
+    """Index pairs (x, y) of the state's vectors in the world frame: the position, a velocity."""
 
     def features(self, state: Array) -> Array:
-        """What the networks see of states (..., states): shape (..., features)."""
+        """Returns the features (..., features) of states (..., states)."""
         return _stacked(self._features(_entries(state), operations_for(state)))
 
     def features_of_one(self, state: Sequence[float]) -> list[float]:
-        """``features`` of the entries of one state, without arrays."""
+        """Returns ``features`` for the entries of one state, without arrays."""
         return self._features(state, FLOATS)
 
     def own_increment_of_one(self, state: Sequence[float], following: Sequence[float]) -> list[float]:
-        """``own_increment`` of the entries of one state and the one that follows, without arrays."""
+        """Returns ``own_increment`` for the entries of one state and the next, without arrays."""
         return self._own(state, [after - before for before, after in zip(state, following, strict=True)], FLOATS)
 
     def turn_to_world(self, state: Sequence[float], rows: list[float], width: int) -> None:
-        """``world_increment`` of one state in place, for ``width`` own-frame changes: entry by entry, all of them."""
+        """Applies ``world_increment`` in place to ``width`` own-frame changes of one state, stored entry by entry."""
         if self._rotation is None:
             return
         cosine, sine = self._rotation(state, FLOATS)
@@ -58,12 +58,15 @@ class Frame:
             turn_rows(rows, x * width, y * width, width, cosine, sine)
 
     def own_increment(self, state: Array, following: Array) -> Array:
-        """The change from ``state`` to ``following`` (..., states) in the frame of ``state``; angles the short way."""
+        """Returns the change from ``state`` to ``following`` (..., states) in the frame of ``state``.
+
+        Differences of angles are wrapped to [-pi, pi).
+        """
         change = [following[..., index] - state[..., index] for index in range(state.shape[-1])]
         return _stacked(self._own(_entries(state), change, operations_for(state)))
 
     def world_increment(self, state: Array, own: Array) -> Array:
-        """An own-frame change (..., states) as a change of the state's entries: the inverse of ``own_increment``."""
+        """Returns an own-frame change (..., states) as a change of the state: the inverse of ``own_increment``."""
         if self._rotation is None:
             return own
         cosine, sine = self._rotation(_entries(state), operations_for(state))
@@ -73,7 +76,7 @@ class Frame:
         return _stacked(change)
 
     def _own(self, state: Sequence[Scalar], change: list[Scalar], operations: Operations) -> list[Scalar]:
-        """The change of each entry of the state, turned into its frame; angles the short way."""
+        """Returns the change of each entry in the frame of the state, with angles wrapped."""
         if self._angle is not None:
             change[self._angle] = (change[self._angle] + np.pi) % (2.0 * np.pi) - np.pi
         if self._rotation is not None:
@@ -84,9 +87,9 @@ class Frame:
 
 
 def frame_of(robot: str) -> Frame:
-    """The frame of a kind of robot. Raises InputError when learned models of it are not known."""
+    """Returns the frame of a robot. Raises InputError if the robot has no learned models."""
     known = robots()
-    found = known[robot].frame() if robot in known else None
+    found: Frame | None = known[robot].frame() if robot in known else None
     if found is None:
         taught = [name for name, one in known.items() if one.frame() is not None]
         raise InputError(f"robot: got '{robot}', wanted one with learned models: {', '.join(taught)}")

@@ -18,16 +18,16 @@ __all__ = ["HistoryEncoder"]
 
 
 _CHUNK = 16
-"""Histories at a time: twice as many, and the memory for what lies between the layers is fetched again each time."""
+"""Histories per batch: with twice as many, the values between the layers no longer stay in the processor's cache."""
 
 
 @final
 class HistoryEncoder:
     """Inference of phi: two dense layers for each row, two convolutions over time, one dense layer.
 
-    A row is one transition: what the networks see of the state, the change of state in the robot's own frame and the
-    action, all scaled. Rows of zeros stand for transitions before the first one. ``frame`` is that of the weights'
-    robot where it is left out. Raises InputError without phi.
+    A row is one transition: features of the state, change of state in the robot's own frame, and action, all scaled.
+    Rows of zeros represent transitions before the first one. ``frame`` defaults to that of the weights' robot. Raises
+    InputError if the weights have no phi.
     Source: the 1-D CNN of Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, in the sizes of SafeDPA's related code.
     """
 
@@ -51,7 +51,7 @@ class HistoryEncoder:
         self.low, self.high = (weights[name].astype(np.float64) for name in ("latent_low", "latent_high"))
 
     def rows(self, states: FloatArray, actions: FloatArray) -> FloatArray:
-        """The rows (..., n, row_length) of n transitions: states (..., n + 1, states), actions (..., n, actions)."""
+        """Returns n rows (..., n, row_length) for states (..., n + 1, states) and actions (..., n, actions)."""
         if states.shape[-2] != actions.shape[-2] + 1:
             raise InputError(
                 f"history: got {states.shape[-2]} states and {actions.shape[-2]} actions, wanted one state more"
@@ -68,7 +68,7 @@ class HistoryEncoder:
         )
 
     def row_of_one(self, state: Sequence[float], action: Sequence[float], following: Sequence[float]) -> list[float]:
-        """The row (row_length,) of one transition, given and returned as plain numbers."""
+        """Returns the row (row_length,) of one transition, on Python floats."""
         seen = [
             *self._frame.features_of_one(state),
             *self._frame.own_increment_of_one(state, following),
@@ -77,15 +77,15 @@ class HistoryEncoder:
         return [(value - middle) / scale for value, middle, scale in zip(seen, self._middles, self._sizes, strict=True)]
 
     def padded(self, rows: FloatArray) -> FloatArray:
-        """The last k rows (..., k, row_length), with rows of zeros in front where there are fewer."""
+        """Returns the last k rows (..., k, row_length), with rows of zeros in front if there are fewer."""
         retained = rows[..., max(0, rows.shape[-2] - self.length) :, :]
         missing = self.length - retained.shape[-2]
         return np.concatenate([np.zeros((*retained.shape[:-2], missing, self.row_length)), retained], axis=-2)
 
     def encode(self, rows: FloatArray) -> FloatArray:
-        """z (..., latents) for exactly k rows (..., k, row_length), within the range that the networks know.
+        """Returns z (..., latents) for exactly k rows (..., k, row_length), clipped to the range of the training.
 
-        Raises InputError when there are fewer or more: pad a history that has just begun with ``padded``.
+        Raises InputError for any other number of rows; ``padded`` extends a shorter history.
         """
         if rows.shape[-2:] != (self.length, self.row_length):
             raise InputError(
@@ -96,11 +96,13 @@ class HistoryEncoder:
         latent = np.empty((len(flat), self.latents))
         for start in range(0, len(flat), _CHUNK):
             latent[start : start + _CHUNK] = self._encoded(flat[start : start + _CHUNK])
+        # beyond the range of the training, f and g would extrapolate
         return np.clip(latent.reshape(*rows.shape[:-2], -1), self.low, self.high)
 
     def _encoded(self, rows: FloatArray) -> NDArray[Any]:
-        """Of histories (n, k, row_length)."""
+        """Returns z (n, latents) for histories (n, k, row_length), not clipped."""
         seen = dense_stack(rows.astype(np.float32), self.dense, "relu", last_linear=False)
         seen = convolution_stack(seen, self.convolutions, STRIDE)
+        # channel by channel, as torch flattens: the weights of the last layer are in this order
         by_channel = np.swapaxes(seen, -1, -2).reshape(len(seen), -1)
         return dense_stack(by_channel, [self.out], "relu")

@@ -1,4 +1,4 @@
-"""Dense and convolutional layers in numpy: some matrix products, and nothing else at work in a service."""
+"""Dense and convolutional layers in NumPy, so that a service needs no deep-learning framework."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Layer(NamedTuple):
 
 
 def layers_of(tensors: Mapping[str, AnyFloatArray], prefix: str) -> tuple[Layer, ...]:
-    """The layers ``prefix.0``, ``prefix.1``, ... of a weights file; none when there is no such network.
+    """Returns the layers ``prefix.0``, ``prefix.1``, ... of a weights file; none if there is no such network.
 
-    Raises InputError when a weight comes without its bias.
+    Raises InputError if a weight has no bias.
     """
     layers: list[Layer] = []
     while (name := f"{prefix}.{len(layers)}.weight") in tensors:
@@ -39,12 +39,12 @@ def layers_of(tensors: Mapping[str, AnyFloatArray], prefix: str) -> tuple[Layer,
 def dense_stack(
     x: AnyFloatArray, layers: Sequence[Layer], activation: Activation, *, last_linear: bool = True
 ) -> AnyFloatArray:
-    """y = W_n s(... s(W_1 x + b_1) ...) + b_n for x (..., in), shape (..., out); s is the activation.
+    """Returns W_n s(... s(W_1 x + b_1) ...) + b_n (..., out) for x (..., in), with the activation s.
 
-    ``last_linear`` false applies the activation after the last layer, too.
+    If not ``last_linear``, the activation is also applied after the last layer.
     """
     last, leading = len(layers) - 1, x.shape[:-1]
-    x = x.reshape(-1, x.shape[-1]) if x.ndim > 2 else x  # one product of matrices instead of one for each leading index
+    x = x.reshape(-1, x.shape[-1]) if x.ndim > 2 else x  # one matrix product, not one per leading index
     for index, (weight, bias) in enumerate(layers):
         x = x @ weight.T
         x += bias
@@ -54,7 +54,7 @@ def dense_stack(
 
 
 def convolution_stack(x: AnyFloatArray, layers: Sequence[Layer], stride: int) -> AnyFloatArray:
-    """Convolutions over time with ReLU after each, without padding: x (..., time, in) to (..., shorter time, out).
+    """Applies convolutions over time without padding, each followed by ReLU: (..., time, in) to (..., time', out).
 
     y[t, o] = relu(b[o] + sum over i, j of W[o, i, j] x[stride t + j, i]).
     """
@@ -62,6 +62,7 @@ def convolution_stack(x: AnyFloatArray, layers: Sequence[Layer], stride: int) ->
         out, inputs, kernel = weight.shape
         leading, steps = x.shape[:-2], (x.shape[-2] - kernel) // stride + 1
         row_by_row = x.reshape(*leading, -1)
+        # each window as one row of a matrix, without a copy: the convolution becomes one matrix product
         windows = np.lib.stride_tricks.sliding_window_view(row_by_row, kernel * inputs, axis=-1)
         flat = windows[..., :: stride * inputs, :].reshape(-1, kernel * inputs)
         y = flat @ weight.transpose(2, 1, 0).reshape(-1, out)

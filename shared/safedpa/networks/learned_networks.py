@@ -1,8 +1,8 @@
 """The learned control-affine dynamics x' = f(x, z) + g(x, z) a and the environment encoder z = mu(e).
 
-The drift f and the control matrix g look at the same input and are evaluated together. Their first layers are one
-matrix, their last ones too, so that a sum of both outputs costs nothing. Every layer's bias is one more column, whose
-input is 1; the first layer hands the 1 on. Nothing is allocated in a call.
+The drift f and the control matrix g have the same input and are evaluated together. Their first layers are merged into
+one matrix, and so are their last ones, together with the scaling of the outputs. Each bias is one more column, whose
+input is a constant 1 that the first layer passes on. A call allocates nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LearnedNetworks:
 
         increment in the robot's own frame = increment_scale (F(n) + G(n) u)
 
-    ``frame`` is that of the weights' robot where it is left out: those of another state have one of their own.
+    ``frame`` defaults to that of the weights' robot; weights for another state need their own.
 
     Source: Xiao, He, Dolan, Shi, Safe Deep Policy Adaptation, ICRA 2024, section III; own frame and scales are ours.
     """
@@ -46,16 +46,16 @@ class LearnedNetworks:
         self._increments = self._paired(weights)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Buffers do not travel, nor are they shared by copies."""
+        # without the buffers: they are rebuilt, and two copies must not share them
         return {"weights": self.weights, "frame": self._given}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["weights"], state["frame"])
 
     def own_increment(self, state: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(f, g) of the own-frame increment f + g a: f (..., states), g (..., states, actions).
+        """Returns f (..., states) and g (..., states, actions) of the increment f + g a in the robot's own frame.
 
-        For states (..., states) and latents (..., latents), a in the action's units.
+        For states (..., states) and latents (..., latents); a has the action's units.
         """
         features = self._frame.features(state)
         shape = np.broadcast_shapes(features.shape[:-1], latent.shape[:-1])
@@ -66,7 +66,7 @@ class LearnedNetworks:
         return found[..., 0], found[..., 1:]
 
     def increment(self, state: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(f, g) of the state's own entries' increment f + g a; shapes as in ``own_increment``."""
+        """Returns f and g of the increment f + g a of the state itself; shapes as in ``own_increment``."""
         if state.ndim == latent.ndim == 1:
             f_of_one, g_of_one = self.increment_of_one(state.tolist(), latent.tolist())
             return np.array(f_of_one), np.array(g_of_one)
@@ -77,23 +77,21 @@ class LearnedNetworks:
     def increment_of_one(
         self, state: Sequence[float], latent: Sequence[float]
     ) -> tuple[list[float], list[list[float]]]:
-        """``increment`` for the entries of one state and one latent: f (states,), g (states, actions)."""
+        """Returns ``increment`` for the entries of one state and latent: f (states,), g (states, actions)."""
         row, states = self.row_of_one(state, latent), len(state)
         actions = len(row) // states - 1
         return row[:states], [row[start : start + actions] for start in range(states, len(row), actions)]
 
     def row_of_one(self, state: Sequence[float], latent: Sequence[float]) -> list[float]:
-        """``increment_of_one`` in one row: f, then g entry by entry of the state."""
+        """Returns ``increment_of_one`` in one list: f, then g row by row."""
         rows = self._increments.plain_of_one((*self._frame.features_of_one(state), *latent))
         width = len(rows) // len(state)
         self._frame.turn_to_world(state, rows, width)
         return world_row(rows, width)
 
     def _paired(self, weights: Weights) -> Paired:
-        """F and G as functions of features and latent in SI units, with a row (f, g) for each entry of the state.
-
-        f - g action_middle and all scales are linear, so that the first and the last layers take them up.
-        """
+        """Returns F and G as functions of features and latent in SI units, with outputs (f, g) for each state entry."""
+        # offset and scale of actions and increments are linear: they are folded into the first and last layers
         feature, scale = weights["feature_middle"].astype(np.float64), weights["feature_scale"].astype(np.float64)
         action, reach = weights["action_middle"].astype(np.float64), weights["action_scale"].astype(np.float64)
         increment = weights["increment_scale"].astype(np.float64)
@@ -108,14 +106,14 @@ class LearnedNetworks:
         return Paired(f, g, mix.reshape(states * (1 + actions), -1))
 
     def encode(self, environment: FloatArray) -> FloatArray:
-        """z = mu((e - middle) / scale), shape (..., latents), for environments e (..., entries) in SI units."""
+        """Returns z = mu((e - middle) / scale) (..., latents) for environments e (..., entries) in SI units."""
         middle, scale = self.weights["environment_middle"], self.weights["environment_scale"]
         scaled = ((environment - middle) / scale).astype(np.float32)
         return dense_stack(scaled, self._mu, "relu").astype(np.float64)
 
 
 def _unscaled(layers: Sequence[Layer], middle: FloatArray, scale: FloatArray) -> list[Layer]:
-    """Layers that take x instead of (x - middle) / scale as their first entries."""
+    """Returns layers whose first inputs are x instead of (x - middle) / scale."""
     first, *others = layers
     weight = first.weight.astype(np.float64)
     weight[:, : len(scale)] /= scale
@@ -123,14 +121,14 @@ def _unscaled(layers: Sequence[Layer], middle: FloatArray, scale: FloatArray) ->
 
 
 _PAD = 16
-"""Columns behind the units of each network: the 1, then zeros, so that rows begin on borders of the memory's lines."""
+"""Columns after the units of each network: the constant 1, then zeros, so that rows start on cache lines."""
 _CHUNK = 128
-"""Inputs at a time: what lies between the layers stays in the processor's cache."""
+"""Inputs per batch: the values between the layers stay in the processor's cache."""
 _ZERO = np.zeros((), dtype=np.float32)
 
 
 class _Middle(NamedTuple):
-    """One network's share of a hidden layer: its columns before and after, and the matrix (before, after) between."""
+    """One network's part of a hidden layer: its input columns, its output columns, and the matrix between them."""
 
     before: slice
     after: slice
@@ -141,8 +139,8 @@ class _Middle(NamedTuple):
 class Paired:
     """y = M [F(x); G(x)] for two networks with ReLU and a matrix M (outputs, outputs of F + outputs of G).
 
-    ``one`` takes a single input, ``many`` any number. Raises InputError when F and G do not have equally many layers,
-    two at least.
+    ``one`` takes a single input, ``many`` any number. Raises InputError unless F and G have equally many layers, at
+    least two.
     """
 
     def __init__(self, first: Sequence[Layer], second: Sequence[Layer], mix: NDArray[np.float64]) -> None:
@@ -155,24 +153,24 @@ class Paired:
         self._work = _Work(self._enter, self._middle, self._leave)
 
     def one(self, values: Sequence[float]) -> Float32Array:
-        """y (outputs,) for x (inputs,), as plain numbers or an array; the next call overwrites it."""
+        """Returns y (outputs,) for x (inputs,), floats or an array; the next call overwrites it."""
         work = self._work
         work.input[0, :-1] = values
         work.run()
         return work.output
 
     def plain_of_one(self, values: Sequence[float]) -> list[float]:
-        """``one`` for plain numbers, which are put in and taken out without an array."""
+        """Returns ``one`` as floats. struct copies them into the buffer faster than NumPy's assignment."""
         work = self._work
         try:
             work.put(work.first, 0, *values)
-        except (OverflowError, struct.error):  # beyond float32, or of another number: as an array takes it
+        except (OverflowError, struct.error):  # beyond float32, or another number of entries: NumPy decides
             work.input[0, :-1] = values
         work.run()
         return list(work.take(work.last))
 
     def many(self, inputs: NDArray[np.floating]) -> Float32Array:
-        """y (n, outputs) for x (n, inputs)."""
+        """Returns y (n, outputs) for x (n, inputs)."""
         work, outputs = self._work, np.empty((len(inputs), self._leave.shape[1]), dtype=np.float32)
         for start in range(0, len(inputs), _CHUNK):
             part = inputs[start : start + _CHUNK]
@@ -191,7 +189,7 @@ class Paired:
 
 
 class _Work(threading.local):
-    """What lies between the layers; of each thread its own, for numpy lets others run during a product."""
+    """Buffers between the layers, one set per thread: NumPy releases the interpreter lock during a product."""
 
     def __init__(self, enter: Float32Array, middle: Sequence[tuple[_Middle, _Middle]], leave: Float32Array) -> None:
         widths = [enter.shape[1], *(right.after.stop + _PAD for _, right in middle)]
@@ -208,14 +206,14 @@ class _Work(threading.local):
         self.first, self.last = self.input[0].data.cast("B"), self.output.data.cast("B")
 
     def run(self) -> None:
-        """All products for the one input that lies in ``input``."""
+        """Evaluates the networks for the first row of ``input``."""
         for step in self.steps:
             step()
 
     def _steps_of_one(
         self, enter: Float32Array, middle: Sequence[tuple[_Middle, _Middle]], leave: Float32Array
     ) -> list[Callable[[], Any]]:
-        """The products for one input, and what cuts off below zero each layer that is complete."""
+        """Returns the products for one input and the ReLU of each layer, with all arguments bound."""
         rows = [buffer[0] for buffer in self.hidden]
         steps = [partial(self.input[0].dot, enter, rows[0]), _cut(rows[0])]
         for (left, right), before, after in zip(middle, rows, rows[1:], strict=False):
@@ -226,12 +224,12 @@ class _Work(threading.local):
 
 
 def _cut(whole: Float32Array) -> partial[Any]:
-    """Of the same shape as the layer, zeros are compared faster than one zero."""
+    # zeros of the layer's shape: a comparison with a broadcast scalar takes longer
     return partial(np.maximum, whole, np.zeros_like(whole), out=whole)
 
 
 def _entering(layer: Layer) -> Float32Array:
-    """(inputs + 1, units + pad) of a first layer: the column behind the units makes the 1 of its 1."""
+    """Returns the matrix (inputs + 1, units + pad) of a first layer; one more column passes the constant 1 on."""
     units, inputs = layer.weight.shape
     matrix = np.zeros((inputs + 1, units + _PAD), dtype=np.float32)
     matrix[:-1, :units], matrix[-1, :units], matrix[-1, units] = layer.weight.T, layer.bias, 1.0
@@ -251,7 +249,7 @@ def _middle(first: Layer, second: Layer) -> tuple[_Middle, _Middle]:
 
 
 def _leaving(first: Layer, second: Layer, mix: NDArray[np.float64]) -> Float32Array:
-    """(units of both with their pads, outputs) of the last layers and what is made of their outputs."""
+    """Returns the matrix (padded units of both, outputs) of the last layers, multiplied by ``mix``."""
     blocks, start = [], 0
     for layer in (first, second):
         share = mix[:, start : start + len(layer.weight)]

@@ -1,4 +1,4 @@
-"""f and g of one robot as plain numbers, turned from the robot's own frame into the world's."""
+"""Rotates f and g of one robot from its own frame to the world's, on Python floats (compiled)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ __all__ = ["turn_rows", "world_row"]
 
 
 def turn_rows(rows: list[float], x: int, y: int, width: int, cosine: float, sine: float) -> None:
-    """Turns the vectors whose entries are ``width`` numbers each, from places ``x`` and ``y`` on, where they stand."""
+    """Rotates ``width`` vectors in place; their entries are at ``x``, ``x`` + 1, ... and ``y``, ``y`` + 1, ..."""
     for _ in range(width):
         along, across = rows[x], rows[y]
         rows[x] = cosine * along - sine * across
@@ -16,7 +16,7 @@ def turn_rows(rows: list[float], x: int, y: int, width: int, cosine: float, sine
 
 
 def world_row(rows: list[float], width: int) -> list[float]:
-    """From f and g of each entry of the state in turn, ``width`` numbers each: all of f, then g entry by entry."""
+    """Returns f, then g row by row, from rows of ``width`` values (f, g) for each entry of the state."""
     states = len(rows) // width
     row: list[float] = []
     for entry in range(states):

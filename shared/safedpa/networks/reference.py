@@ -1,10 +1,10 @@
-"""The networks as one writes them down in torch, in double precision: what every fast road is compared with.
+"""The networks in torch and double precision: the reference for all fast implementations.
 
     f, g     ``safedpa.networks.tensors.TensorNetworks``     against  ``LearnedNetworks.increment``, one or many
     phi      ``reference_latent``                            against  ``HistoryEncoder.encode``, ``HistoryStreams.push``
     policy   ``reference_action``                            against  ``LearnedPolicy.act``
 
-Imported with torch only, and by nothing that runs in a service.
+Needs torch; no service imports it.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ __all__ = ["reference_action", "reference_latent"]
 
 
 _LARGEST_OBSERVATION = 10.0
-"""As in ``safedpa.policy.learned``: scaled observations are clipped to it."""
+"""Bound of scaled observations, as in ``safedpa.policy.learned``."""
 
 
 def reference_latent(weights: Weights, rows: FloatArray) -> FloatArray:
-    """z (n, latents) = phi(rows) for histories (n, k, row_length), clipped to the range that the networks know."""
+    """Returns z = phi(rows) (n, latents) for histories (n, k, row_length), clipped to the range of the training."""
     seen = _tensor(rows)
     for layer in layers_of(weights.tensors, "phi.dense"):
         seen = torch.relu(_linear(seen, layer))
@@ -40,7 +40,7 @@ def reference_latent(weights: Weights, rows: FloatArray) -> FloatArray:
 
 
 def reference_action(weights: Weights, observation: FloatArray) -> FloatArray:
-    """a (n, actions) = middle + scale clip(pi((o - middle) / scale), -1, 1) for observations (n, observations)."""
+    """Returns a = middle + scale clip(pi((o - middle) / scale), -1, 1) (n, actions) for observations o (n, ...)."""
     scaled = (_tensor(observation) - _tensor(weights["observation_middle"])) / _tensor(weights["observation_scale"])
     seen = scaled.clip(-_LARGEST_OBSERVATION, _LARGEST_OBSERVATION)
     *hidden, last = layers_of(weights.tensors, "policy")

@@ -1,14 +1,14 @@
-"""The history encoder phi tick by tick: what was computed for earlier rows is kept instead of computed again.
+"""Evaluates the history encoder phi incrementally: results for earlier rows are reused.
 
-phi looks at the last k rows. A tick brings one new row, and moves every other one by one place. The dense layers see
-one row each, so the newest alone is new. A convolution with kernel K and stride 4 sees windows that end at the newest
-value and at every fourth one before it; four ticks ago the newest window was what is the second newest now. So its
-newest output alone is new as well: with c the outputs of the layer before, of which every D-th enters (D = 1, 4, ...),
+phi has the last k rows as input. A tick adds one row and shifts the others by one. The dense layers work row by row, so
+only the newest row is new. A convolution with kernel K and stride 4 has windows that end at the newest value and at
+every fourth one before it; the newest window of four ticks ago is now the second newest. So only its newest output is
+new. With c the outputs of the previous layer, of which every D-th is an input (D = 1, 4, ...),
 
     c'[t] = relu(b + sum over j of W[j] c[t - D (K - 1 - j)])
 
-A tick costs one product with a vector per layer, a tenth of phi over the whole history, and every sum is over the same
-numbers. Source: Paine et al., Fast WaveNet generation algorithm, arXiv:1611.09482.
+A tick takes one matrix-vector product per layer, a tenth of phi over the whole history, and every sum has the same
+terms. Source: Paine et al., Fast WaveNet generation algorithm, arXiv:1611.09482.
 """
 
 from __future__ import annotations
@@ -32,10 +32,9 @@ _ZERO = np.zeros((), dtype=np.float32)
 
 @final
 class HistoryStreams:
-    """phi of the last k rows of each of several robots, which all get a row at the same moment.
+    """phi of the last k rows of several robots, which get a row at the same time.
 
-    ``push`` gives what ``HistoryEncoder.encode`` gives for the last k rows pushed (zeros in front of the first), to
-    single precision.
+    ``push`` returns ``HistoryEncoder.encode`` of the last k rows (zeros before the first), to single precision.
     """
 
     def __init__(self, encoder: HistoryEncoder, robots: int = 1) -> None:
@@ -57,7 +56,7 @@ class HistoryStreams:
         self.reset()
 
     def push(self, rows: FloatArray | Sequence[Sequence[float]]) -> Float32Array:
-        """z (robots, latents) after one more row (robots, row_length) of each; the next call overwrites it."""
+        """Returns z (robots, latents) after one more row (robots, row_length); the next call overwrites it."""
         product, tick = self._product, self._ticks
         self._input[:] = rows
         value = self._input
@@ -69,12 +68,12 @@ class HistoryStreams:
             product(before.window(tick), matrix, out=y)
             np.add(y, bias, out=y)
             np.maximum(y, _ZERO, out=y)
-            after.retained(tick)
+            after.commit(tick)
         self._ticks = tick + 1
         return self._encoded(tick)
 
     def reset(self, which: slice | Sequence[int] = slice(None)) -> None:
-        """Begins new histories, of all robots or of those that are named."""
+        """Starts new histories, of all robots or of those named."""
         for series, value in zip(self._series, self._of_nothing, strict=True):
             series.fill(which, value)
 
@@ -103,10 +102,10 @@ class _Dense:
 
 @final
 class _Series:
-    """Of each robot the last ``kernel`` of every ``spacing``-th value (width,), side by side in memory.
+    """A ring buffer of each robot's last ``kernel`` of every ``spacing``-th value (width,), contiguous in memory.
 
-    Each is written twice, ``kernel`` places apart, so that the last ones lie in order wherever the newest one is. All
-    views are made once.
+    Each value is written twice, ``kernel`` positions apart, so that the last ``kernel`` are contiguous and in order
+    wherever the ring starts. All views are made once.
     """
 
     def __init__(self, robots: int, width: int, kernel: int, spacing: int) -> None:
@@ -123,28 +122,28 @@ class _Series:
                 self._windows.append(phase[:, start + width : twin + width])
 
     def place(self, tick: int) -> Float32Array:
-        """Where the value (robots, width) of a tick goes; ``retained`` says that it is there."""
+        """Returns the buffer (robots, width) for the value of a tick; call ``commit`` after writing."""
         return self._places[tick % len(self._places)]
 
-    def retained(self, tick: int) -> None:
+    def commit(self, tick: int) -> None:
         at = tick % len(self._places)
         self._twins[at][:] = self._places[at]
 
     def keep(self, value: Float32Array, tick: int) -> None:
         self.place(tick)[:] = value
-        self.retained(tick)
+        self.commit(tick)
 
     def window(self, tick: int) -> Float32Array:
-        """(robots, kernel width): the value of a tick last, before it those ``spacing``, 2 ``spacing``, ... earlier."""
+        """Returns (robots, kernel * width): the values 0, ``spacing``, 2 ``spacing``, ... ticks before, newest last."""
         return self._windows[tick % len(self._windows)]
 
     def fill(self, which: slice | Sequence[int], value: Float32Array) -> None:
-        """Takes a value (1, width) as the one of all ticks so far."""
+        """Sets the values of all ticks so far to one value (1, width)."""
         self._values[:, which] = np.tile(value, 2 * self.kernel)
 
 
 def _values_of_nothing(encoder: HistoryEncoder) -> list[Float32Array]:
-    """The inputs (1, width) of each convolution and of the last layer while all rows are zeros."""
+    """Returns the inputs (1, width) of each convolution and of the last layer for rows of zeros."""
     seen = np.zeros((1, encoder.row_length), dtype=np.float32)
     for layer in encoder.dense:
         seen = np.maximum(seen @ layer.weight.T + layer.bias, _ZERO)
@@ -156,10 +155,8 @@ def _values_of_nothing(encoder: HistoryEncoder) -> list[Float32Array]:
 
 
 def _series_of(encoder: HistoryEncoder, robots: int) -> tuple[list[_Series], int]:
-    """The inputs of each convolution and of the last layer, and how many ticks behind the last layer looks.
-
-    A history that the kernels do not divide leaves its newest values out, as the convolutions without padding do.
-    """
+    """Returns the inputs of each convolution and of the last layer, and the lag of the last layer in ticks."""
+    # convolutions without padding leave out the newest values of a history that the strides do not divide
     series, spacing, length, lag = [], 1, encoder.length, 0
     width = len(encoder.dense[-1].weight) if encoder.dense else encoder.row_length
     for layer in encoder.convolutions:
@@ -174,5 +171,5 @@ def _series_of(encoder: HistoryEncoder, robots: int) -> tuple[list[_Series], int
 
 
 def _by_time(weight: Float32Array) -> Float32Array:
-    """A kernel (out, in, time) as a matrix (time in, out): its windows are rows one after the other."""
+    """Returns a kernel (out, in, time) as a matrix (time * in, out), in the order of a window in memory."""
     return np.ascontiguousarray(weight.transpose(2, 1, 0).reshape(-1, len(weight)))

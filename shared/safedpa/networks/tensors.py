@@ -1,4 +1,4 @@
-"""The same learned dynamics on torch tensors, with gradients: for fits over many states. Imported with torch only."""
+"""The learned dynamics on torch tensors, with gradients, for fits over many states. Needs torch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["TensorNetworks"]
 
 @final
 class TensorNetworks:
-    """f + g a as in ``LearnedNetworks``, for tensors of any one precision."""
+    """f + g a as in ``LearnedNetworks``, for tensors of any precision."""
 
     def __init__(self, weights: Weights) -> None:
         self._frame = frame_of(weights.description.robot)
@@ -24,7 +24,7 @@ class TensorNetworks:
         self._weights = weights
 
     def change(self, entries: list[Any], latent: list[Any], action: list[Any]) -> list[Any]:
-        """The change of each of the state's entries over one period; scalars are tensors or numbers."""
+        """Returns the change of each entry of the state over one period; arguments are tensors or numbers."""
         like = next(value for value in (*entries, *latent, *action) if isinstance(value, torch.Tensor))
         tensors = torch.broadcast_tensors(  # type: ignore[no-untyped-call]
             *(torch.as_tensor(value, dtype=like.dtype, device=like.device) for value in (*entries, *latent, *action))

@@ -1,4 +1,4 @@
-"""A weights file: tensors as safetensors, with a description of what they are and what they were trained on."""
+"""Reads and writes weights: tensors as safetensors, with a description of the robot and the training."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["FORMAT", "STRIDE", "Description", "EnvironmentEntry", "Weights", "lo
 
 FORMAT = 1
 STRIDE = 4
-"""Of phi's convolutions over time."""
+"""Stride of phi's convolutions over time."""
 _KEY = "safedpa"
 _VECTORS = ("feature_middle", "feature_scale", "action_middle", "action_scale", "increment_scale")
 _LATENT_VECTORS = ("latent_low", "latent_high", "latent_nominal")
@@ -28,7 +28,7 @@ _LATENT_VECTORS = ("latent_low", "latent_high", "latent_nominal")
 @final
 @dataclass(frozen=True)
 class EnvironmentEntry:
-    """One entry of the environment configuration e: a parameter of a named effect, and the range trained on."""
+    """One entry of the environment e: a parameter of a named effect, and its range in the training."""
 
     path: str
     low: float
@@ -38,7 +38,7 @@ class EnvironmentEntry:
 @final
 @dataclass(frozen=True)
 class Description:
-    """What the tensors belong to. ``trained_on`` holds configuration, pairs, seeds, date: for people."""
+    """The robot and the sizes of the networks. ``trained_on`` documents configuration, seeds and date."""
 
     robot: str
     period: float
@@ -46,17 +46,17 @@ class Description:
     actions: tuple[str, ...]
     latents: int = 0
     history: int = 0
-    """Transitions that the history encoder looks at; 0 without one."""
+    """Transitions in the input of the history encoder; 0 without one."""
     environment: tuple[EnvironmentEntry, ...] = ()
     trained_on: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """The JSON text that ``from_json`` reads back."""
+        """Returns the JSON text that ``from_json`` reads."""
         return json.dumps({"format": FORMAT, **asdict(self)}, sort_keys=True)
 
     @staticmethod
     def from_json(text: str) -> Description:
-        """Raises InputError naming the key."""
+        """Returns the description that ``to_json`` wrote. Raises InputError naming the key."""
         table = parse_json(text)
         if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
             raise InputError(f"description: wanted format {FORMAT}; this program reads no other")
@@ -83,7 +83,7 @@ class Weights:
     tensors: Mapping[str, NDArray[np.float32]]
     description: Description
     source: Path | None = None
-    """The file that they came from."""
+    """The file that they were read from."""
 
     def __post_init__(self) -> None:
         for name, tensor in self.tensors.items():
@@ -107,20 +107,21 @@ class Weights:
         return self.tensors[name]
 
     def has(self, network: str) -> bool:
-        """Whether a network (mu, f, g, phi, policy) is in them."""
+        """Returns whether the weights contain a network (mu, f, g, phi, policy)."""
         return any(name.startswith(f"{network}.") for name in self.tensors)
 
     @property
     def digest(self) -> str:
-        """SHA-256 over names, shapes and numbers of all tensors: equal weights, equal digest."""
+        """SHA-256 over names, shapes and values of all tensors."""
         running = sha256()
         for name in sorted(self.tensors):
             running.update(f"{name} {self.tensors[name].shape} ".encode())
+            # little-endian on every machine: models name this digest
             running.update(np.ascontiguousarray(self.tensors[name], dtype="<f4").tobytes())
         return running.hexdigest()
 
     def with_tensors(self, tensors: Mapping[str, Any], description: Description | None = None) -> Weights:
-        """The same with some tensors replaced or added."""
+        """Returns the weights with some tensors replaced or added."""
         added = {name: np.asarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
         return Weights({**self.tensors, **added}, description or self.description)
 
@@ -146,7 +147,7 @@ class Weights:
         self._check_shape(f"{name}.{last}.weight", (outputs, None))
 
     def _convolved(self) -> int:
-        """How many numbers the convolutions leave of the history."""
+        """Returns the number of outputs of the convolutions for one history."""
         steps, channels, index = self.description.history, 0, 0
         while (name := f"phi.conv.{index}.weight") in self.tensors:
             channels, _, kernel = self.tensors[name].shape
@@ -169,7 +170,7 @@ class Weights:
 
 
 def _check_numbers(described: Description) -> None:
-    """Raises InputError when a number of a description is none: a foreign file must not fail in a service."""
+    """Raises InputError for a value of the wrong type or range: a broken file must not fail later, in a service."""
     for name in ("latents", "history"):
         value = getattr(described, name)
         if type(value) is not int or value < 0:
@@ -179,20 +180,21 @@ def _check_numbers(described: Description) -> None:
 
 
 def save_weights(weights: Weights, path: str | Path) -> None:
-    """Writes a safetensors file; whole or not at all."""
+    """Writes a safetensors file, completely or not at all."""
     from safetensors.numpy import save
 
     path = Path(path)
     tensors = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in weights.tensors.items()}
     content = save(tensors, metadata={_KEY: weights.description.to_json()})
     path.parent.mkdir(parents=True, exist_ok=True)
+    # written next to it and renamed: a reader sees the old file or the new one
     unfinished = path.with_suffix(".part")
     unfinished.write_bytes(content)
     unfinished.replace(path)
 
 
 def load_weights(path: str | Path) -> Weights:
-    """Reads what ``save_weights`` wrote. Raises InputError naming the file and what is wrong with it."""
+    """Reads a file that ``save_weights`` wrote. Raises InputError naming the file and the problem."""
     from safetensors import SafetensorError, safe_open
 
     path = Path(path)

@@ -1,4 +1,4 @@
-"""The perception service's step: surroundings[k] from state[k] and the scans before it."""
+"""The node of the perception service: computes surroundings[k] from state[k] and the scans before it."""
 
 from __future__ import annotations
 
@@ -29,46 +29,46 @@ __all__ = ["PerceptionNode"]
 
 Rows = tuple[tuple[float, ...], ...]
 
-_MOST_HEARD = 256
-"""Scans whose numbers are told of one tick at most."""
+_MAX_SCANS = 256
+"""Largest number of scans that one message lists."""
 
 
 @final
 class PerceptionNode(AbstractNode):
-    """Tells of each robot that has sources what is around it at the moment of its state; of others, nothing."""
+    """Publishes the surroundings of each robot with sensors at the time of its state."""
 
     name = "perception"
     inputs = ()
     outputs = (SURROUNDINGS,)
     listens = (SCAN,)
     share = 0.0
-    lingers = False
+    defers_afterwards = False
 
     def __init__(self, settings: PerceptionSettings | None = None, orders: Path | None = None) -> None:
         self._settings = settings or PerceptionSettings()
         self.switches = SensorOverrides(self._settings, orders)
-        """What a person may switch while it runs."""
+        """Sources and zones that the user can switch at run time."""
         self._robots: dict[str, SurroundingsTracker] = {}
-        self._in_force: dict[str, ActiveZones] = {}
-        """By robot, as of its last tick."""
+        self._active: dict[str, ActiveZones] = {}
+        """Active zones in the last tick, by robot."""
         self._heard: dict[str, deque[tuple[int, str, int]]] = {}
-        """By robot: epoch, source and number of each scan that came since its last tick."""
+        """Epoch, source and number of each scan since the last tick, by robot."""
 
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ScanMessage)
         self._of(robot).hear(message)
-        self._heard.setdefault(robot, deque(maxlen=_MOST_HEARD)).append((message.epoch, message.source, message.number))
+        self._heard.setdefault(robot, deque(maxlen=_MAX_SCANS)).append((message.epoch, message.source, message.number))
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
         if not state.sources:
             return {}
         around = self._of(robot)
-        in_force = self.switches.in_force(robot, state.sources, state.tick)
-        if in_force != self._in_force.get(robot) and not self.switches.replays(robot):
-            self._report(robot, state, in_force)
-        seen = around.at(state, in_force)
-        counting = in_force.at(state.values[3] if len(state.values) > 3 else None)
+        active = self.switches.in_force(robot, state.sources, state.tick)
+        if active != self._active.get(robot) and not self.switches.replays(robot):
+            self._report(robot, state, active)
+        seen = around.at(state, active)
+        counting = active.at(state.values[3] if len(state.values) > 3 else None)
         message = SurroundingsMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -80,18 +80,18 @@ class PerceptionNode(AbstractNode):
             ages=around.sources.ages(state.robot_time),
             problems=around.sources.problems(state.robot_time),
             scans=self._scans(robot, state),
-            off=tuple(name for name in state.sources if name in in_force.off),
+            off=tuple(name for name in state.sources if name in active.off),
             zones=counting.names,
             borders=counting.borders((state.values[0], state.values[1], state.values[2])),
-            ordered=in_force.ordered,
+            ordered=active.ordered,
         )
         return {SURROUNDINGS: message}
 
     def _scans(self, robot: str, state: StateMessage) -> Rows:
-        """What was heard for this step. A scan of another epoch may have overtaken its state, and waits for that."""
+        """Scans used in this step. A scan of another epoch may arrive before its state; it is kept for that state."""
         heard = self._heard.pop(robot, ())
         if others := [one for one in heard if one[0] != state.epoch]:
-            self._heard[robot] = deque(others, maxlen=_MOST_HEARD)
+            self._heard[robot] = deque(others, maxlen=_MAX_SCANS)
         return tuple(
             (float(state.sources.index(name)), float(number))
             for epoch, name, number in heard
@@ -99,22 +99,20 @@ class PerceptionNode(AbstractNode):
         )
 
     def _report(self, robot: str, state: StateMessage, now: ActiveZones) -> None:
-        """What takes something away from what is told: when a robot is met, and when someone switched."""
-        known, self._in_force[robot] = self._in_force.get(robot), now
-        report_progress = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
+        """Logs sources and zones that remove information, at the first tick of a robot and after each switch."""
+        known, self._active[robot] = self._active.get(robot), now
+        report = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
         ignored = ", ".join(zone.name for zone in now.zones if zone.kind == "ignored")
         off, on = ", ".join(sorted(now.off)), ", ".join(zone.name for zone in now.zones)
-        strange = ", ".join(name for name in self._settings.sources if name not in state.sources)
+        unknown = ", ".join(name for name in self._settings.sources if name not in state.sources)
         if known is not None:
-            report_progress("perception.switched", f"zones that count: {on or 'none'}; sources off: {off or 'none'}")
-        elif strange:
-            report_progress("perception.source_unknown", f"the file names the source {strange}, the robot does not")
+            report("perception.switched", f"active zones: {on or 'none'}; sources off: {off or 'none'}")
+        elif unknown:
+            report("perception.source_unknown", f"the file names the source {unknown}, the robot does not")
         if ignored:
-            report_progress(
-                "perception.ignores", f"what is seen in {ignored} is not told, and no one is taken to hide there"
-            )
+            report("perception.ignores", f"objects in {ignored} are not reported, and nothing is assumed to hide there")
         if off:
-            report_progress("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
+            report("perception.source_off", f"ignored: {off}; what only it sees counts as hidden")
 
     def _of(self, robot: str) -> SurroundingsTracker:
         if robot not in self._robots:
@@ -122,7 +120,7 @@ class PerceptionNode(AbstractNode):
         return self._robots[robot]
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """Nothing: the filter brakes. What is remembered may be broken and begins again."""
+        """Publishes nothing, so the filter brakes; the memory may be inconsistent and is cleared."""
         del state, reason
         self._robots.pop(robot, None)
         self._heard.pop(robot, None)
@@ -130,6 +128,6 @@ class PerceptionNode(AbstractNode):
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
-        self._in_force.pop(robot, None)
+        self._active.pop(robot, None)
         self._heard.pop(robot, None)
         self.switches.forget(robot)

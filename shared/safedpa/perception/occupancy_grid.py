@@ -1,4 +1,4 @@
-"""Square cells around the robot, in the frame of its position, that follow it in whole cells."""
+"""A grid of square cells around the robot that follows it in whole cells, and morphology on its flags."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["CELL", "Grid", "dilate", "disc_offsets", "erode", "shift_cells"]
 _A = TypeVar("_A", bound=NDArray[Any])
 
 CELL = 0.1
-"""m"""
+"""Edge of a cell, m."""
 
 
 @final
 class Grid:
-    """(size, size) cells; cell [i, j] has its middle at ((i + 0.5 + left) CELL, (j + 0.5 + low) CELL)."""
+    """A grid of (size, size) cells; the middle of cell [i, j] is ((i + 0.5 + left) CELL, (j + 0.5 + low) CELL)."""
 
     def __init__(self, reach: float, x: float, y: float) -> None:
         self.size = 2 * ceil(reach / CELL) + 1
@@ -35,7 +35,7 @@ class Grid:
 
     @property
     def middles(self) -> tuple[FloatArray, FloatArray]:
-        """x and y (size, size) [m] of the cells' middles; not writeable, the same arrays until it moves."""
+        """x and y (size, size) [m] of the middles of the cells; read-only, and the same arrays until the grid moves."""
         if self._middles is None:
             x: FloatArray = (self._index[0] + (0.5 + self.left)) * CELL
             y: FloatArray = (self._index[1] + (0.5 + self.low)) * CELL
@@ -44,7 +44,7 @@ class Grid:
         return self._middles
 
     def around(self, x: float, y: float, reach: float) -> tuple[slice, slice]:
-        """Of columns and rows those whose cells come within ``reach`` [m] of x and of y."""
+        """Slices of the columns and rows within ``reach`` [m] of x and of y."""
 
         def near(place: float, first: int) -> slice:
             low, high = floor((place - reach) / CELL) - first, floor((place + reach) / CELL) - first
@@ -53,62 +53,62 @@ class Grid:
         return near(x, self.left), near(y, self.low)
 
     def cells(self, places: FloatArray) -> tuple[IndexArray, IndexArray, BoolArray]:
-        """Indices of the cells that ``places`` (n, 2) [m] lie in, and which of them lie in one at all."""
+        """Indices i, j of the cells of ``places`` (n, 2) [m], and which places are inside the grid."""
         i = np.floor(places[:, 0] / CELL).astype(np.int64) - self.left
         j = np.floor(places[:, 1] / CELL).astype(np.int64) - self.low
         return i, j, (i >= 0) & (i < self.size) & (j >= 0) & (j < self.size)
 
-    def way_to(self, x: float, y: float, slack: int) -> tuple[int, int]:
-        """Cells by which it has to move so that (x, y) [m] is in its middle again; (0, 0) while it nearly is."""
+    def shift_to(self, x: float, y: float, slack: int) -> tuple[int, int]:
+        """Cells by which the grid must move to be centred at (x, y) [m]; (0, 0) if it is within ``slack`` cells."""
         left, low = self._corner(x, y)
         way = left - self.left, low - self.low
         return way if max(map(abs, way)) > slack else (0, 0)
 
     def move(self, way: tuple[int, int]) -> None:
-        """By whole cells; every array is to be moved by ``shift_cells``, too."""
+        """Moves by whole cells; the caller shifts each array of cell contents with ``shift_cells``."""
         self.left, self.low, self._middles = self.left + way[0], self.low + way[1], None
 
 
 def shift_cells(cells: _A, way: tuple[int, int], new: Any) -> _A:
-    """What was in ``cells`` before its grid moved by ``way``; ``new`` in what came in."""
-    fresh: _A = np.full_like(cells, new)
+    """Shifts cell contents after the grid moved by ``way``; fills new cells with ``new``."""
+    shifted: _A = np.full_like(cells, new)
     size = len(cells)
-    here = [slice(max(0, -step), min(size, size - step)) for step in way]
-    there = [slice(max(0, step), min(size, size + step)) for step in way]
-    if all(part.start < part.stop for part in here):
-        fresh[here[0], here[1]] = cells[there[0], there[1]]
-    return fresh
+    target = [slice(max(0, -step), min(size, size - step)) for step in way]
+    source = [slice(max(0, step), min(size, size + step)) for step in way]
+    if all(part.start < part.stop for part in target):
+        shifted[target[0], target[1]] = cells[source[0], source[1]]
+    return shifted
 
 
 @cache
 def disc_offsets(radius: float) -> tuple[tuple[int, int, float], ...]:
-    """Cells whose middles lie within ``radius`` [m] of one's own, with the distance [m]; the own one first."""
+    """Offsets (i, j) and distance [m] of all cells within ``radius`` [m] of a cell, nearest first."""
     cells = floor(radius / CELL + 1e-9)
     near = [(i, j, CELL * hypot(i, j)) for i in range(-cells, cells + 1) for j in range(-cells, cells + 1)]
     return tuple(sorted((one for one in near if one[2] <= radius + 1e-9), key=lambda one: one[2]))
 
 
 def dilate(cells: BoolArray, radius: float, *, beyond: bool) -> BoolArray:
-    """All cells within ``radius`` [m] of a flagged one; ``beyond``: whether what lies outside of the grid is."""
-    return _joined(cells, radius, beyond=beyond)
+    """Flags all cells within ``radius`` [m] of a flagged one; ``beyond`` is the flag of cells outside the grid."""
+    return _dilate(cells, radius, beyond=beyond)
 
 
 def erode(cells: BoolArray, radius: float, *, beyond: bool) -> BoolArray:
-    """Flagged cells around which all within ``radius`` [m] are, too; ``beyond``: whether those outside are."""
-    return ~_joined(~cells, radius, beyond=not beyond)
+    """Keeps flagged cells whose neighbours within ``radius`` [m] are all flagged; ``beyond``: flag outside the grid."""
+    return ~_dilate(~cells, radius, beyond=not beyond)
 
 
-def _joined(cells: BoolArray, radius: float, *, beyond: bool) -> BoolArray:
-    """As one whole number of many bits, row after row with room between them: a shift moves all cells at once.
+def _dilate(cells: BoolArray, radius: float, *, beyond: bool) -> BoolArray:
+    """Dilation with all cells packed into one big integer, so that a bit shift moves all cells at once.
 
-    A disc is rows of cells, the shorter the farther they are from its middle: from the outermost row on, the cells grow
-    along their rows to its length, and are moved to it.
+    The rows are stored one after the other with padding. The disc is a stack of rows; from the outermost row inwards,
+    the flags are grown along their row to the half length of that row, then shifted by its offset.
     """
     lengths, size = _row_lengths(radius), len(cells)
     pad = len(lengths) - 1
     if not pad:
         return cells.copy()
-    wide = np.full((size + 2 * pad, size + pad), beyond)  # what lies beyond one row's end lies before the next
+    wide = np.full((size + 2 * pad, size + pad), beyond)  # the padding after a row also precedes the next row
     wide[pad : pad + size, :size] = cells
     row, margin = size + pad, pad * (size + pad + 1)
     length = 0
@@ -127,7 +127,7 @@ def _joined(cells: BoolArray, radius: float, *, beyond: bool) -> BoolArray:
 
 @cache
 def _row_lengths(radius: float) -> tuple[int, ...]:
-    """By rows from the middle of a disc of this radius [m]: how many cells it reaches to either side there."""
+    """Half length in cells of each row of a disc with this radius [m], from its middle row outwards."""
     near: dict[int, int] = {}
     for i, j, _ in disc_offsets(radius):
         near[abs(i)] = max(near.get(abs(i), 0), abs(j))

@@ -1,4 +1,4 @@
-"""Where the robot was at a moment: its last states, and straight lines between them."""
+"""Pose of the robot at a past time, interpolated linearly between its last states."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from typing import final
 __all__ = ["OdometryBuffer", "Pose"]
 
 Pose = tuple[float, float, float]
-"""x, y in m, yaw in rad, turns counted or not."""
+"""x, y [m] and yaw [rad], wrapped or unwrapped."""
 
-_RETAINED = 200
-"""Poses; 10 s at 20 Hz."""
+_BUFFER_SIZE = 200
+"""Number of poses: 10 s at 20 Hz."""
 
 
 @final
 class OdometryBuffer:
-    """Poses by the robot's own clock, the newest last."""
+    """Buffer of poses by the robot's clock, newest last."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_RETAINED)
-        self._poses: deque[Pose] = deque(maxlen=_RETAINED)
+        self._times: deque[float] = deque(maxlen=_BUFFER_SIZE)
+        self._poses: deque[Pose] = deque(maxlen=_BUFFER_SIZE)
 
     def add(self, time: float, pose: Pose) -> None:
-        """The pose at ``time`` [s], later than all before."""
+        """Adds the pose at ``time`` [s], which must be later than all others."""
         self._times.append(time)
         self._poses.append(pose)
 
     @property
     def last_step(self) -> float:
-        """m from the last pose but one to the last."""
+        """Distance between the last two poses, m."""
         if len(self._poses) < 2:
             return 0.0
         (x, y, _), (before_x, before_y, _) = self._poses[-1], self._poses[-2]
         return hypot(x - before_x, y - before_y)
 
     def at(self, time: float) -> Pose | None:
-        """The pose at ``time`` [s]; None before the first or after the last one that is known."""
+        """Returns the pose at ``time`` [s]; None before the first or after the last pose."""
         times = self._times
         if not times or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
             return None
@@ -47,7 +47,7 @@ class OdometryBuffer:
             return self._poses[0]
         before, after = self._poses[later - 1], self._poses[later]
         passed = times[later] - times[later - 1]
-        share = min((time - times[later - 1]) / passed, 1.0) if passed > 0.0 else 1.0  # a clock may be stationary
+        share = min((time - times[later - 1]) / passed, 1.0) if passed > 0.0 else 1.0  # times may be equal
         x, y = (one + share * (other - one) for one, other in zip(before[:2], after[:2], strict=True))
-        turned = remainder(after[2] - before[2], 2.0 * pi)  # the short way round: a robot may tell -pi after pi
+        turned = remainder(after[2] - before[2], 2.0 * pi)  # shortest rotation: yaw may wrap from pi to -pi
         return x, y, before[2] + share * turned

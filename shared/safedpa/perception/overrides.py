@@ -1,6 +1,6 @@
-"""What of each robot's sources and zones counts: as its file says, and as a person ordered since.
+"""Overrides of sources and zones: which of them are active, by the settings file and the orders of users.
 
-Orders to perception on disk, so that perception that is started again still knows them.
+Orders are stored on disk, so that they survive a restart of perception.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ __all__ = [
 ]
 
 Ordered = Mapping[str, Mapping[tuple[str, str], bool]]
-"""By robot (``-``: each), then by ``source`` or ``zone`` and its name: whether it counts."""
+"""Whether a ("source" or "zone", name) is active, by robot (``-`` for all)."""
 EVERY_SOURCE: Final = ("source", "*")
 _FORMAT = 1
 
 
 def load_overrides(path: Path) -> tuple[dict[str, dict[tuple[str, str], bool]], str]:
-    """The orders in a file, none where there is none; and why they cannot be read, or nothing.
+    """Loads the orders in a file, empty if there is none; also returns why they cannot be read, else "".
 
-    Orders that were lost might have closed a zone or left out a source that tells lies: where they cannot be read, no
-    source of any robot counts until a person orders it on, and the filter brakes.
+    Lost orders may have closed a zone or disabled a faulty source. If the file is unreadable, all sources of all robots
+    are therefore off until a user switches them on, and the filter brakes.
     """
     try:
         return _parsed(parse_json(text_of_file(path, "json_bytes"))), ""
@@ -62,7 +62,7 @@ def _parsed(table: Any) -> dict[str, dict[tuple[str, str], bool]]:
 
 
 def save_overrides(path: Path, ordered: Ordered) -> str:
-    """Puts the orders on the disk before it returns; what went wrong, or nothing."""
+    """Saves the orders durably; returns the problem, or an empty text."""
     named = {robot: {" ".join(key): counts for key, counts in own.items()} for robot, own in ordered.items()}
     switches = {robot: own for robot, own in named.items() if own}
     try:
@@ -75,132 +75,132 @@ def save_overrides(path: Path, ordered: Ordered) -> str:
 _WHAT = ("source", "zone")
 _SETS = {"on": True, "off": False}
 _Switched = Mapping[tuple[str, str], bool]
-"""By ``source`` or ``zone`` and its name: whether it counts."""
-_LONGEST_NAME = 60
-"""Letters of who ordered."""
-_MOST_SWITCHES = 64
-"""Of one order."""
+"""Whether a ("source" or "zone", name) is active."""
+_MAX_NAME_LENGTH = 60
+"""Characters of the name of a user."""
+_MAX_SWITCHES = 64
+"""Largest number of switches in one order."""
 
 
 @final
 class SensorOverrides:
-    """Asked in every tick by perception, changed on any thread by ``answer``.
+    """Active sources and zones: read by perception in every tick, changed by ``answer`` on any thread.
 
-    An order holds until another one; a robot that was silent finds it in force. ``path`` is where orders are kept for
-    the next process, without it they end with this one. What opens a zone is never kept: closed zones do not open, and
-    ignored ones do not begin to be, by what someone ordered before a crash.
+    An order is valid until the next one, also for a robot that was silent. Orders are saved to ``path``; without it
+    they end with this process. Orders that open a closed zone or ignore a zone are never saved: a restart must not make
+    perception less cautious.
     """
 
     def __init__(self, settings: PerceptionSettings, path: Path | None = None) -> None:
         self._settings, self._path = settings, path
         self._lock = threading.Lock()
         retained, self.lost = ({}, "") if path is None else load_overrides(path)
-        """Why kept orders cannot be read; empty: they can, or there are none."""
+        """Why the saved orders cannot be read; empty if they can or if there are none."""
         self._ordered: dict[str, _Switched] = {
-            robot: MappingProxyType(self._lasting(own)) for robot, own in retained.items()
+            robot: MappingProxyType(self._saved_part(own)) for robot, own in retained.items()
         }
-        """By robot; each replaced as a whole, so that a tick reads it without waiting."""
+        """Orders by robot; each mapping is replaced as a whole, so that a tick reads it without a lock."""
         self._who: dict[str, str] = {}
-        """By robot: who ordered last."""
-        self._met: dict[str, tuple[tuple[str, ...], int]] = {}
-        """By robot: its sources, and its newest tick."""
+        """Last user who gave an order, by robot."""
+        self._robots: dict[str, tuple[tuple[str, ...], int]] = {}
+        """Sources and newest tick, by robot."""
         self._replayed: dict[str, ActiveZones] = {}
 
     def in_force(self, robot: str, sources: tuple[str, ...], tick: int) -> ActiveZones:
-        """What counts for ``robot`` in this tick, whose state names ``sources``."""
-        self._met[robot] = sources, tick
+        """Active sources and zones of ``robot`` in this tick, whose state lists ``sources``."""
+        self._robots[robot] = sources, tick
         if robot in self._replayed:
             return self._replayed[robot]
-        reported = self._counts(robot)
+        counts = self._counts(robot)
         return ActiveZones(
-            frozenset(name for name in sources if not reported["source", name]),
-            tuple(zone for zone in self._settings.zones if reported.get(("zone", zone.name))),
-            self._reported_of_orders(robot),
+            frozenset(name for name in sources if not counts["source", name]),
+            tuple(zone for zone in self._settings.zones if counts.get(("zone", zone.name))),
+            self._orders_text(robot),
         )
 
     def replay(self, robot: str, off: Collection[str], zones: Collection[str], ordered: str) -> None:
-        """From now on what a recording says: sources that are off, kind and name of the zones that count."""
+        """Uses the values of a recording from now on: disabled sources, and kind and name of the active zones."""
         known = ActiveZones(frozenset(off), self._settings.zones)
         counting = (zone for zone, name in zip(known.zones, known.names, strict=True) if name in zones)
         self._replayed[robot] = ActiveZones(known.off, tuple(counting), ordered)
 
     def replays(self, robot: str) -> bool:
-        """Whether a recording says what counts: then it is long ago, and no news."""
+        """Whether the values come from a recording, so that changes need not be logged."""
         return robot in self._replayed
 
-    def _reported_of_orders(self, robot: str) -> str:
-        """What was ordered for a robot, with who did; empty: nothing was."""
-        reported = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))
-        if not reported:
+    def _orders_text(self, robot: str) -> str:
+        """Text of the orders for a robot and of the user who gave them; empty if there are none."""
+        orders = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))
+        if not orders:
             return ""
         who = self._who.get(robot, "")
-        return f"{reported}, {f'by {who}' if who else 'before perception was started'}"
+        return f"{orders}, {f'by {who}' if who else 'before perception was started'}"
 
     def forget(self, robot: str) -> None:
-        """That it was met; what was ordered for it stays."""
-        self._met.pop(robot, None)
+        """Forgets the robot; its orders stay."""
+        self._robots.pop(robot, None)
 
     def _counts(self, robot: str) -> dict[tuple[str, str], bool]:
-        """Of all that can be switched for a robot that was met: whether it counts."""
-        own, (sources, _) = self._settings, self._met[robot]
-        reported = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
-        reported |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
+        """Whether each source and zone of a known robot is active."""
+        own, (sources, _) = self._settings, self._robots[robot]
+        counts = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
+        counts |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
         if not self._ordered.get("-", {}).get(EVERY_SOURCE, True):
-            reported |= {("source", name): False for name in sources}
+            counts |= {("source", name): False for name in sources}
         ordered = self._ordered.get(robot, MappingProxyType({}))
-        return {key: ordered.get(key, counts) for key, counts in reported.items()}
+        return {key: ordered.get(key, value) for key, value in counts.items()}
 
     @property
     def retained(self) -> dict[str, str]:
-        """What was ordered, in words, by robot; ``-`` is each of them."""
+        """Text of the orders by robot (``-`` for all)."""
         return {robot: _listed(own) for robot, own in self._ordered.items()}
 
     def answer(self, robot: str, request: Request) -> Answer:
-        """``switch`` or ``status`` about one robot. Raises InputError for anything else, and what it does not have."""
+        """Answers ``switch`` or ``status``; raises InputError for anything else or an unknown name."""
         if request.do not in ("switch", "status"):
             raise InputError(f"'{request.do}': wanted switch or status")
         with self._lock:
-            if robot not in self._met:
+            if robot not in self._robots:
                 raise InputError(
-                    f"robot '{robot}' was not heard with sources of its own; {did_you_mean(robot, list(self._met))}"
+                    f"robot '{robot}' is not known with sources of its own; {did_you_mean(robot, list(self._robots))}"
                 )
-            before, tick = self._counts(robot), self._met[robot][1]
+            before, tick = self._counts(robot), self._robots[robot][1]
             if request.do == "status":
-                return Answer(ok=True, sentence=f"robot '{robot}': {_listed(before)}{_blind(before)}")
+                return Answer(ok=True, sentence=f"robot '{robot}': {_listed(before)}{_no_source_warning(before)}")
             wanted = _wanted(request.switches, before)
-            self._who[robot] = readable(request.who, _LONGEST_NAME) or "someone without a name"
+            self._who[robot] = readable(request.who, _MAX_NAME_LENGTH) or "an unnamed user"
             self._ordered[robot] = MappingProxyType({**self._ordered.get(robot, {}), **wanted})
             changes = ", ".join(
-                f"{what} {name} {_word(counts)} (was {_word(before[what, name])})"
+                f"{what} {name} {_on_off(counts)} (was {_on_off(before[what, name])})"
                 for (what, name), counts in wanted.items()
             )
             return Answer(
                 ok=True,
                 sentence=f"robot '{robot}': {changes}, from its next tick after {tick} on, "
-                f"{self._how_long(wanted)}{_blind({**before, **wanted})}",
+                f"{self._save_and_describe(wanted)}{_no_source_warning({**before, **wanted})}",
             )
 
-    def _how_long(self, wanted: _Switched) -> str:
-        """Keeps what is kept; says until when what was ordered now holds."""
+    def _save_and_describe(self, wanted: _Switched) -> str:
+        """Saves the orders; returns a text about how long the new ones are valid."""
         if self._path is None:
-            return "until another order or perception's end, since it keeps no file of orders"
-        lasting = {robot: self._lasting(own) for robot, own in self._ordered.items()}
-        problem = save_overrides(self._path, lasting)
+            return "until another order or the end of perception, which has no file for orders"
+        saved_part = {robot: self._saved_part(own) for robot, own in self._ordered.items()}
+        problem = save_overrides(self._path, saved_part)
         if problem:
-            return f"until another order or perception's end: {problem}"
-        opened = ", ".join(" ".join(key) for key in wanted if key not in self._lasting(wanted))
+            return f"until another order or the end of perception: {problem}"
+        opened = ", ".join(" ".join(key) for key in wanted if key not in self._saved_part(wanted))
         return f"until another order{f', {opened} only until perception ends' if opened else ''}"
 
-    def _lasting(self, ordered: _Switched) -> dict[tuple[str, str], bool]:
-        """Without what opens a zone; of a zone that the file does not have no one knows what it does."""
+    def _saved_part(self, ordered: _Switched) -> dict[tuple[str, str], bool]:
+        """The orders without those that open a zone; orders about a zone that is not in the file are kept."""
         closed = {("zone", zone.name): zone.kind == "closed" for zone in self._settings.zones}
         return {key: counts for key, counts in ordered.items() if counts == closed.get(key, counts)}
 
 
 def _wanted(switches: tuple[str, ...], known: Mapping[tuple[str, str], bool]) -> dict[tuple[str, str], bool]:
-    """What an order asks for, all of it or nothing."""
-    if not 1 <= len(switches) <= _MOST_SWITCHES:
-        raise InputError(f"got {len(switches)} switches, wanted 1 to {_MOST_SWITCHES}, such as 'source laser=off'")
+    """Parses the switches of an order; raises InputError if any of them is invalid."""
+    if not 1 <= len(switches) <= _MAX_SWITCHES:
+        raise InputError(f"got {len(switches)} switches, wanted 1 to {_MAX_SWITCHES}, such as 'source laser=off'")
     wanted: dict[tuple[str, str], bool] = {}
     for text in switches:
         what, _, rest = text.partition(" ")
@@ -215,14 +215,14 @@ def _wanted(switches: tuple[str, ...], known: Mapping[tuple[str, str], bool]) ->
     return wanted
 
 
-def _word(counts: bool) -> str:
+def _on_off(counts: bool) -> str:
     return "on" if counts else "off"
 
 
-def _listed(reported: Mapping[tuple[str, str], bool]) -> str:
-    return ", ".join(f"{what} {name} {_word(counts)}" for (what, name), counts in reported.items())
+def _listed(counts: Mapping[tuple[str, str], bool]) -> str:
+    return ", ".join(f"{what} {name} {_on_off(counts)}" for (what, name), counts in counts.items())
 
 
-def _blind(reported: Mapping[tuple[str, str], bool]) -> str:
-    sources = [counts for (what, _), counts in reported.items() if what == "source"]
+def _no_source_warning(counts: Mapping[tuple[str, str], bool]) -> str:
+    sources = [counts for (what, _), counts in counts.items() if what == "source"]
     return "" if any(sources) else "; no source is left, so the filter brakes"

@@ -1,4 +1,4 @@
-"""What a person may set about perception, and its TOML file; errors name the setting."""
+"""Settings of perception, and their TOML file; errors name the setting."""
 
 from __future__ import annotations
 
@@ -18,69 +18,69 @@ from safedpa.perception.zones import Zone
 __all__ = ["PerceptionSettings", "SourceSettings", "load_perception", "parse_perception"]
 
 FORMAT = 1
-_MOST_ZONES = 64
-_MOST_POINTS = 20
+_MAX_ZONES = 64
+_MAX_POINTS = 20
 _MAP = re.compile(r"""^[ \t]*map[ \t]*=[ \t]*["']([^"'\n]+)["'][ \t]*(?:#.*)?$""", re.MULTILINE)
-_TIME_OUT = (0.05, 10.0)
-"""s"""
+_TIME_OUT_RANGE = (0.05, 10.0)
+"""s; allowed range."""
 
 
 @final
 @dataclass(frozen=True)
 class SourceSettings:
-    """What is set about one source alone; None: as for all. Raises InputError naming the setting."""
+    """Settings of one source; None means the common value. Raises InputError that names the setting."""
 
     use: bool = True
-    """Whether it is listened to unless an order says otherwise. What only it sees is hidden then, not free."""
+    """Whether the source is used unless a user switches it. What only a disabled source sees counts as hidden."""
     time_out: float | None = None
-    """s"""
+    """Silence after which the source has failed, s."""
     min_points: int | None = None
 
     def __post_init__(self) -> None:
         if self.time_out is not None:
-            _check("time_out", self.time_out, *_TIME_OUT)
+            _check("time_out", self.time_out, *_TIME_OUT_RANGE)
         if self.min_points is not None:
-            _check("min_points", self.min_points, 1, _MOST_POINTS)
+            _check("min_points", self.min_points, 1, _MAX_POINTS)
 
 
 @final
 @dataclass(frozen=True)
 class PerceptionSettings:
-    """Lengths in m, times in s, speeds in m/s. Raises InputError naming the setting, what was got and wanted."""
+    """Settings of perception; lengths in m, times in s, speeds in m/s. Raises InputError that names the setting."""
 
     fastest: float = 1.5
-    """Speed that anything which moves may have, in any direction, at any moment: a person who walks quickly."""
+    """Largest speed of a mover, in any direction at any time: a person who walks quickly."""
     coming: float = 1.5
-    """Speed that is reckoned with for what comes out of a place that no one sees. Less lets the robot drive faster past
-    corners, and promises nothing about who comes faster."""
+    """Assumed speed of a mover that comes out of a hidden region. A smaller value lets the robot drive faster past
+    corners, but gives no guarantee for faster movers."""
     slimmest: float = 0.2
-    """Radius of the slimmest thing that may move: where it does not fit, nothing hides. No less than a cell of 0.1 m:
-    in a cell that something slimmer is in, hardly any ray would show that it is not."""
+    """Radius of the slimmest mover: where it does not fit, nothing hides. At least a cell of 0.1 m, because rays would
+    hardly ever prove that a cell contains no slimmer one."""
     widest: float = 0.25
-    """Radius that is reckoned with for something hidden."""
+    """Assumed radius of a hidden mover."""
     point_radius: float = 0.05
-    """Of the disc around a measured point: noise, and half of the room to its neighbours."""
+    """Radius of the disc around a measured point: noise, and half of the distance to its neighbours."""
     drift: float = 0.02
-    """m by which the robot may misjudge its own way for each metre: what it has not seen since is wider by so much."""
+    """Odometry error in m per m: obstacles that were not seen since are enlarged by so much."""
     time_out: float = 0.5
-    """A source that is silent for longer is told as amiss, and the filter brakes."""
+    """A source that is silent for longer is reported as failed, and the filter brakes."""
     still_after: float = 0.25
-    """What was never seen to move, and stays in its place for so long, is at rest: at 10 Hz, three scans."""
+    """An object that was never seen to move is at rest after it has stayed for so long: three scans at 10 Hz."""
     restless: float = 10.0
-    """What was seen to move and stops may move again for so long."""
+    """A mover that stops may move again for so long."""
     memory: float = 30.0
-    """What is at rest is believed to be there for so long after it was seen last."""
+    """An obstacle at rest is kept for so long after it was last seen."""
     reach: float = 5.0
-    """How far around the robot anything is remembered."""
+    """Distance around the robot within which objects are remembered."""
     most: int = 160
-    """Discs of each kind that are told at most: where there is more, one stands for several."""
+    """Largest number of published discs of each kind; if there are more, one disc covers several."""
     open_air: bool = False
-    """Whether a ray that does not come back has seen free room: not so where there is glass."""
+    """Whether a ray without a return has seen free space; must be False if there is glass."""
     min_points: int = 1
-    """So many rays of one scan have to end in a cell of 0.1 m or its eight neighbours before something is there. More
-    than 1 takes lone rays for noise, and with them whatever is so slim or so far away that fewer rays meet it."""
+    """Rays of one scan that must end in a cell of 0.1 m or its eight neighbours to count as an object. Values above 1
+    treat single rays as noise, and so miss objects that are slim or far away."""
     sources: Mapping[str, SourceSettings] = field(default_factory=lambda: MappingProxyType({}))
-    """What is set about single sources, by the name that the robot's states give them."""
+    """Settings of single sources, by their name in the states of the robot."""
     zones: tuple[Zone, ...] = ()
 
     def __post_init__(self) -> None:
@@ -91,29 +91,29 @@ class PerceptionSettings:
             ("widest", self.slimmest, 5.0),
             ("point_radius", 0.0, 1.0),
             ("drift", 0.0, 1.0),
-            ("time_out", *_TIME_OUT),
+            ("time_out", *_TIME_OUT_RANGE),
             ("still_after", 0.0, 60.0),
             ("restless", 0.0, 600.0),
             ("memory", 0.1, 3600.0),
             ("reach", 1.0, 15.0),
             ("most", 8, 256),
-            ("min_points", 1, _MOST_POINTS),
+            ("min_points", 1, _MAX_POINTS),
         ):
             _check(name, getattr(self, name), low, high)
-        if len(self.zones) > _MOST_ZONES:
-            raise InputError(f"perception zones: got {len(self.zones)}, wanted {_MOST_ZONES} at most")
+        if len(self.zones) > _MAX_ZONES:
+            raise InputError(f"perception zones: got {len(self.zones)}, wanted {_MAX_ZONES} at most")
         names = [zone.name for zone in self.zones]
-        twice = [name for index, name in enumerate(names) if name in names[:index]]
-        if twice:
-            raise InputError(f"zone {twice[0]}: got two of this name, wanted each once; an order could not tell them")
+        duplicates = [name for index, name in enumerate(names) if name in names[:index]]
+        if duplicates:
+            raise InputError(f"zone {duplicates[0]}: got two of this name, wanted each once, to be named in orders")
 
     def time_out_of(self, source: str) -> float:
-        """s of silence after which a source is told as amiss."""
+        """Silence after which a source has failed, s."""
         own = self.sources.get(source)
         return self.time_out if own is None or own.time_out is None else own.time_out
 
     def min_points_of(self, source: str) -> int:
-        """Rays of a source that have to end near each other before something is there."""
+        """Rays of a source that must end near each other to count as an object."""
         own = self.sources.get(source)
         return self.min_points if own is None or own.min_points is None else own.min_points
 
@@ -124,8 +124,10 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 
 def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
-    """The settings in a file, and its text, in which the maps that it names are written out: anyone who has the text has
-    all. Raises InputError naming the file and the key."""
+    """Loads settings from a file; also returns its text with the named maps inserted, so that the text is complete.
+
+    Raises InputError that names the file and the key.
+    """
     try:
         text = _with_maps(text_of_file(path, "toml_bytes"), path.parent)
         return parse_perception(text), text
@@ -137,7 +139,7 @@ def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
 
 
 def _with_maps(text: str, folder: Path) -> str:
-    """The text with the cells of each map in the place of its file's name."""
+    """Replaces the file name of each map by its cells."""
 
     def cells(found: re.Match[str]) -> str:
         return f'cells = "{read_map(folder / found[1]).packed}"'
@@ -146,21 +148,20 @@ def _with_maps(text: str, folder: Path) -> str:
 
 
 def parse_perception(text: str) -> PerceptionSettings:
-    """The settings in a TOML text: ``[perception]``, ``[sources.NAME]``, ``[[zones]]``. Raises InputError naming the
-    key."""
+    """Parses settings from TOML: ``[perception]``, ``[sources.NAME]``, ``[[zones]]``. Errors name the key."""
     table = parse_toml(text)
     refuse_unknown(table, ("format", "perception", "sources", "zones"))
     if table.get("format", FORMAT) != FORMAT:
         raise InputError(f"format: got {table['format']!r}, wanted {FORMAT}; this program reads no other")
     own = _of_table(PerceptionSettings, "[perception]", table.get("perception", {}), but=("sources", "zones"))
     sources = _table("sources", table.get("sources", {}))
-    reported = {
+    by_source = {
         name: SourceSettings(**_of_table(SourceSettings, f"[sources.{name}]", sources[name])) for name in sources
     }
     zones = table.get("zones", [])
     if not isinstance(zones, list):
         raise InputError(f"zones: got {type(zones).__name__}, wanted a [[zones]] for each")
-    return PerceptionSettings(**own, sources=MappingProxyType(reported), zones=tuple(map(_zone, zones)))
+    return PerceptionSettings(**own, sources=MappingProxyType(by_source), zones=tuple(map(_zone, zones)))
 
 
 def _table(where: str, value: Any) -> dict[str, Any]:
@@ -170,7 +171,7 @@ def _table(where: str, value: Any) -> dict[str, Any]:
 
 
 def _of_table(kind: type[Any], where: str, value: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The keys of a table with values of the types that the fields of ``kind`` have."""
+    """Reads a table whose keys and types are those of the fields of ``kind``."""
     table, known = _table(where, value), {item.name: str(item.type) for item in fields(kind) if item.name not in but}
     refuse_unknown(table, known, f"{where} ")
     return {key: _value(f"{where} {key}", known[key], entry) for key, entry in table.items()}
@@ -189,7 +190,7 @@ def _value(key: str, kind: str, value: Any) -> Any:
 
 
 def _zone(value: Any) -> Zone:
-    """One of ``[[zones]]``."""
+    """Parses one entry of ``[[zones]]``."""
     table = _table("zones", value)
     where = f"zone {table.get('name', '')}".rstrip()
     if "map" in table:

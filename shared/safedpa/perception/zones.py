@@ -1,8 +1,7 @@
-"""Places that a person marks: where nothing that is seen is told (``ignored``), and where no one drives (``closed``).
+"""Zones that the user marks: ``ignored`` zones, whose content is not reported, and ``closed`` ones, kept out of.
 
-A place is a polygon, or the occupied cells of a map.
-
-What a robot drives with is its file's, changed by orders: ``ActiveZones``.
+A zone is a polygon, or the occupied cells of a map. ``ActiveZones`` are those of the settings file after the orders of
+users.
 """
 
 from __future__ import annotations
@@ -36,41 +35,40 @@ __all__ = [
 Corners = tuple[tuple[float, float], ...]
 
 KINDS, FRAMES = ("ignored", "closed"), ("map", "robot")
-_FEWEST, _MOST = 3, 64
-"""Vertices of a polygon."""
-_MOST_REPORTED = 512
-"""Vertices of all zones that are told for pictures: 14 KB in each message."""
-_FARTHEST = 1e5
-"""m; as far from its frame's origin may a vertex be."""
-_SMALLEST = 1e-6
-"""m2; of less the vertices are one place, or in one line but for the last digits."""
+_MIN_VERTICES, _MAX_VERTICES = 3, 64
+"""Allowed number of vertices of a polygon."""
+_MAX_PUBLISHED_VERTICES = 512
+"""Largest number of vertices that are published for display: 14 KB in each message."""
+_MAX_COORDINATE = 1e5
+"""m; largest coordinate of a vertex in its frame."""
+_MIN_AREA = 1e-6
+"""m2; with a smaller area the vertices are on one line, apart from rounding."""
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,60}")
-"""An order names zones as NAME=on."""
+"""Names are restricted because orders have the form NAME=on."""
 HALF_DIAGONAL = CELL / 2**0.5
-"""m from a cell's middle to its corners."""
+"""Distance from the middle of a cell to its corners, m."""
 
 
 @final
 @dataclass(frozen=True)
 class Zone:
-    """A place of ``kind`` in the ``frame`` of the states' positions (``map``) or of the robot's body (``robot``).
+    """A zone of ``kind`` in the ``frame`` of the states' positions (``map``) or of the robot's body (``robot``).
 
-    It is a polygon, or, of a closed one in the frame of the map, ``cells``.
-
-    Raises InputError naming the zone and what is wrong with it.
+    It is a polygon; a closed zone in the frame of the map can have ``cells`` instead. Raises InputError that names the
+    zone and the fault.
     """
 
     name: str
     kind: str
     polygon: Corners
-    """(3 to 64, 2) m; vertices in order, either way round, of edges that do not cross. None of a map's cells."""
+    """Vertices (3 to 64, 2) [m] in order, clockwise or not; edges must not cross. Empty if there are ``cells``."""
     frame: str = "map"
     speed: tuple[float, float] | None = None
-    """m/s, lowest and highest |speed| of the robot at which it counts; None: at any."""
+    """Range of |speed| of the robot [m/s] at which the zone is active; None for any speed."""
     robots: tuple[str, ...] = ()
-    """For which it counts; empty: for all."""
+    """Robots for which the zone is active; empty for all."""
     use: bool = True
-    """Whether it counts unless an order says otherwise."""
+    """Whether the zone is active unless a user switches it."""
     cells: PackedCells | None = None
 
     def __post_init__(self) -> None:
@@ -97,30 +95,32 @@ class Zone:
 
     def _check_polygon(self) -> None:
         count = len(self.polygon)
-        if not _FEWEST <= count <= _MOST:
-            raise InputError(f"zone {self.name}: polygon: got {count} vertices, wanted {_FEWEST} to {_MOST}")
+        if not _MIN_VERTICES <= count <= _MAX_VERTICES:
+            raise InputError(
+                f"zone {self.name}: polygon: got {count} vertices, wanted {_MIN_VERTICES} to {_MAX_VERTICES}"
+            )
         corners = np.array(self.polygon)
-        if not np.all(np.isfinite(corners)) or np.abs(corners).max() > _FARTHEST:
-            raise InputError(f"zone {self.name}: polygon: got a vertex beyond {_FARTHEST:g} m, wanted metres")
-        twice = [corner for index, corner in enumerate(self.polygon) if corner in self.polygon[:index]]
-        if twice:
-            raise InputError(f"zone {self.name}: polygon: got the vertex {list(twice[0])} twice, wanted each once")
-        crossed = _crossing(corners)
-        if crossed:
-            first, second = crossed
+        if not np.all(np.isfinite(corners)) or np.abs(corners).max() > _MAX_COORDINATE:
+            raise InputError(f"zone {self.name}: polygon: got a vertex beyond {_MAX_COORDINATE:g} m, wanted metres")
+        duplicates = [corner for index, corner in enumerate(self.polygon) if corner in self.polygon[:index]]
+        if duplicates:
+            raise InputError(f"zone {self.name}: polygon: got the vertex {list(duplicates[0])} twice, wanted each once")
+        crossing = _crossing(corners)
+        if crossing:
+            first, second = crossing
             raise InputError(
                 f"zone {self.name}: polygon: edge {first + 1} meets edge {second + 1}; wanted the vertices in order "
                 "around it"
             )
-        if _area(corners) < _SMALLEST:
+        if _area(corners) < _MIN_AREA:
             raise InputError(f"zone {self.name}: polygon: got no area, wanted vertices that are not in one line")
 
     def counts_for(self, robot: str) -> bool:
-        """Whether it is one of this robot's."""
+        """Whether the zone applies to this robot."""
         return not self.robots or robot in self.robots
 
     def counts_at(self, speed: float | None) -> bool:
-        """Whether it counts at a speed [m/s]; None: it is not known, and only what closes counts then."""
+        """Whether the zone is active at a speed [m/s]; at an unknown speed (None) only closed zones are."""
         if self.speed is None:
             return True
         if speed is None or not isfinite(speed):
@@ -128,7 +128,7 @@ class Zone:
         return self.speed[0] <= abs(speed) <= self.speed[1]
 
     def corners(self, pose: Pose) -> FloatArray:
-        """(vertices, 2) m in the frame of the states' positions, of a robot at ``pose``."""
+        """Vertices (vertices, 2) [m] in the frame of the states' positions, for a robot at ``pose``."""
         corners = np.array(self.polygon)
         if self.frame == "map":
             return corners
@@ -140,13 +140,13 @@ class Zone:
 @final
 @dataclass(frozen=True)
 class ActiveZones:
-    """What counts for one robot now."""
+    """Active zones and disabled sources of one robot."""
 
     off: frozenset[str] = frozenset()
-    """Names of its sources that are not listened to."""
+    """Names of its sources that are switched off."""
     zones: tuple[Zone, ...] = ()
     ordered: str = ""
-    """What differs from the file by orders, and who gave the last one; empty: nothing does."""
+    """Text of the orders and of the user who gave the last one; empty without orders."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -154,23 +154,25 @@ class ActiveZones:
         return tuple(f"{zone.kind} {zone.name}" for zone in self.zones)
 
     def borders(self, pose: Pose) -> tuple[tuple[float, float, float], ...]:
-        """(vertices, 3): which of the zones, x and y [m], for a robot at ``pose``; of the first zones that have
-        _MOST_TOLD vertices together."""
+        """Vertices (n, 3) for display: index of the zone, x and y [m], for a robot at ``pose``.
+
+        Limited to the first zones with ``_MAX_PUBLISHED_VERTICES`` vertices in total.
+        """
         rows: list[tuple[float, float, float]] = []
         for number, zone in enumerate(self.zones):
             if zone.cells is not None:
                 continue
-            if len(rows) + len(zone.polygon) > _MOST_REPORTED:
+            if len(rows) + len(zone.polygon) > _MAX_PUBLISHED_VERTICES:
                 break
             rows += [(float(number), x, y) for x, y in zone.corners(pose).tolist()]
         return tuple(rows)
 
     def at(self, speed: float | None) -> ActiveZones:
-        """With the zones alone that count at a speed [m/s]."""
+        """Returns these without the zones that are inactive at a speed [m/s]."""
         return replace(self, zones=tuple(zone for zone in self.zones if zone.counts_at(speed)))
 
     def of_kind(self, kind: str, speed: float | None) -> tuple[Zone, ...]:
-        """Its zones of a kind at a speed [m/s]."""
+        """Returns the zones of one kind that are active at a speed [m/s]."""
         return tuple(zone for zone in self.zones if zone.kind == kind and zone.counts_at(speed))
 
 
@@ -187,28 +189,28 @@ def _area(corners: FloatArray) -> float:
 
 
 def _turn(one: FloatArray, other: FloatArray, third: FloatArray) -> float:
-    """Above 0 where ``third`` lies to the left of the way from ``one`` to ``other``."""
+    """Positive if ``third`` lies to the left of the line from ``one`` to ``other``."""
     way, apart = other - one, third - one
     return float(way[0] * apart[1] - way[1] * apart[0])
 
 
 def _crossing(corners: FloatArray) -> tuple[int, int] | None:
-    """Two edges that have a point in common but for the vertex between neighbours; None: there are none."""
+    """Two edges with a common point, other than the shared vertex of neighbours; None if there are none."""
     start, end = _edges(corners)
     count = len(corners)
     for i in range(count):
         for j in range(i + 1, count):
             neighbours = j == i + 1 or (i == 0 and j == count - 1)
-            if _folded(start, end, i, j, count) if neighbours else _meet(start[i], end[i], start[j], end[j]):
+            if _folds_back(start, end, i, j, count) if neighbours else _meet(start[i], end[i], start[j], end[j]):
                 return i, j
     return None
 
 
-def _folded(start: FloatArray, end: FloatArray, i: int, j: int, count: int) -> bool:
-    """Whether the later of two neighbours goes back on the former one."""
+def _folds_back(start: FloatArray, end: FloatArray, i: int, j: int, count: int) -> bool:
+    """Whether the second of two neighbouring edges runs back over the first."""
     first, second = (i, j) if j == i + 1 else (j, i)
     if count == 3:
-        return False  # its area says so
+        return False  # caught by its area
     before, after = start[first] - end[first], end[second] - start[second]
     return bool(_turn(end[first], start[first], end[second]) == 0.0 and before @ after > 0.0)
 
@@ -227,7 +229,7 @@ def _between(one: FloatArray, other: FloatArray, point: FloatArray) -> bool:
 
 
 def polygon_contains(corners: FloatArray, places: FloatArray) -> BoolArray:
-    """Which of ``places`` (n, 2) lie within the polygon (vertices, 2): a line to the right meets its border oddly."""
+    """Which of ``places`` (n, 2) are inside a polygon (vertices, 2), by the even-odd rule along a ray to the right."""
     within = np.zeros(len(places), dtype=bool)
     x, y = places.T.copy()
     for (from_x, from_y), (to_x, to_y) in zip(*(part.tolist() for part in _edges(corners)), strict=True):
@@ -239,7 +241,7 @@ def polygon_contains(corners: FloatArray, places: FloatArray) -> BoolArray:
 
 
 def distance_to_border(corners: FloatArray, places: FloatArray) -> FloatArray:
-    """m (n,) from ``places`` (n, 2) to the nearest edge."""
+    """Distance (n,) [m] from ``places`` (n, 2) to the nearest edge."""
     nearest = np.full(len(places), np.inf)
     x, y = places.T.copy()
     for (from_x, from_y), (to_x, to_y) in zip(*(part.tolist() for part in _edges(corners)), strict=True):
@@ -251,8 +253,7 @@ def distance_to_border(corners: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _cells(corners: FloatArray, margin: float, lowest: IndexArray, highest: IndexArray) -> IndexArray:
-    """(n, 2) column and row of all cells, between the two given ones, of the box around the polygon and ``margin``
-    [m]."""
+    """Column and row (n, 2) of all cells of the polygon's bounding box with ``margin`` [m], clipped to the range."""
     low = np.maximum(np.floor((corners.min(axis=0) - margin) / CELL).astype(np.int64), lowest)
     high = np.minimum(np.floor((corners.max(axis=0) + margin) / CELL).astype(np.int64), highest)
     ranges = [np.arange(first, last + 1) for first, last in zip(low.tolist(), high.tolist(), strict=True)]
@@ -260,12 +261,12 @@ def _cells(corners: FloatArray, margin: float, lowest: IndexArray, highest: Inde
 
 
 def _middles(cells: IndexArray) -> FloatArray:
-    """(n, 2) m"""
+    """Middles (n, 2) [m] of cells."""
     return np.asarray((cells + 0.5) * CELL, dtype=np.float64)
 
 
 def within_any(zones: tuple[Zone, ...], places: FloatArray, pose: Pose) -> BoolArray:
-    """Which of ``places`` (n, 2) m lie in one of the zones of a robot at ``pose``."""
+    """Which of ``places`` (n, 2) [m] are inside any of the zones, for a robot at ``pose``."""
     found = np.zeros(len(places), dtype=bool)
     for zone in zones:
         found |= polygon_contains(zone.corners(pose), places)
@@ -275,9 +276,9 @@ def within_any(zones: tuple[Zone, ...], places: FloatArray, pose: Pose) -> BoolA
 def zone_entry_distance(
     zones: tuple[Zone, ...], pose: Pose, sensor: tuple[float, float], ends: FloatArray
 ) -> FloatArray:
-    """m (n,) from the ``sensor`` at which rays to ``ends`` (n, 2) m first come into a zone in which they end.
+    """Distance (n,) [m] at which rays from ``sensor`` to ``ends`` (n, 2) first enter the zone in which they end.
 
-    Infinity for those that end in none; 0 where the sensor itself is in it.
+    Infinity for rays that end in no zone; 0 if the sensor itself is inside.
     """
     found = np.full(len(ends), np.inf)
     here = np.array(sensor)
@@ -291,7 +292,7 @@ def zone_entry_distance(
 
 
 def _first_edge(corners: FloatArray, here: FloatArray, ends: FloatArray) -> FloatArray:
-    """m (n,) from ``here`` to the first edge on the way to each of ``ends`` (n, 2); 0 where none is met."""
+    """Distance (n,) [m] from ``here`` to the first edge towards each of ``ends`` (n, 2); 0 if none is met."""
     way = ends - here
     share = np.full(len(ends), np.inf)
     for start, end in zip(*_edges(corners), strict=True):
@@ -307,7 +308,7 @@ def _first_edge(corners: FloatArray, here: FloatArray, ends: FloatArray) -> Floa
 
 
 def unoccupied_cells(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> BoolArray:
-    """(size, size) cells in which no one is taken to hide: of the zones, and next to them as far as he would overlap."""
+    """Cells (size, size) in which nothing is assumed to hide: those of the zones, and those next to them."""
     found = np.zeros((grid.size, grid.size), dtype=bool)
     if not zones:
         return found
@@ -322,9 +323,9 @@ def unoccupied_cells(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> BoolArr
 
 
 def closed_cells(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> tuple[FloatArray, FloatArray]:
-    """Middles (n, 2) m of all cells that the zones have any part of within ``reach`` [m] of any place in one cell.
+    """Middles (n, 2) [m] of all cells that overlap the zones, within ``reach`` [m] of any point of cell (column, row).
 
-    And their depth (n,): how far [m] a disc around the cell's corners may go beyond it without leaving the zone.
+    Also returns their depth (n,) [m]: by how much a disc around a cell can be enlarged without leaving the zone.
     """
     here, far = np.array((column, row)), reach + 2.0 * HALF_DIAGONAL
     around = ceil(far / CELL)

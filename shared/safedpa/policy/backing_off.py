@@ -1,7 +1,7 @@
-"""A controller that is held back, by the filter or by a wall, backs off and tries again.
+"""A wrapper that makes a stuck car back off and try again.
 
-A learned policy does not know what the filter will refuse it: it may ask for the same step for ever, and stand. So
-anyone who makes no headway drives backwards for a moment with the wheels turned, to the other side each time.
+A learned policy does not know which actions the filter corrects. It may request the same action forever while the car
+is stationary. A car without progress therefore reverses for a moment with turned wheels, to alternating sides.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ __all__ = ["BackOffController", "BackOffSettings"]
 
 @dataclass(frozen=True)
 class BackOffSettings:
-    """When and how a car backs off: SI units, radians."""
+    """When and how a car backs off, in SI units and radians."""
 
     patience_seconds: float = 1.0
-    """Without headway for so long, it backs off."""
+    """Time without progress after which it backs off."""
     headway: float = 0.1
-    """m within the patience that count as headway."""
+    """Distance in m within that time that counts as progress."""
     back_off_seconds: float = 1.4
     reverse_speed: float = -0.6
     steer: float = 0.34
@@ -43,10 +43,10 @@ class BackOffSettings:
 
 @final
 class BackOffController:
-    """Hands on the nominal actions of another controller of a car, and interrupts it where the car makes no headway.
+    """Passes on the nominal actions of another controller, and replaces them while a stuck car backs off.
 
-    The first time the heading turns towards the goal while the car reverses, then away from it, and so on in turn; a
-    new goal begins again.
+    At the first attempt the heading turns towards the goal, at the next one away from it, and so on; a new goal resets
+    the attempts.
     """
 
     def __init__(self, controller: Controller, settings: BackOffSettings | None = None) -> None:
@@ -59,8 +59,8 @@ class BackOffController:
         self._goal: tuple[float, ...] = ()
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The nominal action, and whose it is: the controller's name, with ``:back_off`` while it is interrupted."""
-        nominal, name = self._controller.nominal_action(state, latent)  # it may remember, so it is asked in every tick
+        """Returns the nominal action and the controller's name, with ``:back_off`` while the car backs off."""
+        nominal, name = self._controller.nominal_action(state, latent)  # called every tick, as it may have a state
         now = state.robot_time
         if state.goal != self._goal:
             self._goal, self._attempts, self._until = state.goal, 0, -math.inf
@@ -74,14 +74,14 @@ class BackOffController:
     def _begin(self, now: float, state: StateMessage) -> None:
         x, y, yaw = state.values[:3]
         aside = math.sin(math.atan2(state.goal[1] - y, state.goal[0] - x) - yaw)
-        towards = -1.0 if aside >= 0.0 else 1.0  # reversing turns the heading against the wheels
+        towards = -1.0 if aside >= 0.0 else 1.0  # in reverse, the heading turns opposite to the steering angle
         self._steer = towards * self._settings.steer * (1.0 if self._attempts % 2 == 0 else -1.0)
         self._attempts += 1
         self._until = now + self._settings.back_off_seconds
         self._history.clear()
 
     def _is_held(self, now: float, x: float, y: float) -> bool:
-        """Whether the car has gone less than the headway for as long as the patience."""
+        """Whether the car made no progress within the time limit."""
         self._history.append((now, x, y))
         while now - self._history[0][0] > self._settings.patience_seconds:
             self._history.popleft()

@@ -1,4 +1,4 @@
-"""The controllers that a policy service can run, behind one method."""
+"""The interface of a controller, and the selection of a controller by name."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.errors import InputError, did_you_mean
 from safedpa.policy.learned import LearnedPolicy
-from safedpa.robot import AbstractRobot, robot_like
+from safedpa.systems.robots import Robot, robot_like
 
 __all__ = ["Controller", "NetworkLatent", "RandomActions", "UsesSurroundings", "controller_for"]
 
 
 @final
 class RandomActions:
-    """Uniform over the actuators' bounds, redrawn in each tick; of robots that declare none over the system's.
+    """Uniformly random actions within the robot's nominal range, or the system's bounds; drawn again in each tick."""
 
-    The generator's seed is the tick with the state's bytes: so a drive in lockstep repeats, also where this process was
-    restarted in between, and two robots in different states request different actions.
-    """
+    # The seed consists of the tick and the state's bytes. A drive in lockstep is therefore reproducible even if this
+    # process restarts, and two robots in different states get different actions.
 
     def __init__(self, model: AbstractDynamics) -> None:
         system = model.system
@@ -36,7 +35,7 @@ class RandomActions:
         self._low, self._high = np.array(bounds).T
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The action (actions,) and the controller's name; no latent is needed."""
+        """Returns the action (actions,) and the controller's name; ignores the latent."""
         del latent
         count = len(state.values)
         seed = struct.unpack(f"<{2 * count}I", struct.pack(f"<{count}d", *state.values))
@@ -46,9 +45,9 @@ class RandomActions:
 
 @final
 class NetworkLatent:
-    """Hands a learned policy the entries of the latent that its networks know.
+    """Passes the entries of the latent that its networks use to a learned policy.
 
-    Effects that were added to a learned model, by a diagnosis say, may have free parameters of their own.
+    Effects added to a learned model, for example by a diagnosis, may have further free parameters.
     """
 
     def __init__(self, policy: LearnedPolicy, model: PhysicsModel) -> None:
@@ -57,37 +56,36 @@ class NetworkLatent:
         self._entries = [index for index, path in enumerate(names) if path.startswith(f"base.{LATENT_PREFIX}")]
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """As the policy, with the model's latent (latents,)."""
+        """Calls the policy with its part of the model's latent (latents,)."""
         return self._policy.nominal_action(state, None if latent is None else latent[self._entries])
 
 
 class Controller(Protocol):
-    """Computes the nominal actions of one robot; may keep state between calls."""
+    """Computes the nominal actions of one robot; may have an internal state."""
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The requested action (actions,), and what the controller is called or about.
+        """Returns the nominal action (actions,), and the controller's name, possibly with its current manoeuvre.
 
-        ``latent`` (latents,) is that of the model, None when it is not known. Raises MessageError when the state does
-        not fit.
+        ``latent`` (latents,) is the model's, None if unknown. Raises MessageError for a state that does not fit.
         """
 
 
 @runtime_checkable
 class UsesSurroundings(Protocol):
-    """A controller that is told what perception makes of the sensors, before each nominal action of a robot that names any."""
+    """A controller that uses the surroundings from perception, for robots with sensors."""
 
     def look(self, seen: SurroundingsMessage | None) -> None:
-        """What is around the robot at the moment of the state that follows; None: no one knows."""
+        """Sets the surroundings for the next call of ``nominal_action``; None if they are unknown."""
 
 
 def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[], Controller]:
-    """What makes the controller of one robot; called again for each.
+    """Returns a factory of controllers for robots with this model; call it once per robot.
 
-    Without a name: the learned policy when the model's weights hold one, else the robot's own default. Raises
-    InputError for a name that this robot does not have, and for ``learned`` without a policy.
+    Without a name, this is the learned policy if the model's weights have one, else the robot's default. Raises
+    InputError for an unknown name, and for ``learned`` without a policy.
     """
     robot, base = robot_like(model.system), model.base
-    own = {} if robot is None else robot.controllers(model)
+    own: Mapping[str, Callable[[], Controller]] = {} if robot is None else robot.controllers(model)
     if name is None:
         taught = isinstance(base, LearnedBase) and base.weights.has("policy")
         name = "learned" if taught else _default(robot, own)
@@ -106,5 +104,5 @@ def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[],
     return own[name]
 
 
-def _default(robot: AbstractRobot | None, own: Mapping[str, object]) -> str:
+def _default(robot: Robot | None, own: Mapping[str, object]) -> str:
     return robot.default_controller if robot is not None and robot.default_controller in own else "random"

@@ -1,4 +1,4 @@
-"""A policy that was trained: a network from the observation to an action."""
+"""A trained policy: a network from observations to actions."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ __all__ = ["LearnedPolicy"]
 
 
 _BODY, _BODY_NUMBERS = "observation_body", 3
+# Limit of scaled observations. Values that never occurred in training would have unbounded effects on the network.
 _LARGEST = 10.0
-"""Scaled observations are clipped to it: what training never saw shall not drive the network without bound."""
 
 
 @final
 class LearnedPolicy:
     """a = action_middle + action_scale clip(pi((o - observation_middle) / observation_scale), -1, 1).
 
-    pi: dense layers with tanh between them, the mean of the Gaussian that proximal policy optimisation trained; o as
-    the robot's perception makes it. Without a latent the policy takes that of the environment in which nothing acts.
-    Weights with ``observation_body`` (3,): rear, front, radius [m], are of a policy that sees this body around itself,
-    whatever the footprint is: it is not told what hangs behind it. Raises InputError when the weights hold no policy,
-    or one for other observations.
+    pi consists of dense layers with tanh activations: the mean of the Gaussian trained by proximal policy optimisation
+    (PPO). o is the observation of the robot's observation model. Without a latent, the policy uses the nominal one,
+    that of an environment without effects. Weights with ``observation_body`` (3,) (rear, front, radius [m]) belong to a
+    policy that observes this body instead of the footprint, and so does not see a towed load. Raises InputError if the
+    weights have no policy, or one for other observations.
     """
 
     def __init__(self, weights: Weights) -> None:
         self._layers = layers_of(weights.tensors, "policy")
         if not self._layers:
-            raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
+            raise InputError("weights: no policy (policy.0.weight); run phase 1b of 'safedpa train'")
         latents, actions = weights.description.latents, len(weights.description.actions)
         self._perception = observation_model_of(weights.description.robot)
         wanted = (self._perception.length(latents), actions)
@@ -55,13 +55,13 @@ class LearnedPolicy:
         self._nominal = weights["latent_nominal"].astype(np.float64) if latents else np.zeros(0)
 
     def act(self, observation: AnyFloatArray) -> AnyFloatArray:
-        """Actions (..., actions) in SI units for observations (..., observations)."""
+        """Returns actions (..., actions) in SI units for observations (..., observations)."""
         scaled = ((observation - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
         chosen = dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0)
         return np.asarray(self._action_middle + self._action_scale * chosen, dtype=np.float64)
 
     def _act_once(self, observation: AnyFloatArray) -> list[float]:
-        """``act`` for one observation (observations,), with little more than the products of its layers."""
+        """Same as ``act`` for one observation (observations,), with less overhead."""
         scaled = (observation - self._middle) / self._scale
         seen = np.minimum(np.maximum(scaled, -_LARGEST), _LARGEST).astype(np.float32)
         *hidden, (matrix, bias) = self._into
@@ -74,9 +74,9 @@ class LearnedPolicy:
         return nominal
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The action for a state, and the controller's name.
+        """Returns the action for a state, and the controller's name.
 
-        Raises MessageError when the state or the latent (latents,) does not fit the policy.
+        Raises MessageError if the state or the latent (latents,) does not fit the policy.
         """
         latent = self._nominal if latent is None else latent
         if latent.shape != self._nominal.shape:
@@ -84,15 +84,15 @@ class LearnedPolicy:
         seen = state if self._body is None else replace(state, footprint=self._body)
         observation = self._perception.observed(seen, latent)
         if not isfinite(observation.sum()):
-            raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones")
+            raise MessageError(f"state: {state.values} has numbers that are not finite")
         return tuple(self._act_once(observation)), "learned"
 
 
 def _body(weights: Weights) -> tuple[float, ...] | None:
-    """Rear, front, radius [m] that the policy sees in place of the footprint; None: it sees the footprint."""
+    """Returns (rear, front, radius) [m] that the policy observes instead of the footprint; None: the footprint."""
     if _BODY not in weights.tensors:
         return None
     body = tuple(weights[_BODY].ravel().tolist())
     if len(body) != _BODY_NUMBERS:
-        raise InputError(f"weights: '{_BODY}' holds {len(body)} numbers, wanted {_BODY_NUMBERS}: rear, front, radius")
+        raise InputError(f"weights: '{_BODY}' has {len(body)} numbers, wanted {_BODY_NUMBERS}: rear, front, radius")
     return body

@@ -1,4 +1,4 @@
-"""The policy service's step: nominal action[k] from state[k] and latent[k]."""
+"""The node of the policy: computes nominal action[k] from state[k] and latent[k]."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ __all__ = ["PolicyNode"]
 
 @dataclass(frozen=True)
 class _PolicyModel:
-    """What the policy needs of a model."""
+    """A model with its fingerprint and the factory of its controllers."""
 
     model: PhysicsModel
     fingerprint: str
@@ -47,20 +47,19 @@ class _PolicyModel:
 
 
 class _RobotController(NamedTuple):
-    """What one robot's nominal actions come from."""
+    """The controller of one robot."""
 
     controller: Controller
     looks: UsesSurroundings | None
-    """The same, if it looks around; asked once, since asking takes as long as a nominal action."""
+    """The same object if it uses surroundings. Tested once, because isinstance of a protocol is slow."""
 
 
 @final
 class PolicyNode(AbstractNode):
     """Computes nominal actions that lead each robot to its goal, by one of the robot's controllers.
 
-    Without a name it is the learned policy when the model's weights hold one, else the robot's default. A latent that
-    does not belong to the model is left aside. Raises InputError for a controller that does not exist or lacks its
-    weights.
+    Without a name this is the learned policy if the model's weights have one, else the robot's default. A latent of
+    another model is ignored. Raises InputError for an unknown controller, or one without weights.
     """
 
     name = "policy"
@@ -68,11 +67,11 @@ class PolicyNode(AbstractNode):
     outputs = (NOMINAL, TAKEOVER)
     listens = (MODEL,)
     share = 0.2
-    # A load does not change within a tick, and waiting for news of it would take a quarter of sense to act.
-    # Nor what is around it: where it goes is planned for seconds.
+    # The latent may be one tick old: a load does not change within a tick, and waiting for the adaptation would take a
+    # quarter of the time from sense to act. Surroundings may be two ticks old: the route is planned for seconds.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1, SURROUNDINGS: 2}
     sensor_inputs = (SURROUNDINGS,)
-    lingers = False
+    defers_afterwards = False
 
     def __init__(self, model: PhysicsModel, controller: str | None = None) -> None:
         self._controller = controller
@@ -83,7 +82,7 @@ class PolicyNode(AbstractNode):
         self._states: dict[str, StateMessage] = {}
 
     def needs(self, state: StateMessage) -> tuple[Topic, ...]:
-        """What is around the robot only where its controller looks there."""
+        """Returns the needed inputs; surroundings only if the controller uses them."""
         return super().needs(state) if self._looks else self.inputs
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
@@ -113,7 +112,7 @@ class PolicyNode(AbstractNode):
         return {NOMINAL: message}
 
     def afterwards(self, robot: str) -> Outputs:
-        """Prepares a model that was offered, and answers."""
+        """Prepares an offered model and answers the offer."""
         answer = self._versions.answer(robot, self._states[robot])
         return {} if answer is None else {TAKEOVER: answer}
 
@@ -121,14 +120,14 @@ class PolicyNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.hand_in = hand_in
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
+        self._versions.submit = submit
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
         return self._states.get(robot)
 
-    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.welcome(robot, status)
+    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.adopt_model(robot, status)
 
     def agreed(self, robot: str) -> Answer | None:  # noqa: D102
         return self._versions.agreed(robot)
@@ -137,7 +136,8 @@ class PolicyNode(AbstractNode):
         return self._versions.fingerprint(robot)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """No nominal action: the filter brakes. What the controller remembers may be broken, so it begins again."""
+        """Returns no nominal action, so that the filter brakes. The controller starts again."""
+        # Its internal state may be the cause of the failed step.
         del state, reason
         self._controllers.pop(robot, None)
         return {}
@@ -154,7 +154,7 @@ class PolicyNode(AbstractNode):
         return _PolicyModel(model, fingerprint(model), controller_for(model, self._controller))
 
     def _load(self, robot: str, offer: ModelMessage) -> _PolicyModel:
-        """The offered model, tried at the robot's newest state. Raises InputError when it cannot be used."""
+        """Loads the offered model and tries it at the robot's newest state. Raises InputError if it is unusable."""
         held = self._held(offered_model(offer, self._versions.of(robot).model))
         state = self._states.get(robot)
         if state is not None:
@@ -163,7 +163,7 @@ class PolicyNode(AbstractNode):
 
 
 def _latent(held: _PolicyModel, inputs: Inputs) -> NDArray[np.float64] | None:
-    """The latent, if there is one and it belongs to the model."""
+    """Returns the latent if there is one and it belongs to the model."""
     latent = inputs[LATENT]
     if not isinstance(latent, LatentMessage) or latent.model != held.fingerprint:
         return None

@@ -1,4 +1,4 @@
-"""From a robot's state message to what its learned policy sees, for every kind of robot that has one."""
+"""Observations of learned policies from state messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import final
 from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
-from safedpa.robot import robots
+from safedpa.systems.robots import robots
 
 __all__ = ["ObservationModel", "checked_state", "observation_model_of"]
 
@@ -17,17 +17,18 @@ __all__ = ["ObservationModel", "checked_state", "observation_model_of"]
 @final
 @dataclass(frozen=True)
 class ObservationModel:
-    """How many numbers an observation has for so many latents, and the observation of a message with a latent."""
+    """The observations of one kind of robot."""
 
     length: Callable[[int], int]
+    """Number of entries of an observation by the number of latents."""
     observed: Callable[[StateMessage, AnyFloatArray], AnyFloatArray]
-    """Raises MessageError when something in the message has another length than the robot's."""
+    """(state, latent) -> observation. Raises MessageError for a message with lengths of another robot."""
 
 
 def observation_model_of(robot: str) -> ObservationModel:
-    """The perception of a kind of robot. Raises InputError when learned policies of it are not known."""
+    """Returns the observation model of a kind of robot. Raises InputError if it has no learned policies."""
     known = robots()
-    found = known[robot].perception() if robot in known else None
+    found: ObservationModel | None = known[robot].perception() if robot in known else None
     if found is None:
         taught = [name for name, one in known.items() if one.perception() is not None]
         raise InputError(f"robot: got '{robot}', wanted one with learned policies: {', '.join(taught)}")
@@ -35,7 +36,7 @@ def observation_model_of(robot: str) -> ObservationModel:
 
 
 def checked_state(state: StateMessage, **lengths: int) -> None:
-    """Raises MessageError when an entry of the message has another length than the robot's."""
+    """Raises MessageError if a field of the message has another length than ``lengths`` says."""
     for name, length in lengths.items():
         if len(getattr(state, name)) != length:
             raise MessageError(f"state.{name}: got {len(getattr(state, name))} numbers, wanted {length}")

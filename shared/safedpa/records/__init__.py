@@ -1,4 +1,9 @@
-"""Runs: reading, judging and writing recordings of robots."""
+"""Reads, checks and writes recordings of robots.
+
+Read ``run`` first (a recording in memory), then ``load``, which loads a file of any format. ``readers`` read the file
+formats, ``column_map`` converts foreign columns to states and actions, ``quality`` finds and cuts defective rows, and
+``writers`` write files. ``earlier_format`` converts files of format 1.
+"""
 
 from safedpa.records.column_map.column_map import ColumnMap
 from safedpa.records.column_map.file import load_column_map

@@ -1,4 +1,4 @@
-"""Files and recordings of format 1 in the names of format 2: the one place that knows the earlier names.
+"""Converts files and recordings of format 1 to the names of format 2. Only this module knows the earlier names.
 
 Format 2 renamed keys and changed no value. The tables below list what was renamed. Recordings of format 1 are read
 through them (``current_key``, ``current_payload``); ``migrate`` rewrites a file.
@@ -18,7 +18,7 @@ from safedpa.limits import parse_toml, text_of_file
 __all__ = ["FORMAT", "current_key", "current_payload", "migrate", "without_removed_settings"]
 
 FORMAT: Final = 2
-"""The format that is written today."""
+"""The format that this version writes."""
 
 _TOPICS: Final = {"wish": "nominal"}
 """Last part of a bus key."""
@@ -33,20 +33,23 @@ _FIELDS: Final[dict[str, dict[str, str]]] = {
 
 _SETTINGS: Final = {"plausible_wish": "plausible_nominal"}
 _REMOVED_SETTINGS: Final = ("slack_tolerance", "slack_quadratic", "slack_linear")
-"""The scale of each barrier gives the tolerances today."""
+"""Removed because the scale of each barrier now determines the tolerances."""
+
+_SETTINGS_KEYS: Final = {"eta", "system", "action_low", "epsilon", "enabled", "margin", "weights", *_SETTINGS}
+"""A file with one of these keys, and nothing of another kind, holds settings of the filter."""
 
 _ROBOT_TABLES: Final = {"wish": "nominal"}
 _MARGIN_PREFIXES: Final = {"ceiling.": "clip.", "drive.ceiling.": "drive.clip."}
 
 
 def current_key(key: str) -> str:
-    """The bus key of today for one of either format: ``safedpa/f/r/wish`` is ``safedpa/f/r/nominal``."""
+    """Returns the present bus key for a key of either format: ``safedpa/f/r/wish`` is ``safedpa/f/r/nominal``."""
     head, _, topic = key.rpartition("/")
     return f"{head}/{_TOPICS[topic]}" if head and topic in _TOPICS else key
 
 
 def current_payload(topic: str, payload: bytes) -> bytes:
-    """A recorded message of ``topic``, with the field names of today; anything else is returned as it is."""
+    """Renames the fields of a recorded message of ``topic`` to those of format 2; returns anything else unchanged."""
     names = _FIELDS.get(topic, {})
     if topic != "setup" and not any(name.encode() in payload for name in names):
         return payload  # most messages: nothing in them was renamed
@@ -66,7 +69,7 @@ def current_payload(topic: str, payload: bytes) -> bytes:
 
 
 def without_removed_settings(text: str) -> tuple[str, list[str]]:
-    """Settings of the filter without the keys that were removed, and those keys."""
+    """Removes keys that no longer exist from settings of the filter; also returns these keys."""
     removed = [key for key in _REMOVED_SETTINGS if re.search(rf"(?m)^{key}\s*=", text)]
     return re.sub(rf"(?m)^(?:{'|'.join(_REMOVED_SETTINGS)})\s*=.*\n?", "", text), removed
 
@@ -101,7 +104,7 @@ def migrate(path: Path, target: Path) -> str:
     """Writes a file of format 1 to ``target`` in format 2 and returns what kind of file it is.
 
     Filter settings, a robot's file, a margin and a recording are converted. Models and column maps are the same in
-    both formats and are copied. Raises InputError for any other file, and where ``target`` exists.
+    both formats and are copied. Raises InputError for any other file, and if ``target`` exists.
     """
     if target.exists():
         raise InputError(f"{target}: exists already; name a file that does not")
@@ -124,15 +127,11 @@ def _converted(path: Path, text: str) -> tuple[str, str]:
         return "margin", _margin(text)
     if "robot" in table:
         return "robot file", _robot_file(text)
-    from safedpa.safety.settings import parse_settings  # the filter's package lies above the records'
-
-    converted, _ = without_removed_settings(_settings(text))
-    try:
-        parse_settings(converted)
-    except InputError as error:
+    if not _SETTINGS_KEYS.intersection(table):
         raise InputError(
-            f"{path}: no settings, model, column map, margin or robot file ({error}); wanted one of format 1"
-        ) from error
+            f"{path}: no settings, model, column map, margin or robot file of format 1; wanted one of these"
+        )
+    converted, _ = without_removed_settings(_settings(text))
     return "settings", converted
 
 
@@ -158,10 +157,10 @@ def _migrate_recording(path: Path, target: Path) -> None:
                 recorder.write(key, payload, record.log_time, record.publish_time)
     except DamageError as damage:
         raise InputError(
-            f"{path}: damaged at byte {damage.offset} of {damage.size}; what lies before is converted"
+            f"{path}: damaged at byte {damage.offset} of {damage.size}; everything before it is converted"
         ) from damage
     finally:
         if recorder is not None:
             recorder.close()
     if recorder is None:
-        raise InputError(f"{path}: holds no message of the bus; wanted a recording of safedpa")
+        raise InputError(f"{path}: contains no message of the bus; wanted a recording of safedpa")

@@ -1,4 +1,4 @@
-"""One door for every recording: tables, bags, flight logs to a run in SI units, with its bad stretches cut."""
+"""Loads a recording of any format as a run in SI units, without its defective rows."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from safedpa.systems import System
 
 __all__ = ["load_run"]
 
-_MOST_TOPICS = 8
-"""Topics that stand in an error; the command lists all."""
+_MAX_TOPICS = 8
+"""Topics that an error lists; the command ``safedpa columns`` lists all."""
 
 
 def load_run(path: str | Path, system: System, columns: ColumnMap | None = None) -> Run:
-    """The run in a file or folder, whose kind its first bytes tell: a table, a bag, a flight log, a recording.
+    """Loads a table, bag, flight log or bus recording as a run; the first bytes decide which one it is.
 
-    Without a column map the columns carry the native names: ``t`` [s] and those of the system's states and actions; a
-    log of topics needs one. Time is that of the file. Raises RunError when the file cannot be used, with all findings
-    when no stretch of it can, and ColumnMapError when the map does not fit the system.
+    Without a column map the columns must have the native names: ``t`` [s] and those of the system's states and actions.
+    A log of topics needs a map. Time is that of the file. Raises RunError if the file cannot be used (with all findings
+    if no stretch of it can), and ColumnMapError if the map does not fit the system.
     """
     path = Path(path)
     mapping = native_map(system) if columns is None else columns
@@ -37,21 +37,21 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
 
         return read_run_from_mcap(path, system)
     if kind == "topics" and columns is None:
-        raise RunError(_topics_reported(path, system))
+        raise RunError(_map_needed(path, system))
     table = _read(path, kind, mapping, system)
     return run_of_rows(path, system, mapping, mapped_rows(table, mapping, system), table.findings)
 
 
-def _topics_reported(path: Path, system: System) -> str:
-    """One line: what a log of topics holds, and that it wants a map."""
+def _map_needed(path: Path, system: System) -> str:
+    """Error message for a log of topics without a map: its topics, and how to propose a map."""
     log = topic_log(path)
     topics = [topic for topic in log.topics().values() if topic.count]
     if topics and all(topic.name.startswith("safedpa/") for topic in topics):
         return f"{path}: is the folder of a run; name the recording in it: {path / 'recording.mcap'}"
-    notice = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MOST_TOPICS])
-    more = f" and {len(topics) - _MOST_TOPICS} more" if len(topics) > _MOST_TOPICS else ""
+    notice = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MAX_TOPICS])
+    more = f" and {len(topics) - _MAX_TOPICS} more" if len(topics) > _MAX_TOPICS else ""
     return (
-        f"{path}: is a {log.kind} with {len(topics)} topics, and no map says which are whose: {notice}{more}; "
+        f"{path}: is a {log.kind} with {len(topics)} topics, and needs a column map: {notice}{more}; "
         f"'safedpa columns {path} --robot {system.name} > map.toml' proposes one, then --columns map.toml"
     )
 

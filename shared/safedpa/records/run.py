@@ -1,4 +1,4 @@
-"""A recorded run: time, states and actions of one robot, cut into stretches that can be trusted."""
+"""A recorded run: time, states and actions of one robot, cut into stretches without defects."""
 
 from __future__ import annotations
 
@@ -11,25 +11,38 @@ from numpy.typing import NDArray
 
 from safedpa.systems import System
 
-__all__ = ["Finding", "Run", "Stretch"]
+__all__ = ["Finding", "RawRows", "Run", "Stretch"]
+
+
+@dataclass(frozen=True)
+class RawRows:
+    """t (rows,), states (rows, states) and actions (rows, actions) of a log, before its quality was checked."""
+
+    t: NDArray[np.float64]
+    states: NDArray[np.float64]
+    actions: NDArray[np.float64]
+
+    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> RawRows:
+        """Some of the rows."""
+        return RawRows(self.t[index], self.states[index], self.actions[index])
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about the data's quality that a person should know."""
+    """A fact about the quality of the data that the user should know."""
 
     kind: str
-    """One word or two, with underscores: gap, repeated_row, not_a_number, clock_reset, jump, constant_input, ..."""
+    """Such as gap, repeated_row, not_a_number, clock_reset, jump, constant_input."""
     message: str
-    """One sentence: what was found, how often, where first, and what was done about it."""
+    """A sentence: what was found, how often, where first, and what was done about it."""
     count: int = 1
     start_t: float | None = None
-    """s; where it occurs first."""
+    """Time of the first occurrence, s."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows start to stop (exclusive) of a run, without gap, jump or missing value between them."""
+    """Rows ``start`` to ``stop`` (exclusive) of a run, without a gap, jump or missing value."""
 
     start: int
     stop: int
@@ -43,9 +56,8 @@ class Run:
     """One recording, in SI units and radians, angles unwrapped.
 
     t (samples,) [s] grows strictly within each stretch; states (samples, states); actions (samples, actions), where the
-    action of a row holds until the next row. What was cut is not in the arrays any more; nothing may be carried across
-    the border of two stretches. Time is that of the source: seconds since 1970 where the log says so, so take
-    differences in float64.
+    action of a row is applied until the next row. Defective rows are removed; do not compute across the border of two
+    stretches. Time is that of the source, possibly seconds since 1970: compute differences in float64.
     """
 
     name: str
@@ -56,7 +68,7 @@ class Run:
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...] = ()
 
-    @cached_property  # asked for stretch by stretch, of which a log may have thousands
+    @cached_property  # cached: used for each stretch, and a log can have thousands
     def period(self) -> float:
         """Median time between rows [s]."""
         steps = [np.diff(self.t[part.start : part.stop]) for part in self.stretches if len(part) > 1]
@@ -64,11 +76,11 @@ class Run:
 
     @property
     def duration(self) -> float:
-        """Seconds inside the stretches."""
+        """Total duration of the stretches, s."""
         return float(sum(self.t[part.stop - 1] - self.t[part.start] for part in self.stretches if len(part)))
 
     def parts(self) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-        """(t, states, actions) of each stretch."""
+        """Yields (t, states, actions) of each stretch."""
         for part in self.stretches:
             rows = slice(part.start, part.stop)
             yield self.t[rows], self.states[rows], self.actions[rows]

@@ -1,4 +1,4 @@
-"""What a replay gave, held field by field against what was recorded."""
+"""Compares a replayed message with the recorded one, field by field."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from safedpa.bus import Message
 __all__ = ["TOLERANCE", "Difference", "differences"]
 
 TOLERANCE = 1e-6
-"""Of numbers x: |difference| <= 1e-6 max(1, |x|). On the machine and with the libraries of the recording nothing
-differs at all. Other processors add in another order (numpy, BLAS and the QP solver choose their code by processor),
-which moves a result by some 1e-12, and what the solver stops at by its own tolerance of 1e-9 or so."""
+"""Numbers x agree if |difference| <= 1e-6 max(1, |x|).
 
-_LEFT_OUT = frozenset({"version", "publish_time", "microseconds", "step", "consumed", "skipped"})
-"""When, how long, and from what: not what was decided."""
+On the machine and with the libraries of the recording, results are identical. On another processor numpy, BLAS and
+the QP solver sum in another order: results differ by about 1e-12, and solutions by the solver's tolerance of 1e-9."""
+
+_NOT_COMPARED = frozenset({"version", "publish_time", "microseconds", "step", "consumed", "skipped"})
+"""Fields about time and inputs, which are not part of the decision."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One field of one message that did not come out as it was recorded."""
+    """A field of a message whose replayed value differs from the recorded one."""
 
     epoch: int
     tick: int
@@ -34,15 +35,15 @@ class Difference:
     recorded: Any
     replayed: Any
     exact_only: bool
-    """Whether it is within the tolerance: another last digit."""
+    """Whether the difference is within the tolerance."""
 
 
 def differences(
-    topic: str, recorded: Message, replayed: Message, reported: frozenset[str], tolerance: float = TOLERANCE
+    topic: str, recorded: Message, replayed: Message, recorded_fields: frozenset[str], tolerance: float = TOLERANCE
 ) -> Iterator[Difference]:
-    """Every field in which two messages differ; ``reported`` are the fields that the recording has at all."""
+    """Yields every field in which two messages differ; ``recorded_fields`` are the fields that the recording has."""
     for item in fields(recorded):
-        if item.name in _LEFT_OUT or item.name not in reported:
+        if item.name in _NOT_COMPARED or item.name not in recorded_fields:
             continue
         one, other = getattr(recorded, item.name), getattr(replayed, item.name)
         if one == other:
@@ -54,7 +55,7 @@ def differences(
 
 
 def _near(one: Any, other: Any, tolerance: float) -> bool:
-    """Whether two values are the same but for rounding; numbers within a sentence, too."""
+    """Whether two values agree within the tolerance; also compares numbers inside sentences."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(_near(a, b, tolerance) for a, b in zip(one, other, strict=True))
     if isinstance(one, str) and isinstance(other, str):

@@ -1,11 +1,8 @@
-"""Drives the node of one service again through the steps that a recording says it took.
+"""Runs the node of one service through its recorded steps.
 
-Each recorded output names the state that it is about, the inputs that the step had, and how many steps went before. So
-the node is called as the service's loop called it: ``prepare`` alone for states that were passed over, ``step``,
-``afterwards``, ``forget`` when the robot restarted, a new node when the process did, and the steps of a change of
-the model where the service answered them.
-
-Which models a recording knows, and when each service answered for them, is read from its changes of the model.
+Each recorded output names its state, its inputs and the number of its step, so the node is called exactly as by the
+loop of the service: ``prepare`` for skipped states, then ``step`` and ``afterwards``; ``forget`` when the robot
+restarted, a new node when the process restarted. Model changes are applied at the recorded ticks.
 """
 
 from __future__ import annotations
@@ -40,47 +37,47 @@ from safedpa.runtime.node import SafetyFilterNode
 __all__ = ["Driver", "InputOverride", "ModelChange", "ReplayedStep"]
 
 _SETUP_DELAY_NS = 6_000_000_000
-"""A process tells its setup every five seconds: one that was recorded so soon after an output may be its sender's."""
+"""A process sends its setup every five seconds: a setup recorded so soon after an output may be that of its sender."""
 _LOOK_BACK_TICKS = 200
 
 
 @dataclass(frozen=True)
 class ReplayedStep:
-    """One step: as it was recorded, and as it came out again."""
+    """A recorded step and its replayed outputs."""
 
     state: StateMessage
     recorded: ComputedMessage | None
-    """None of a step whose output was lost on the way to the recording."""
+    """None for a step whose output was not recorded."""
     outputs: Outputs
-    """Empty when the node refused the state."""
+    """Empty if the node refused the state."""
     unknown: str = ""
-    """Why the service's memory or an input is not known from this step on; empty where nothing new is unknown."""
-    again: bool = False
-    """Whether the service's memory of the robot began with this step: what was unknown before matters no more."""
+    """Why the memory of the service or an input is unknown from this step on; empty if nothing new is unknown."""
+    restarted: bool = False
+    """Whether the memory of the service restarted with this step, so that earlier unknowns no longer matter."""
 
 
 class InputOverride:
-    """What the node shall see in place of what was recorded. This one changes nothing."""
+    """Replaces what the node sees in a replay. This base class changes nothing."""
 
     def state(self, state: StateMessage) -> StateMessage:
-        """The state to be shown."""
+        """Returns the state that the node sees."""
         return state
 
     def message(self, recorded: Message) -> Message:
-        """The input to be used."""
+        """Returns the input that the node uses."""
         return recorded
 
     def done(self, state: StateMessage, outputs: Outputs) -> None:
-        """Hears what came out."""
+        """Called with the outputs of each step."""
         del state, outputs
 
 
 @final
 class Driver:
-    """Replays one service of one robot; ``build`` makes its node from a setup. Raises what ``build`` raises.
+    """Replays one service of one robot. ``build`` makes its node from a setup; its exceptions are passed on.
 
-    ``made_up`` takes the outputs of steps that were lost on the way to the recording, by topic, epoch and tick, and
-    gives them to the services behind.
+    ``reconstructed`` collects the outputs of steps that were not recorded, by topic, epoch and tick, as inputs of the
+    services downstream.
     """
 
     def __init__(
@@ -88,41 +85,41 @@ class Driver:
         tape: RobotTape,
         service: str,
         build: Callable[[SetupMessage], AbstractNode],
-        overrule: InputOverride | None = None,
+        override: InputOverride | None = None,
         *,
         follow_models: bool = True,
-        made_up: dict[tuple[Topic, int, int], Message] | None = None,
+        reconstructed: dict[tuple[Topic, int, int], Message] | None = None,
     ) -> None:
         self._tape, self._service, self._build = tape, service, build
-        self._overrule = overrule or InputOverride()
+        self._override = override or InputOverride()
         self._changes = ModelChange(tape, service) if follow_models else None
         self._setups = tape.setups.get(service, [])
         self._setup = -1
-        self._made_up = {} if made_up is None else made_up
+        self._reconstructed = {} if reconstructed is None else reconstructed
         self._node: AbstractNode | None = None
         self._previous: ComputedMessage | None = None
 
     def run(self) -> Iterator[ReplayedStep]:
-        """Every step, in the order of the recording."""
+        """Yields every step, in recorded order."""
         for entry in self._tape.computed[self._service]:
             message = entry.message
             state = self._tape.states.get((message.epoch, message.tick))
             if state is None:
-                continue  # lost on the way to the recording: counts as a missing step
-            again = self._is_again(message)
-            if again:
-                unknown = self._begin(entry)
-                yield from (self._step(before, None, "") for before in self._first(message))
+                continue  # its state was not recorded: counts as a missing step
+            restarted = self._is_restart(message)
+            if restarted:
+                unknown = self._start_node(entry)
+                yield from (self._step(before, None, "") for before in self._states_before_first(message))
             else:
-                lost = self._lost(message)
+                lost = self._lost_states(message)
                 yield from (self._step(between, None, "") for between in lost)
                 unknown = self._gap(message, len(lost))
-            yield replace(self._step(state, message, unknown), again=again)
+            yield replace(self._step(state, message, unknown), restarted=restarted)
             self._previous = message
-        yield from (self._step(state, None, "") for state in self._behind())
+        yield from (self._step(state, None, "") for state in self._states_used_after_end())
 
-    def _behind(self) -> list[StateMessage]:
-        """States behind the last recorded output whose outputs other services say they used."""
+    def _states_used_after_end(self) -> list[StateMessage]:
+        """States after the last recorded output whose outputs other services report as used."""
         previous = self._previous
         outputs = () if self._node is None else self._node.outputs
         if previous is None:
@@ -137,15 +134,15 @@ class Driver:
             found.append(state)
         return found
 
-    def _is_again(self, message: ComputedMessage) -> bool:
-        """Whether the service's memory of the robot began with this step, or is not in the recording before it."""
+    def _is_restart(self, message: ComputedMessage) -> bool:
+        """Whether the memory of the service restarted with this step, or nothing is recorded before it."""
         previous = self._previous
         if previous is None or message.epoch != previous.epoch:
             return True
         return 0 < message.step <= previous.step
 
-    def _begin(self, entry: RecordedMessage) -> str:
-        """A new node, or a memory made empty, as in the recorded service; returns what is not known."""
+    def _start_node(self, entry: RecordedMessage) -> str:
+        """Builds a new node or clears its memory, as the recorded service did; returns what is unknown."""
         message = entry.message
         if self._node is None or self._is_new_process(entry):
             self._node = self._build(self._setups[self._setup][1])
@@ -153,16 +150,16 @@ class Driver:
             self._node.forget(self._tape.robot)
         missing = ""
         if self._changes is not None:
-            missing = self._changes.begin(self._node, self._tape.robot, _model(message))
+            missing = self._changes.begin(self._node, self._tape.robot, _model_fingerprint(message))
         first = message.step == 1 if message.step else message.tick == 0
-        return missing or ("" if first else f"{_outputs(message.step - 1)} before it not recorded")
+        return missing or ("" if first else f"{_output_count(message.step - 1)} before it not recorded")
 
-    def _first(self, message: ComputedMessage) -> list[StateMessage]:
-        """States of the steps before the first recorded one: most likely the last ones, without a gap.
+    def _states_before_first(self, message: ComputedMessage) -> list[StateMessage]:
+        """States of the steps before the first recorded one: assumed to be the last ones, without a gap.
 
-        A process that was started a moment ago may speak before the recorder can hear it.
+        A process that has just started can send outputs before the recorder is connected to it.
         """
-        passed_over = set(message.skipped)
+        skipped = set(message.skipped)
         found: list[StateMessage] = []
         tick = message.tick
         while len(found) < message.step - 1:
@@ -170,13 +167,13 @@ class Driver:
             state = self._tape.states.get((message.epoch, tick))
             if state is None:
                 return []
-            found += [] if float(tick) in passed_over else [state]
+            found += [] if float(tick) in skipped else [state]
         return found[::-1]
 
     def _is_new_process(self, entry: RecordedMessage) -> bool:
-        """Whether another instance of the service had begun; its setup is in force then."""
-        begun = [number for number, (at, _) in enumerate(self._setups) if at <= entry.at]
-        newest = max(begun, default=0)
+        """Whether a new process of the service has started; then its setup is used."""
+        started = [number for number, (at, _) in enumerate(self._setups) if at <= entry.at]
+        newest = max(started, default=0)
         if newest > self._setup:
             self._setup = newest
             return True
@@ -187,48 +184,48 @@ class Driver:
             self._setup = following
         return True
 
-    def _lost(self, message: ComputedMessage) -> list[StateMessage]:
-        """States of the steps whose outputs are not in the recording, if it is certain which they are."""
+    def _lost_states(self, message: ComputedMessage) -> list[StateMessage]:
+        """States of the steps whose outputs are not in the recording; empty if they are ambiguous."""
         previous = self._previous
         if previous is None or not message.step:
             return []
-        passed_over = set(message.skipped)
-        if message.tick - previous.tick > 1 + len(passed_over) + len(self._tape.states):
-            return []  # not all of them were recorded, however far the tick claims to be
-        ticks = [tick for tick in range(previous.tick + 1, message.tick) if float(tick) not in passed_over]
+        skipped = set(message.skipped)
+        if message.tick - previous.tick > 1 + len(skipped) + len(self._tape.states):
+            return []  # bounds the range below: a corrupt tick can be arbitrarily large
+        ticks = [tick for tick in range(previous.tick + 1, message.tick) if float(tick) not in skipped]
         found = [self._tape.states.get((message.epoch, tick)) for tick in ticks]
         known = [state for state in found if state is not None]
         return known if len(known) == len(ticks) == message.step - previous.step - 1 else []
 
-    def _gap(self, message: ComputedMessage, made_up: int) -> str:
+    def _gap(self, message: ComputedMessage, reconstructed: int) -> str:
         previous = self._previous
-        missing = message.step - previous.step - 1 - made_up if previous is not None and message.step else 0
-        return f"{_outputs(missing)} before it not recorded" if missing > 0 else ""
+        missing = message.step - previous.step - 1 - reconstructed if previous is not None and message.step else 0
+        return f"{_output_count(missing)} before it not recorded" if missing > 0 else ""
 
     def _step(self, state: StateMessage, message: ComputedMessage | None, unknown: str) -> ReplayedStep:
         node, robot = self._node, self._tape.robot
         assert node is not None
         for tick in () if message is None else message.skipped:
-            passed_over = self._tape.states.get((state.epoch, int(tick)))
-            if passed_over is not None:
-                node.prepare(robot, self._overrule.state(passed_over))
+            skipped = self._tape.states.get((state.epoch, int(tick)))
+            if skipped is not None:
+                node.prepare(robot, self._override.state(skipped))
         if self._changes is not None and message is not None:
-            unknown = unknown or self._changes.follow(node, robot, state, _model(message))
+            unknown = unknown or self._changes.follow(node, robot, state, _model_fingerprint(message))
         inputs, missing = self._inputs(node, state, message)
         if isinstance(node, SafetyFilterNode) and isinstance(message, VerdictMessage):
-            node.orders.end(message.ordered)  # by whom and for whom it was does not matter to the decision
+            node.orders.end(message.ordered)  # sender and recipient of the order do not affect the decision
         if isinstance(node, PerceptionNode):
-            missing = missing or self._sense(node, state, message)
-        outputs = self._computed(node, state, inputs)
-        self._overrule.done(state, outputs)
+            missing = missing or self._replay_scans(node, state, message)
+        outputs = self._compute(node, state, inputs)
+        self._override.done(state, outputs)
         if message is None:
-            self._made_up |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
+            self._reconstructed |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
         return ReplayedStep(state, message, outputs, unknown or missing)
 
-    def _sense(self, node: PerceptionNode, state: StateMessage, message: ComputedMessage | None) -> str:
-        """Lets perception hear the scans that it had heard, with what counted then; what is missing of that."""
+    def _replay_scans(self, node: PerceptionNode, state: StateMessage, message: ComputedMessage | None) -> str:
+        """Feeds perception the scans that it used, with the recorded overrides; returns what is missing."""
         if not isinstance(message, SurroundingsMessage):
-            return "which scans it had heard is not recorded"
+            return "the scans that it used are not recorded"
         node.switches.replay(self._tape.robot, message.off, message.zones, message.ordered)
         missing = ""
         for index, number in message.scans:
@@ -237,70 +234,74 @@ class Driver:
             if scan is None:
                 missing = f"scan {number:g} of {source or 'a source that the state does not name'} was not recorded"
                 continue
-            with contextlib.suppress(InputError):  # as in the loop: what is no scan is refused
+            with contextlib.suppress(InputError):  # as in the loop: an invalid scan is refused
                 node.hear(self._tape.robot, scan)
         return missing
 
-    def _computed(self, node: AbstractNode, state: StateMessage, inputs: Inputs) -> dict[Topic, Message]:
-        """Step and what comes after it; where they fail, as the service's loop does it."""
-        robot, shown = self._tape.robot, self._overrule.state(state)
+    def _compute(self, node: AbstractNode, state: StateMessage, inputs: Inputs) -> dict[Topic, Message]:
+        """Runs ``step`` and ``afterwards``; handles their failures like the loop of the service."""
+        robot, shown = self._tape.robot, self._override.state(state)
         outputs: dict[Topic, Message] = {}
         try:
             outputs.update(node.step(robot, shown, inputs))
-        except Exception as error:  # noqa: BLE001  as in the loop: whatever it is, the node says what is right then
+        except Exception as error:  # noqa: BLE001  as in the loop: after any error the node gives a safe output
             reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
             return dict(node.rescue(robot, shown, reason))
         if self._changes is not None:
             self._changes.answer(node, robot, shown)
-        with contextlib.suppress(Exception):  # as in the loop: the action is on its way
+        with contextlib.suppress(Exception):  # as in the loop: the action has been sent already
             outputs.update(node.afterwards(robot))
         return outputs
 
     def _inputs(self, node: AbstractNode, state: StateMessage, message: ComputedMessage | None) -> tuple[Inputs, str]:
-        """The inputs of a step, and what is not known of them."""
+        """Returns the inputs of a step, and which of them is unknown."""
         found: dict[Topic, Message | Stale] = {}
         missing = ""
         for index, topic in enumerate(node.needs(state)):
-            reported = message.consumed[index] if message is not None and index < len(message.consumed) else None
-            item = self._of_tick(topic, state) if reported is None else self._reported(topic, state, *reported)
+            trace = message.consumed[index] if message is not None and index < len(message.consumed) else None
+            item = self._likely_input(topic, state) if trace is None else self._input_of_trace(topic, state, *trace)
             if item is None:
-                item = self._made_up.get((topic, state.epoch, state.tick))
+                item = self._reconstructed.get((topic, state.epoch, state.tick))
             if item is None:
                 missing = f"the {topic.name} that it used was not recorded"
-                item = self._of_tick(topic, state)
-            found[topic] = item if isinstance(item, Stale) else self._overrule.message(item)
+                item = self._likely_input(topic, state)
+            found[topic] = item if isinstance(item, Stale) else self._override.message(item)
         return found, missing
 
-    def _reported(self, topic: Topic, state: StateMessage, age: float, published: float) -> Message | Stale | None:
-        """The input that a step says it used; None when it is not in the recording."""
+    def _input_of_trace(
+        self, topic: Topic, state: StateMessage, age: float, published: float
+    ) -> Message | Stale | None:
+        """The input that a step reports as used; None if it was not recorded."""
         if published == 0.0:
             return Stale(topic, None if age < 0 else int(age))
         return self._tape.named.get((topic, state.epoch, state.tick - int(age), published))
 
-    def _of_tick(self, topic: Topic, state: StateMessage) -> Message | Stale:
-        """What a step will have used that does not say it: the input of its tick, if that was recorded."""
+    def _likely_input(self, topic: Topic, state: StateMessage) -> Message | Stale:
+        """The input that a step without a trace most likely used: that of its tick, if it was recorded."""
         for tick in range(state.tick, max(state.tick - _LOOK_BACK_TICKS, -1), -1):
-            item = self._tape.newest.get((topic, state.epoch, tick)) or self._made_up.get((topic, state.epoch, tick))
+            item = self._tape.newest.get((topic, state.epoch, tick)) or self._reconstructed.get(
+                (topic, state.epoch, tick)
+            )
             if item is not None:
                 return item if tick == state.tick else Stale(topic, state.tick - tick)
         return Stale(topic, None)
 
 
-def _model(message: ComputedMessage) -> str:
-    """Fingerprint of the model with which a message was computed; empty where an older program did not tell."""
+def _model_fingerprint(message: ComputedMessage) -> str:
+    """Fingerprint of the model with which a message was computed; empty in recordings of older programs."""
     return str(getattr(message, "model", ""))
 
 
-def _outputs(count: int) -> str:
+def _output_count(count: int) -> str:
     return "some outputs" if count < 1 else f"{count} output{'s' if count > 1 else ''}"
 
 
 class ModelChange:
-    """Takes one node through the changes of the model to which its service answered.
+    """Applies the recorded model changes to a node.
 
-    An offer is heard in the tick in which the service said that it is ready (or refuses), a take before the first
-    output that was computed with the new model. ``document`` of a model that is nowhere in the recording is missing;
-    ``follow`` then says so.
+    An offer is delivered in the tick in which the service answered that it is ready (or refuses); the take is delivered
+    before the first output that was computed with the new model. If the text of a model is not in the recording,
+    ``follow`` reports it.
     """
 
     def __init__(self, tape: RobotTape, service: str) -> None:
@@ -314,17 +315,17 @@ class ModelChange:
             self._answers[answer.epoch, answer.tick].append((answer.change, answer.state))
         self._texts = {setup.fingerprint: (setup.document, setup.margin) for _, setup in tape.setups.get(service, [])}
         self._prepared = 0
-        """Number of the change for which the node is ready; 0: none."""
+        """Number of the change for which the node is ready; 0 if there is none."""
 
     def begin(self, node: AbstractNode, robot: str, wanted: str) -> str:
-        """Lets a new node begin with the model that was in force; returns what is missing, empty when nothing is."""
+        """Gives a new node the model that was in use; returns what is missing, empty if nothing is."""
         self._prepared = 0
         if wanted and node.model_of(robot) != wanted:
-            node.welcome(robot, self._status(wanted))
+            node.adopt_model(robot, self._status(wanted))
         return self._missing(node, robot, wanted)
 
     def follow(self, node: AbstractNode, robot: str, state: StateMessage, wanted: str) -> str:
-        """Before a step: takes the model with which it was computed; returns what is missing, empty when nothing is."""
+        """Before a step: adopts the model with which it was computed; returns what is missing, empty if nothing is."""
         if not wanted or node.model_of(robot) == wanted:
             return ""
         offer = self._offers.get(self._prepared)
@@ -335,11 +336,11 @@ class ModelChange:
         status = self._status(wanted)
         if status is None:
             return self._missing(node, robot, wanted)
-        node.welcome(robot, _pending(status, state))
+        node.adopt_model(robot, _pending(status, state))
         return ""
 
     def answer(self, node: AbstractNode, robot: str, state: StateMessage) -> None:
-        """Before what comes after a step: hears the offers that the service answered in that tick."""
+        """Before ``afterwards``: delivers the offers that the service answered in that tick."""
         for change, outcome in self._answers.get((state.epoch, state.tick), ()):
             offer = self._offers.get(change)
             if offer is not None and outcome in ("ready", "refused"):
@@ -347,7 +348,7 @@ class ModelChange:
                 self._prepared = change if outcome == "ready" else self._prepared
 
     def _status(self, fingerprint: str) -> Answer | None:
-        """What the diagnosis, or another service, will have said of the model in force."""
+        """The status of the model in use, as the diagnosis or another service would have sent it."""
         offers = [offer for offer in self._offers.values() if offer.fingerprint == fingerprint]
         if not offers and fingerprint not in self._texts:
             return None
@@ -358,7 +359,7 @@ class ModelChange:
         )
 
     def _take(self, offer: ModelMessage, state: StateMessage) -> ModelMessage:
-        """The take as it was sent, or one that says the same."""
+        """The recorded take message, or an equivalent one."""
         sent = self._takes.get(offer.change)
         if sent is not None and (sent.epoch != state.epoch or sent.from_tick <= state.tick):
             return sent
@@ -378,11 +379,11 @@ class ModelChange:
         found = node.model_of(robot)
         if not wanted or found == wanted:
             return ""
-        return f"model {wanted} was in force, and its file is not in the recording (the replay has {found})"
+        return f"model {wanted} was in use, and its file is not in the recording (the replay has {found})"
 
 
 def _pending(status: Answer, state: StateMessage) -> Answer:
-    """The same model as a change that is to be taken now."""
+    """Converts a status into a pending change to the same model, to be taken now."""
     return Answer(
         ok=True,
         sentence=status.sentence,

@@ -1,4 +1,4 @@
-"""What a recording lacks: messages that were sent and did not reach the recorder, found from ticks and step counts."""
+"""Finds messages that did not reach the recorder, from gaps in ticks and step counts."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["TickGap", "gaps_of"]
 
 @dataclass(frozen=True)
 class TickGap:
-    """A stretch in which messages of one kind are missing."""
+    """A range of ticks in which messages of one kind are missing."""
 
     what: str
-    """``state`` or the service whose outputs are missing."""
+    """``state``, or the service whose outputs are missing."""
     epoch: int
     after_tick: int
     before_tick: int
@@ -26,23 +26,22 @@ class TickGap:
 
     @property
     def sentence(self) -> str:
-        """The gap in words."""
+        """A sentence that describes the gap."""
         kind = "states" if self.what == "state" else f"outputs of {self.what}"
         return f"{self.missing} {kind} between tick {self.after_tick} and tick {self.before_tick}"
 
 
 def gaps_of(tape: RobotTape) -> list[TickGap]:
-    """Every gap, states first.
+    """Returns every gap, states first.
 
-    A robot counts its periods, so a tick that is left out is a state that was lost (or a period in which the robot's
-    process was held up). A service counts its steps, so a number that is left out is a lost output; what was lost at
-    its very end shows where another service says that it used it.
+    A robot counts its periods, so a missing tick is a lost state (or a period in which its process was delayed). A
+    service counts its steps, so a missing number is a lost output. A lost last output is found if another service
+    reports that it used it.
     """
-    found = [gap for service in tape.computed for gap in _output_gaps(tape, service)]
-    behind = [
-        gap for service, topic in (("adaptation", LATENT), ("policy", NOMINAL)) for gap in _behind(tape, service, topic)
-    ]
-    return [*_state_gaps(tape), *found, *behind]
+    outputs = [gap for service in tape.computed for gap in _output_gaps(tape, service)]
+    used = (("adaptation", LATENT), ("policy", NOMINAL))
+    at_end = [gap for service, topic in used for gap in _lost_at_end(tape, service, topic)]
+    return [*_state_gaps(tape), *outputs, *at_end]
 
 
 def _state_gaps(tape: RobotTape) -> Iterator[TickGap]:
@@ -60,12 +59,12 @@ def _output_gaps(tape: RobotTape, service: str) -> Iterator[TickGap]:
             yield TickGap(service, after.epoch, before.tick, after.tick, missing)
 
 
-def _behind(tape: RobotTape, service: str, topic: Topic) -> Iterator[TickGap]:
-    """Outputs behind the last recorded one that other services used."""
+def _lost_at_end(tape: RobotTape, service: str, topic: Topic) -> Iterator[TickGap]:
+    """Outputs after the last recorded one that other services report as used."""
     last = {entry.message.epoch: entry.message.tick for entry in tape.computed[service]}
-    behind: dict[int, list[int]] = defaultdict(list)
+    lost: dict[int, list[int]] = defaultdict(list)
     for epoch, tick in tape.absent(topic):
         if tick > last.get(epoch, -1):
-            behind[epoch].append(tick)
-    for epoch, ticks in sorted(behind.items()):
+            lost[epoch].append(tick)
+    for epoch, ticks in sorted(lost.items()):
         yield TickGap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))

@@ -1,4 +1,4 @@
-"""What a replay found, in words and as JSON; and what it gave, as a table or a recording like the first one."""
+"""Reports of a replay as text and JSON, and its outputs as a table or a recording."""
 
 from __future__ import annotations
 
@@ -41,35 +41,35 @@ __all__ = [
     "write_decisions",
 ]
 
-_SHOWN = 10
+_MAX_SHOWN = 10
 
 
 def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> Iterator[str]:
-    """The agreement, or the first differences."""
+    """Lines of a report: agreement, or the first differences."""
     begin, end = tape.seconds()
-    yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_named(tape)}"
+    yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_file_names(tape)}"
     yield from note_lines(tape, assumed)
     yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
     for part in found.services:
         yield from _service_lines(part)
     differing = sorted((item for part in found.services for item in part.differing), key=_order)
-    for item in differing[:_SHOWN]:
+    for item in differing[:_MAX_SHOWN]:
         yield (
             f"  tick {item.tick} ({item.robot_time:.2f} s) {item.topic}.{item.field}: "
             f"recorded {_short(item.recorded)}, replayed {_short(item.replayed)}"
         )
-    if len(differing) > _SHOWN:
-        yield f"  ... and {len(differing) - _SHOWN} more fields"
-    yield _verdict(found)
+    if len(differing) > _MAX_SHOWN:
+        yield f"  ... and {len(differing) - _MAX_SHOWN} more fields"
+    yield _conclusion(found)
 
 
 def note_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
-    """What was noticed about the recording, and what was assumed in place of what it lacks."""
+    """Lines with findings about the recording and the assumptions that replace missing data."""
     yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
     yield from (f"  assumed: {sentence}" for sentence in assumed)
 
 
-def _named(tape: RobotTape) -> str:
+def _file_names(tape: RobotTape) -> str:
     return ", ".join(str(path) for path in tape.files)
 
 
@@ -77,31 +77,30 @@ def _service_lines(part: ServiceReplay) -> Iterator[str]:
     counts = ", ".join(
         f"{topic} {part.identical[topic]} of {count} identical" for topic, count in part.compared.items()
     )
-    yield f"  {part.service:<14} {counts or 'nothing to compare'}" + (f"; {part.lost} made up" if part.lost else "")
+    yield f"  {part.service:<14} {counts or 'nothing to compare'}" + (f"; {part.lost} recomputed" if part.lost else "")
     yield from (f"    {_span_sentence(span)}" for span in part.spans)
 
 
 def _span_sentence(span: UnknownStateSpan) -> str:
-    began = f"memory not known from tick {span.tick} on ({span.reason}): {span.steps} outputs not compared"
+    unknown = f"memory not known from tick {span.tick} on ({span.reason}): {span.steps} outputs not compared"
     if span.agrees_from is not None:
-        return f"{began}, agrees again from tick {span.agrees_from} on"
+        return f"{unknown}, agrees again from tick {span.agrees_from} on"
     if span.again_from is not None:
-        return f"{began}, known again from tick {span.again_from} on, where it began again"
-    return f"{began}, never agreed again"
+        return f"{unknown}, known again from tick {span.again_from} on, where it restarted"
+    return f"{unknown}, never agreed again"
 
 
-def _verdict(found: Replay) -> str:
+def _conclusion(found: Replay) -> str:
     if not any(part.compared for part in found.services):
-        return "nothing was compared: no output of a service was recorded there, or none whose memory is known"
+        return "nothing was compared: there is no recorded output of a service, or none with a known memory"
     if found.exact:
         return "identical: every field of every message that can be compared, bit for bit"
     if found.agrees:
-        return (
-            f"equal within the tolerance: {sum(part.rounded for part in found.services)} fields differ in last digits"
-        )
+        rounded = sum(part.rounded for part in found.services)
+        return f"equal within the tolerance: {rounded} fields differ in last digits"
     if any(part.differing for part in found.services):
         return "DIFFERENT"
-    return "not confirmed: what is missing in the recording leaves the memory of a service unknown to the end"
+    return "not confirmed: data are missing, so the memory of a service is unknown to the end"
 
 
 def _order(item: Difference) -> tuple[float, int]:
@@ -114,7 +113,7 @@ def _short(value: Any) -> str:
 
 
 def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> dict[str, Any]:
-    """The same for programs."""
+    """JSON document of a replay."""
     begin, end = tape.seconds()
     return {
         "format": 1,
@@ -133,9 +132,9 @@ def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: li
 
 
 def what_if_lines(summary: WhatIfSummary, decisions: list[DecisionPair], changed: str) -> Iterator[str]:
-    """How the other filter's decisions differ, and where first."""
-    yield f"  what if {changed}: {summary.ticks} decisions on the RECORDED states (open loop: what the other actions"
-    yield "  would have brought about is not in them; --closed-loop drives again where the robot was simulated)"
+    """Lines about how the decisions of the other filter differ, with the first differences."""
+    yield f"  what if {changed}: {summary.ticks} decisions on the RECORDED states (open loop: the"
+    yield "  consequences of other actions are not included; --closed-loop simulates the drive again)"
     for status in sorted({*summary.status_then, *summary.status_now}):
         before, after = summary.status_then.get(status, 0), summary.status_now.get(status, 0)
         yield f"    {status:<10} then {before:>6}   now {after:>6}"
@@ -146,14 +145,14 @@ def what_if_lines(summary: WhatIfSummary, decisions: list[DecisionPair], changed
         f"{summary.largest_distance:.4f} (at {summary.largest_distance_at:.2f} s)"
     )
     differing = [decision for decision in decisions if decision.differs]
-    for decision in differing[:_SHOWN]:
+    for decision in differing[:_MAX_SHOWN]:
         then, now = decision.then, decision.now
         yield (
             f"    tick {then.tick} ({then.robot_time:.2f} s): then {then.status} {_numbers(then.action)} h "
             f"{then.h_next:.4f}; now {now.status} {_numbers(now.action)} h {now.h_next:.4f}"
         )
-    if len(differing) > _SHOWN:
-        yield f"    ... and {len(differing) - _SHOWN} more; --out FILE.csv has every tick"
+    if len(differing) > _MAX_SHOWN:
+        yield f"    ... and {len(differing) - _MAX_SHOWN} more; --out FILE.csv has every tick"
 
 
 def _numbers(action: tuple[float, ...]) -> str:
@@ -161,7 +160,7 @@ def _numbers(action: tuple[float, ...]) -> str:
 
 
 def what_if_document(summary: WhatIfSummary, decisions: list[DecisionPair], changed: str) -> dict[str, Any]:
-    """The same for programs, with every tick that is decided differently."""
+    """JSON document of a what-if, with every tick that is decided differently."""
     return {
         "changed": changed,
         "states": "recorded (open loop)",
@@ -196,39 +195,39 @@ _COLUMNS = ("status", "h_now", "h_next", "margin", "slack")
 
 
 class ReplayOutputs:
-    """Collects what came out, and writes it."""
+    """Collects replayed steps, and writes them as a recording."""
 
     def __init__(self) -> None:
         self._steps: list[ReplayedStep] = []
 
     def take(self, step: ReplayedStep) -> None:
-        """Hears of one step."""
+        """Collects a step."""
         self._steps.append(step)
 
     def leave(self, step: ReplayedStep) -> None:
-        """Hears of one step that no one wants to keep."""
+        """Ignores a step; used if no output is written."""
 
     def write(self, tape: RobotTape, path: Path) -> None:
-        """The recorded states and setups with the replayed outputs, as a recording that can be replayed itself.
+        """Writes recorded states and setups with the replayed outputs, as a recording that can be replayed itself.
 
-        Raises InputError unless the file is to be an .mcap.
+        Raises InputError unless ``path`` ends in .mcap.
         """
         if path.suffix != ".mcap":
-            raise InputError(f"--out {path}: got no .mcap; a table (.csv) is for --model, --eta and --margin")
+            raise InputError(f"--out {path}: wanted .mcap; a table (.csv) is written with --model, --eta or --margin")
         with McapRecorder(path) as recorder:
             for at, topic, message in sorted(self._messages(tape), key=lambda item: item[0]):
                 key = key_of("replay", tape.robot, topic, getattr(message, "service", ""))
                 recorder.write(key, encode(message), at, _nanoseconds(message))
 
     def _messages(self, tape: RobotTape) -> Iterable[tuple[int, Topic, Message]]:
-        """Log time, topic and message; of perception that was not replayed what it told then."""
+        """Yields log time, topic and message; outputs of perception are the recorded ones if it was not replayed."""
         yield from ((at, SETUP, setup) for setups in tape.setups.values() for at, setup in setups)
         yield from ((_nanoseconds(message), MODEL, message) for message in tape.models)
         yield from ((_nanoseconds(state), STATE, state) for state in tape.states.values())
         yield from ((_nanoseconds(scan), SCAN, scan) for scan in map(tape.scan, tape.scans) if scan is not None)
         if not any(isinstance(step.recorded, SurroundingsMessage) for step in self._steps):
-            reported = (entry.message for entry in tape.computed[PerceptionNode.name])
-            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in reported)
+            recorded = (entry.message for entry in tape.computed[PerceptionNode.name])
+            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in recorded)
         for step in self._steps:
             for topic, message in step.outputs.items():
                 traced = _traced(message, step.recorded)
@@ -236,7 +235,7 @@ class ReplayOutputs:
 
 
 def _traced(message: Message, recorded: ComputedMessage | None) -> Message:
-    """The message with the time and the inputs of the recorded one."""
+    """The message with the time and the trace of inputs of the recorded one."""
     if recorded is None:
         return message
     message = replace(message, publish_time=recorded.publish_time)
@@ -250,9 +249,9 @@ def _nanoseconds(message: Message) -> int:
 
 
 def write_decisions(decisions: Sequence[DecisionPair], path: Path) -> None:
-    """One row a tick: what was decided then, and what would have been now. Raises InputError unless it is a .csv."""
+    """Writes one row for each tick with both decisions; raises InputError unless ``path`` ends in .csv."""
     if path.suffix != ".csv":
-        raise InputError(f"--out {path}: got no .csv; decisions under another model or margin are a table")
+        raise InputError(f"--out {path}: wanted .csv; decisions with another model or margin are a table")
     width = max((len(decision.then.action) for decision in decisions), default=0)
     actions = [f"action_{index}" for index in range(width)]
     sides = [f"{name}_{side}" for side in ("then", "now") for name in (*_COLUMNS, *actions)]

@@ -1,4 +1,4 @@
-"""A recording of the bus as a rosbag2: standard messages that Foxglove, Rerun and ROS 2 open."""
+"""Exports a bus recording as a rosbag2 with standard messages, for Foxglove, Rerun and ROS 2."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from safedpa.dynamics.model_file import parse_model
 from safedpa.errors import InputError, RecordingError, RunError, did_you_mean
 from safedpa.records.readers.mcap import read_messages
 from safedpa.records.run import Finding
-from safedpa.robot import AbstractRobot, robot_like, robots
 from safedpa.ros.encoding import encode, stamp_of, type_store
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
+from safedpa.systems.robots import Robot, robot_like, robots
 
 __all__ = ["ExportedBag", "export_bag"]
 
@@ -40,12 +40,12 @@ _TYPES = {
     "markers": "visualization_msgs/msg/MarkerArray",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
-"""By topic below the robot's name, or with a slash for all robots."""
+"""Message type by topic; a topic without a slash is below the name of the robot."""
 
 
 @dataclass
 class ExportedBag:
-    """What was written."""
+    """Summary of an export."""
 
     robot: str
     messages: int = 0
@@ -53,26 +53,26 @@ class ExportedBag:
 
 
 def export_bag(recording: Path, out: Path, robot: str | None = None) -> ExportedBag:
-    """Writes one robot's drive as a rosbag2 folder ``out``, MCAP inside; times are those of ``_Clock``.
+    """Writes the drive of one robot as a rosbag2 folder ``out`` with an MCAP file; times are those of ``_Clock``.
 
-    Topics: odometry, tf and the command for a robot on the plane; state, nominal action and action as numbers with names;
-    diagnostics of every verdict; markers of what it perceives and of what the filter foresees. Raises InputError where
-    ``out`` is there already, RunError where the recording cannot be used, RecordingError when it cannot be written.
+    Topics: odometry, tf and command for a robot on the plane; state, nominal action and action as named numbers;
+    diagnostics of every verdict; markers of obstacles and of the predicted path. Raises InputError if ``out`` exists,
+    RunError if the recording cannot be used, and RecordingError if the bag cannot be written.
     """
     if out.exists():
-        raise InputError(f"{out}: is there already; name a new folder for the bag")
+        raise InputError(f"{out}: exists already; name a new folder for the bag")
     findings: list[Finding] = []
     name, first = _robot_in(recording, robot)
-    speaks = _RosMessages(name, *(_reported_by_setup(recording, name) or (_kind_of(recording, first), None)))
+    converter = _RosConverter(name, *(_robot_of_setup(recording, name) or (_robot_by_shape(recording, first), None)))
     exported = ExportedBag(name)
     writer = _writer(out)
     try:
         with writer:
-            lines: dict[str, Any] = {}
-            for topic, message, at, values in _reported(recording, name, speaks, findings):
-                if topic not in lines:
-                    lines[topic] = writer.add_connection(topic, message, typestore=type_store())
-                writer.write(lines[topic], at, encode(message, values))
+            connections: dict[str, Any] = {}
+            for topic, message, at, values in _converted(recording, name, converter, findings):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, message, typestore=type_store())
+                writer.write(connections[topic], at, encode(message, values))
                 exported.messages += 1
     except OSError as error:
         shutil.rmtree(out, ignore_errors=True)
@@ -88,36 +88,36 @@ def _writer(out: Path) -> Any:
 
 
 def _robot_in(recording: Path, robot: str | None) -> tuple[str, StateMessage]:
-    """The robot's name and its first state. Raises RunError where there is none, or several and no one says which."""
+    """Name and first state of the robot; raises RunError if there is none, or several without a choice."""
     found: dict[str, StateMessage] = {}
     for key, _, message in read_messages(recording, None, (STATE,)):
         if isinstance(message, StateMessage):
             found.setdefault(topic_of(key)[1], message)
     if not found:
-        raise RunError(f"{recording}: holds no state of a robot; wanted a recording of the bus")
+        raise RunError(f"{recording}: contains no state of a robot; wanted a recording of the bus")
     if robot is None and len(found) > 1:
-        raise RunError(f"{recording}: holds robots {', '.join(sorted(found))}; name one with --robot")
+        raise RunError(f"{recording}: contains robots {', '.join(sorted(found))}; name one with --robot")
     name = robot or next(iter(found))
     if name not in found:
         raise RunError(f"{recording}: robot '{name}': {did_you_mean(name, found)}")
     return name, found[name]
 
 
-def _reported_by_setup(recording: Path, name: str) -> tuple[AbstractRobot, PhysicsModel] | None:
-    """The robot as the model declares it with which the services say that they run: a throttle is no speed."""
+def _robot_of_setup(recording: Path, name: str) -> tuple[Robot, PhysicsModel] | None:
+    """Robot and model of the recorded setup of the services; it distinguishes a throttle from a speed command."""
     for key, _, message in read_messages(recording, None, (SETUP,)):
         if isinstance(message, SetupMessage) and message.document and topic_of(key)[1] in (name, "-"):
             try:
                 model = parse_model(message.document, recording.parent)
             except InputError:
-                continue  # networks whose weights lie elsewhere
+                continue  # networks whose weights are elsewhere
             found = robot_like(model.system)
             if found is not None:
                 return found, model
     return None
 
 
-def _kind_of(recording: Path, state: StateMessage) -> AbstractRobot:
+def _robot_by_shape(recording: Path, state: StateMessage) -> Robot:
     for known in robots().values():
         shape = (len(known.system.state), len(known.system.action), not known.ros_face() or bool(state.field))
         if shape == (len(state.values), len(state.applied), True):
@@ -127,51 +127,51 @@ def _kind_of(recording: Path, state: StateMessage) -> AbstractRobot:
     )
 
 
-Reported = tuple[str, str, int, Mapping[str, Any]]
+RosMessage = tuple[str, str, int, Mapping[str, Any]]
 
 
-def _reported(recording: Path, name: str, speaks: _RosMessages, findings: list[Finding]) -> Iterator[Reported]:
-    """(topic, type, ns, fields) of everything that is written, in the recording's order."""
+def _converted(recording: Path, name: str, converter: _RosConverter, findings: list[Finding]) -> Iterator[RosMessage]:
+    """Yields (topic, type, ns, fields) of every converted message, in recorded order."""
     clock = _Clock()
     for key, _, message in read_messages(recording, findings, (STATE, VERDICT, NOMINAL)):
         if topic_of(key)[1] == name:
             at = clock.of(message)
-            for topic, kind, values in speaks.of(message, at):
+            for topic, kind, values in converter.of(message, at):
                 yield (topic if topic.startswith("/") else f"/{_plain(name)}/{topic}"), kind, at, values
 
 
 class _Clock:
-    """When a message belongs into the bag [ns]: when it was sent; in lockstep by the robot's own time.
+    """Time of a message in the bag [ns]: its send time, or in lockstep the robot's own time.
 
-    There it is sent as soon as everybody has answered, many times as fast as the robot drives.
+    In lockstep messages are sent as soon as all services have answered, faster than real time.
     """
 
     def __init__(self) -> None:
-        self._begun: dict[int, float | None] = {}
+        self._epoch_start: dict[int, float | None] = {}
         self._last = 0.0
 
     def of(self, message: Message) -> int:
         if not isinstance(message, ComputedMessage | StateMessage):
             return round(message.publish_time * 1e9)
-        if message.epoch not in self._begun and isinstance(message, StateMessage):
+        if message.epoch not in self._epoch_start and isinstance(message, StateMessage):
             first = max(message.publish_time, self._last + message.period) - message.robot_time
-            self._begun[message.epoch] = first if message.lockstep else None
-        begin = self._begun.get(message.epoch)
+            self._epoch_start[message.epoch] = first if message.lockstep else None
+        begin = self._epoch_start.get(message.epoch)
         at = message.publish_time if begin is None else begin + message.robot_time
         self._last = max(self._last, at)
         return round(at * 1e9)
 
 
 def _plain(name: str) -> str:
-    """As ROS writes names: letters, digits and underscores, not a digit first."""
+    """Converts to a valid ROS name: letters, digits and underscores, beginning with a letter."""
     plain = "".join(sign if sign.isascii() and (sign.isalnum() or sign == "_") else "_" for sign in name)
     return plain if plain[:1].isalpha() else f"robot_{plain}"
 
 
-class _RosMessages:
-    """Messages of ROS out of those of the bus, for one robot."""
+class _RosConverter:
+    """Converts bus messages of one robot to ROS messages."""
 
-    def __init__(self, name: str, robot: AbstractRobot, model: PhysicsModel | None = None) -> None:
+    def __init__(self, name: str, robot: Robot, model: PhysicsModel | None = None) -> None:
         self._name, self._system = name, robot.system
         self._face: AbstractFace | None = robot.ros_face(model)
         self._frame = f"{_plain(name)}/{_BODY}"
@@ -182,7 +182,7 @@ class _RosMessages:
         head = {"stamp": stamp_of(at), "frame_id": _WORLD}
         if isinstance(message, StateMessage):
             if (message.epoch, message.tick) == self._stamp:
-                return  # in lockstep a robot repeats itself until it is answered
+                return  # in lockstep a robot repeats its state until it is answered
             self._stamp, self._values = (message.epoch, message.tick), message.values
             yield "state", _TYPES["state"], self._numbers(head, self._system.state_names, message.values)
             yield "action", _TYPES["action"], self._numbers(head, self._system.action_names, message.applied)
@@ -191,10 +191,10 @@ class _RosMessages:
                 yield "odom", _TYPES["odom"], odometry_of(head, self._frame, *pose)
                 yield "/tf", _TYPES["/tf"], {"transforms": [transform_of(head, self._frame, *pose[:3])]}
                 command = self._face.commands[0]
-                alongside = {"header": head} if command.endswith("Stamped") else {}
-                yield "command", command, {**alongside, **self._face.message(command, message.applied, message.values)}
+                header = {"header": head} if command.endswith("Stamped") else {}
+                yield "command", command, {**header, **self._face.message(command, message.applied, message.values)}
                 if message.obstacles:
-                    yield "markers", _TYPES["markers"], {"markers": _discs(head, message.obstacles)}
+                    yield "markers", _TYPES["markers"], {"markers": _obstacle_markers(head, message.obstacles)}
         elif isinstance(message, NominalMessage):
             yield "nominal", _TYPES["nominal"], self._numbers(head, self._system.action_names, message.values)
         elif isinstance(message, VerdictMessage):
@@ -208,7 +208,7 @@ class _RosMessages:
         return {"header": head, "name": list(names), "position": list(values)}
 
 
-def _discs(head: Mapping[str, Any], obstacles: tuple[tuple[float, ...], ...]) -> list[dict[str, Any]]:
+def _obstacle_markers(head: Mapping[str, Any], obstacles: tuple[tuple[float, ...], ...]) -> list[dict[str, Any]]:
     return [
         {
             "header": head,

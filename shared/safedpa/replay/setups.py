@@ -1,6 +1,6 @@
-"""From what a service said of itself at its start to the node that runs with it.
+"""Builds the node of a service from its recorded setup.
 
-Setups are made up for recordings that do not tell them: of older programs, or begun and ended within five seconds.
+Setups are assumed for recordings without them: those of older programs, or shorter than five seconds.
 """
 
 from __future__ import annotations
@@ -27,14 +27,13 @@ from safedpa.safety.settings import parse_settings, write_settings
 __all__ = ["REPLAYED", "complete_setups", "model_of_document", "node_of"]
 
 REPLAYED = ("adaptation", "policy", "safety_filter")
-"""Services that know a model and whose outputs a replay computes, in the order of the data flow; before them, where a
-robot has sensors, perception."""
+"""Replayed services with a model, in the order of the data flow; perception comes before them if there are sensors."""
 
 
 def node_of(setup: SetupMessage, folders: tuple[Path, ...] = ()) -> AbstractNode:
-    """The node that runs with a setup of one of ``REPLAYED`` or of perception; weights are sought in ``folders``, too.
+    """Builds the node for a setup of perception or one of ``REPLAYED``; weights are also searched in ``folders``.
 
-    Raises InputError when something in it is broken, or the weights are not to be found.
+    Raises InputError if the setup is invalid or the weights are not found.
     """
     if setup.service == PerceptionNode.name:
         return PerceptionNode(parse_perception(setup.settings))
@@ -50,9 +49,9 @@ def node_of(setup: SetupMessage, folders: tuple[Path, ...] = ()) -> AbstractNode
 
 
 def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsModel:
-    """The model that a document describes; weights are sought in ``folders`` and among those that ship.
+    """Parses a model file's text; its weights are searched in ``folders`` and among the shipped ones.
 
-    Raises InputError when the document is broken or the weights are nowhere.
+    Raises InputError if the document is invalid or the weights are not found.
     """
     try:
         name = parse_toml(document).get("networks", {}).get("weights")
@@ -68,40 +67,40 @@ def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsM
         except InputError as error:
             reasons.append(str(error))
     raise InputError(
-        f"model: its weights '{name}' were not recorded and are not found ({reasons[0]}); name their --weights"
+        f"model: its weights '{name}' were not recorded and are not found ({reasons[0]}); name them with --weights"
     )
 
 
 def _own_folder(setup: SetupMessage) -> tuple[Path, ...]:
-    """Where the model file of the service's options lies, if that is on this machine."""
+    """Folder of the model file in the options of the service, if it exists on this machine."""
     path = Path(str(options_of(setup).get("model", "")))
-    with contextlib.suppress(OSError, ValueError):  # a name that no file can have
+    with contextlib.suppress(OSError, ValueError):  # not a valid file name
         return (path.parent,) if path.suffix == ".toml" and path.is_file() else ()
     return ()
 
 
 def complete_setups(tape: RobotTape, model: str = "", settings: str = "") -> list[str]:
-    """Gives every service that has outputs but no setup one; returns what was assumed, in words.
+    """Adds a setup for every service that has outputs but none; returns sentences about the assumptions.
 
-    A model that is not named is the shipped one to which the recorded latents belong, or that of another service's
-    setup. Raises InputError when there is none.
+    Without ``model``, the shipped model with the fingerprint of the recorded latents is used. Raises InputError if
+    there is none.
     """
-    sees = PerceptionNode.name
-    believed = tape.computed[sees] and not tape.setups.get(sees)
-    reported = [f"{sees}: no setup was recorded; what it made of the scans is believed"] if believed else []
+    perception = PerceptionNode.name
+    accepted = tape.computed[perception] and not tape.setups.get(perception)
+    notes = [f"{perception}: no setup was recorded; its outputs are accepted as recorded"] if accepted else []
     lacking = [name for name in REPLAYED if tape.computed[name] and not tape.setups.get(name)]
     if not lacking:
-        return reported
-    found = load_model(model) if model else _model_of(tape)
-    tape.setups |= {name: [(0, _assumed(name, found, settings or found.system.name))] for name in lacking}
+        return notes
+    found = load_model(model) if model else _shipped_model(tape)
+    tape.setups |= {name: [(0, _assumed_setup(name, found, settings or found.system.name))] for name in lacking}
     which = f"model {fingerprint(found)} of a {found.system.name}, the settings '{settings or found.system.name}'"
     return [
-        *reported,
+        *notes,
         f"{', '.join(lacking)}: no setup was recorded; assumed {which}, its shipped margin, the default controller",
     ]
 
 
-def _assumed(service: str, model: PhysicsModel, settings: str) -> SetupMessage:
+def _assumed_setup(service: str, model: PhysicsModel, settings: str) -> SetupMessage:
     setup = model_setup(setup_message(service, {}), model)
     if service != "safety_filter":
         return setup
@@ -110,7 +109,7 @@ def _assumed(service: str, model: PhysicsModel, settings: str) -> SetupMessage:
     return replace(setup, settings=write_settings(settings_named(settings)), margin=text)
 
 
-def _model_of(tape: RobotTape) -> PhysicsModel:
+def _shipped_model(tape: RobotTape) -> PhysicsModel:
     latents = [entry.message for entry in tape.computed["adaptation"]]
     wanted = latents[0].model if latents and isinstance(latents[0], LatentMessage) else ""
     for path in shipped_models().values():

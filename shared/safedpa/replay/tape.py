@@ -1,6 +1,6 @@
-"""A recording of one robot, sorted for replay: states by tick, and what each service computed, in its own order.
+"""A recording of one robot, sorted for replay: states by tick, and the outputs of each service in their order.
 
-Messages of one sender stand in a recording in the order in which they were sent; those of different senders do not.
+A recording keeps the order of the messages of one sender, but not of different senders.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ _INPUTS: dict[str, tuple[Topic, ...]] = {
 
 
 _FIELDS = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
-_MOST_ANSWERS = 8
-"""To one tick, among which a repetition is looked for: two processes may race for it."""
+_MAX_ANSWERS = 8
+"""Actions of one tick among which a repetition is searched: two processes may answer the same tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """One message of a service, and when it was recorded [ns since 1970]."""
+    """A message of a service, and its log time ``at`` [ns since 1970]."""
 
     at: int
     message: ComputedMessage
@@ -81,7 +81,7 @@ class RecordedMessage:
 
 @dataclass
 class RobotTape:
-    """What was recorded of one robot."""
+    """Recorded messages of one robot."""
 
     robot: str
     files: tuple[Path, ...]
@@ -89,33 +89,33 @@ class RobotTape:
     computed: dict[str, list[RecordedMessage]] = field(
         default_factory=lambda: {name: [] for name, _ in _SENDERS.values()}
     )
-    """By service, each step once, in the order of the steps."""
+    """Outputs by service, each step once, in order."""
     actions: dict[Stamp, list[ActionMessage]] = field(default_factory=dict)
     named: dict[tuple[Topic, int, int, float], ComputedMessage] = field(default_factory=dict)
-    """By topic, epoch, tick and publish time: a service that was restarted may answer a tick again."""
+    """By topic, epoch, tick and publish time: a restarted service may answer a tick again."""
     newest: dict[tuple[Topic, int, int], ComputedMessage] = field(default_factory=dict)
-    """By topic, epoch and tick."""
+    """Latest message by topic, epoch and tick."""
     models: list[ModelMessage] = field(default_factory=list)
     takeovers: dict[str, list[TakeoverMessage]] = field(default_factory=dict)
     setups: dict[str, list[tuple[int, SetupMessage]]] = field(default_factory=dict)
-    """By service, with the time of recording, each instance once."""
+    """(log time, setup) by service, each process once."""
     asked: list[AskedMessage] = field(default_factory=list)
     scans: dict[tuple[int, str, int], bytes] = field(default_factory=dict)
-    """By epoch, source and number, as they were recorded: numbers take four times the room."""
+    """Encoded scans by epoch, source and number; decoded they would take four times the memory."""
     fields: dict[type[Message], frozenset[str]] = field(default_factory=dict)
-    """Which fields the recorded messages have: older programs had fewer."""
+    """Fields of the recorded messages by type; older programs have fewer."""
     findings: list[Finding] = field(default_factory=list)
     _instances: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    """Of each service's processes that told their setup."""
+    """Processes of each service whose setup is known."""
 
     def add(self, at: int, message: Message) -> None:
-        """Takes one message; repetitions are left out."""
+        """Adds one message; repetitions are ignored."""
         stamp = (message.epoch, message.tick)
         if isinstance(message, StateMessage):
             self.states.setdefault(stamp, message)
         elif isinstance(message, ActionMessage):
             known = self.actions.setdefault(stamp, [])
-            if message not in known[-_MOST_ANSWERS:]:
+            if message not in known[-_MAX_ANSWERS:]:
                 known.append(message)
         elif isinstance(message, ComputedMessage):
             self._add_computed(at, message)
@@ -129,13 +129,13 @@ class RobotTape:
             self.scans[message.epoch, message.source, message.number] = encode(message)
 
     def scan(self, key: tuple[int, str, int]) -> ScanMessage | None:
-        """One of the robot's scans by epoch, source and number; None where it was not recorded."""
+        """Returns a scan by epoch, source and number; None if it was not recorded."""
         payload = self.scans.get(key)
         return None if payload is None else decode(ScanMessage, payload)
 
     def _add_computed(self, at: int, message: ComputedMessage) -> None:
         sender, topic = _SENDERS[type(message)]
-        message = self._with_a_trace_that_fits(sender, message)
+        message = self._without_invalid_trace(sender, message)
         entries = self.computed[sender]
         if entries and entries[-1].message.publish_time == message.publish_time and entries[-1].message == message:
             return
@@ -143,33 +143,33 @@ class RobotTape:
         self.named[topic, message.epoch, message.tick, message.publish_time] = message
         self.newest[topic, message.epoch, message.tick] = message
 
-    def _with_a_trace_that_fits(self, sender: str, message: ComputedMessage) -> ComputedMessage:
-        """Without what it says of its inputs, where that is not one age and time for each: then nothing is known."""
+    def _without_invalid_trace(self, sender: str, message: ComputedMessage) -> ComputedMessage:
+        """Removes the trace of the inputs if it does not have one age and time for each; they are then unknown."""
         rows, most = message.consumed, len(_INPUTS.get(sender, ()))
         wanted = (
             most - len(SafetyFilterNode.sensor_inputs) if sender == SafetyFilterNode.name else most
         )  # without sources
         if not rows or (len(rows) in (wanted, most) and all(len(row) == 2 for row in rows)):
             return message
-        text = f"{sender}: what it says of its inputs is not one age and time for each of {wanted}; left out"
+        text = f"{sender}: its trace of inputs does not have one age and time for each of {wanted}; ignored"
         if all(finding.message != text for finding in self.findings):
             self.findings.append(Finding("unreadable_trace", text))
         return replace(message, consumed=())
 
     def add_setup(self, at: int, setup: SetupMessage) -> None:
-        """Takes what a process said of itself; settings that only older programs had are left out, and that is told."""
+        """Adds the setup of a process, without settings that only older programs have; these become a finding."""
         known = self.setups.setdefault(setup.service, [])
         if setup.instance in self._instances[setup.service]:
             return
         self._instances[setup.service].add(setup.instance)
-        settings, gone = without_removed_settings(setup.settings)
+        settings, removed = without_removed_settings(setup.settings)
         known.append((at, replace(setup, settings=settings)))
-        message = f"{', '.join(gone)}: recorded, but no settings any more; the filter of now has none of them"
-        if gone and all(finding.message != message for finding in self.findings):
-            self.findings.append(Finding("former_settings", message, len(gone)))
+        message = f"{', '.join(removed)}: recorded, but these settings no longer exist; ignored"
+        if removed and all(finding.message != message for finding in self.findings):
+            self.findings.append(Finding("former_settings", message, len(removed)))
 
     def absent(self, topic: Topic) -> set[Stamp]:
-        """Epochs and ticks of messages that other services say they used, and that are not in the recording."""
+        """Epochs and ticks of messages that other services report as used but that are not in the recording."""
         found: set[Stamp] = set()
         for service, inputs in _INPUTS.items():
             if topic not in inputs:
@@ -191,7 +191,7 @@ class RobotTape:
 
 
 def files_of(runs: Sequence[Path]) -> tuple[Path, ...]:
-    """The recordings named, in order; of a folder those in it, oldest first. Raises RunError when one has none."""
+    """Expands folders to their recordings, oldest first; raises RunError for a folder without a recording."""
     found: list[Path] = []
     for run in runs:
         inside = sorted(run.glob("*.mcap"), key=lambda path: (len(path.stem), path.stem)) if run.is_dir() else [run]
@@ -215,7 +215,7 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> RobotTape:
             setups.append((at, name, message))
         else:
             tapes.setdefault(name, RobotTape(name, files)).add(at, message)
-    tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
+    tape = _select(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
     tape.fields, tape.findings = fields, [*findings, *tape.findings]
     for at, name, setup in setups:
         if name == tape.robot or _serves(setup, tape.robot):
@@ -224,12 +224,12 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> RobotTape:
 
 
 def _serves(setup: SetupMessage, robot: str) -> bool:
-    """Whether a service of the fleet serves the robot: all of them, or this one by name."""
+    """Whether a service serves the robot: all robots, or this one by name."""
     return options_of(setup).get("robot", "*") in ("*", robot)
 
 
 def options_of(setup: SetupMessage) -> dict[str, Any]:
-    """The command line's options with which a process runs; empty where they are not readable."""
+    """Command-line options of a process; empty if they are unreadable."""
     try:
         options = parse_json(setup.options)
     except InputError:
@@ -244,7 +244,7 @@ def _messages(
     findings: list[Finding],
     fields: dict[type[Message], frozenset[str]],
 ) -> Iterator[tuple[str, int, Message]]:
-    """(robot, log time, message) of all files, of the robot named and of the services; without a name of all."""
+    """Yields (robot, log time, message) of all files, for ``robot`` and the services, or for all robots."""
     refused = 0
     for path in files:
         for key, at, topic, payload in read_payloads(path, findings):
@@ -260,21 +260,21 @@ def _messages(
             _note_fields(fields, topic, payload)
             yield name, at, message
     if refused:
-        findings.append(Finding("unreadable_message", f"{refused} messages could not be decoded; left out", refused))
+        findings.append(Finding("unreadable_message", f"{refused} messages could not be decoded; ignored", refused))
 
 
 def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payload: bytes) -> None:
     if topic.message not in fields:
         try:
-            fields[topic.message] = frozenset(_FIELDS.decode(payload))  # which there are, whatever is in them
-        except (msgspec.DecodeError, UnicodeDecodeError):  # with fields next to ours whose names are no text
+            fields[topic.message] = frozenset(_FIELDS.decode(payload))  # only the names are decoded
+        except (msgspec.DecodeError, UnicodeDecodeError):  # foreign fields whose names are not text
             fields[topic.message] = frozenset(item.name for item in dataclass_fields(topic.message))
 
 
-def _chosen(files: tuple[Path, ...], tapes: dict[str, RobotTape], robot: str | None, others: set[str]) -> RobotTape:
+def _select(files: tuple[Path, ...], tapes: dict[str, RobotTape], robot: str | None, others: set[str]) -> RobotTape:
     where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if not tapes and not others:
-        raise RunError(f"{where}: no robot's states in it; wanted a recording of a drive")
+        raise RunError(f"{where}: contains no state of a robot; wanted a recording of a drive")
     if robot is None and len(tapes) > 1:
         raise RunError(f"{where}: holds {len(tapes)} robots: {', '.join(sorted(tapes))}; name one with --robot")
     if robot is not None and robot not in tapes:

@@ -1,9 +1,9 @@
-"""What another filter would have decided on the recorded states: open loop, one verdict for each recorded one.
+"""Computes what another filter would have decided on the recorded states (open loop), one verdict for each.
 
-The states and nominal actions stay the recorded ones. With another model its latents are estimated again from the recorded
-states. What the robot did was what the recorded filter said; where the other one says something else, it sees in the
-next tick that the robot did not do that, as it would with a robot that is braked by its watchdog. So it learns nothing
-about its margin from that period.
+States and nominal actions stay as recorded; with another model the latents are estimated again from the states. The
+robot executed the action of the recorded filter. Where the other filter decides differently, it sees in the next tick
+that its action was not applied, as with a robot that is braked by its watchdog, and does not use that period for its
+margin.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class WhatIfChange:
-    """What is to be different."""
+    """The changes of the filter."""
 
     model: PhysicsModel | None = None
     eta: float | None = None
     margin: float | MarginCalibration | None = None
     filtered: bool = False
-    """Whether a filter that was switched off is on."""
+    """Whether a disabled filter is enabled."""
 
     @property
-    def is_none(self) -> bool:
-        """Whether nothing is."""
+    def is_empty(self) -> bool:
+        """Whether nothing changes."""
         return self.model is None and self.eta is None and self.margin is None and not self.filtered
 
     def applied(self, setup: SetupMessage) -> SetupMessage:
-        """A service's setup with what is different. Raises InputError for values that no filter can have."""
+        """Returns the changed setup of a service; raises InputError for values that no filter accepts."""
         changed = setup if self.model is None else model_setup(setup, self.model)
         if setup.service != "safety_filter":
             return changed
@@ -71,7 +71,7 @@ class WhatIfChange:
         if isinstance(self.margin, MarginCalibration):
             settings, changed = replace(settings, margin="conformal"), replace(changed, margin=margin_text(self.margin))
         elif self.margin is not None:
-            # a number needs no file, and the recorded one is the recorded model's
+            # a number needs no margin file, and the recorded file belongs to the recorded model
             settings, changed = replace(settings, margin=self.margin), replace(changed, margin="")
         elif self.model is not None and changed.fingerprint != setup.fingerprint:
             shipped = margin_for(self.model)
@@ -81,7 +81,7 @@ class WhatIfChange:
 
 @dataclass(frozen=True, slots=True)
 class DecisionPair:
-    """One tick: what was decided, and what the other filter would have decided."""
+    """The recorded verdict of a tick (``then``) and that of the other filter (``now``)."""
 
     state: StateMessage
     then: VerdictMessage
@@ -89,45 +89,47 @@ class DecisionPair:
 
     @property
     def differs(self) -> bool:
-        """Whether status or action are not the same."""
+        """Whether status or action differ."""
         return self.then.status != self.now.status or self.distance > _SAME
 
     @property
     def knows_h(self) -> bool:
-        """Whether both could compute h: without a latent they cannot, and it stands as 0 in the verdict."""
+        """Whether both could compute h; without a latent the verdict has 0 instead."""
         return all((side.h_now, side.h_next) != (0.0, 0.0) for side in (self.then, self.now))
 
     @property
     def distance(self) -> float:
-        """Largest difference of an entry of the actions."""
-        return _apart(self.then.action, self.now.action)
+        """Largest difference between the actions, over their entries."""
+        return _max_difference(self.then.action, self.now.action)
 
 
 @dataclass(frozen=True)
 class WhatIfSummary:
-    """All ticks together."""
+    """Statistics of all ticks."""
 
     ticks: int
     differing: int
     status_then: dict[str, int]
     status_now: dict[str, int]
     smallest_h_now: float
-    """Least barrier value at the recorded states."""
+    """Smallest barrier value h at the recorded states."""
     smallest_h_then: float
-    """Least barrier value that was predicted for a next state, by the recorded filter."""
+    """Smallest h that the recorded filter predicted for a next state."""
     smallest_h_other: float
-    """The same, by the other one."""
+    """Smallest h that the other filter predicted."""
     largest_distance: float
     largest_distance_at: float
-    """s, robot time."""
+    """Time of the largest distance by the robot's clock, s."""
 
 
 def what_if(
     tape: RobotTape, change: WhatIfChange, window: tuple[float, float] = (-inf, inf), folders: tuple[Path, ...] = ()
 ) -> list[DecisionPair]:
-    """The decisions with robot time in ``window`` [s]. Raises InputError when the change does not fit the recording."""
+    """Decides again on states in ``window`` [s]; raises InputError if the change does not fit the recording."""
     if not tape.computed["safety_filter"]:
-        raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided again")
+        raise RunError(
+            f"{tape.files[0]}: contains no verdict of robot '{tape.robot}'; there is nothing to decide again"
+        )
     _check(tape, change)
     estimates = _estimates(tape, change, folders) if change.model is not None else {}
     driver = Driver(
@@ -148,11 +150,11 @@ def _decisions(driver: Driver) -> Iterator[DecisionPair]:
 
 
 def summary_of(decisions: list[DecisionPair]) -> WhatIfSummary:
-    """The figures of all decisions. Raises InputError when there are none."""
+    """Summarizes decisions; raises InputError if there are none."""
     if not decisions:
         raise InputError("--from, --to: got a stretch without any verdict, wanted one within the recording")
     known = [decision for decision in decisions if decision.knows_h] or decisions
-    farthest = max(decisions, key=lambda decision: decision.distance)
+    most_different = max(decisions, key=lambda decision: decision.distance)
     return WhatIfSummary(
         ticks=len(decisions),
         differing=sum(decision.differs for decision in decisions),
@@ -161,8 +163,8 @@ def summary_of(decisions: list[DecisionPair]) -> WhatIfSummary:
         smallest_h_now=min(decision.now.h_now for decision in known),
         smallest_h_then=min(decision.then.h_next for decision in known),
         smallest_h_other=min(decision.now.h_next for decision in known),
-        largest_distance=farthest.distance,
-        largest_distance_at=farthest.state.robot_time,
+        largest_distance=most_different.distance,
+        largest_distance_at=most_different.state.robot_time,
     )
 
 
@@ -184,7 +186,7 @@ def _check(tape: RobotTape, change: WhatIfChange) -> None:
 def _estimates(
     tape: RobotTape, change: WhatIfChange, folders: tuple[Path, ...]
 ) -> dict[tuple[int, int, float], LatentMessage]:
-    """The other model's latent in place of each recorded one, by epoch, tick and publish time of that."""
+    """Latent of the other model for each recorded one, by epoch, tick and publish time of the recorded one."""
     found: dict[tuple[int, int, float], LatentMessage] = {}
     if not tape.computed["adaptation"] or not tape.setups.get("adaptation"):
         return found
@@ -198,15 +200,15 @@ def _estimates(
 
 @final
 class _Hypothetical(InputOverride):
-    """Shows the other filter its own latents, and that the robot did not do what it had said."""
+    """Shows the other filter its own latents, and marks states in which its last action was not applied."""
 
     def __init__(self, estimates: dict[tuple[int, int, float], LatentMessage]) -> None:
         self._estimates = estimates
-        self._message: dict[tuple[int, int], tuple[float, ...]] = {}
+        self._predicted_actions: dict[tuple[int, int], tuple[float, ...]] = {}
 
     def state(self, state: StateMessage) -> StateMessage:
-        notice = self._message.get((state.epoch, state.tick - 1))
-        obeyed = notice is None or _apart(notice, state.applied) <= _SAME
+        predicted = self._predicted_actions.get((state.epoch, state.tick - 1))
+        obeyed = predicted is None or _max_difference(predicted, state.applied) <= _SAME
         return state if obeyed else replace(state, applied_by="recorded")
 
     def message(self, recorded: Message) -> Message:
@@ -216,9 +218,9 @@ class _Hypothetical(InputOverride):
     def done(self, state: StateMessage, outputs: Outputs) -> None:
         action = outputs.get(ACTION)
         if isinstance(action, ActionMessage):
-            self._message = {(state.epoch, state.tick): action.values}
+            self._predicted_actions = {(state.epoch, state.tick): action.values}
 
 
-def _apart(one: Sequence[float], other: Sequence[float]) -> float:
-    """Largest difference of an entry; what is not there counts as 0, since recordings of others may hold anything."""
-    return max((abs(here - there) for here, there in zip_longest(one, other, fillvalue=0.0)), default=0.0)
+def _max_difference(one: Sequence[float], other: Sequence[float]) -> float:
+    """Largest difference of an entry; missing entries count as 0, because foreign recordings may have any length."""
+    return max((abs(a - b) for a, b in zip_longest(one, other, fillvalue=0.0)), default=0.0)

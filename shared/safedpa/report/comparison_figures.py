@@ -1,4 +1,4 @@
-"""The figures of a comparison, as plain dictionaries in the form that plotly.js draws."""
+"""The figures of a comparison page, as dictionaries for plotly.js."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.comparison.comparison import Comparison
-from safedpa.comparison.where import PLACE, Bin
+from safedpa.comparison.where import POSITION, Bin
 from safedpa.report.panels import Panels, label, rounded
 
 __all__ = [
@@ -16,7 +16,7 @@ __all__ = [
     "LEGEND",
     "MOST_RUNS",
     "horizon_figure",
-    "place_figure",
+    "position_figure",
     "residual_figure",
     "time_figure",
     "where_figure",
@@ -35,26 +35,26 @@ COLOURS = {
     "bar": "#B8C4CE",
     "dot": "#8A96A3",
 }
-"""From the palette of Okabe and Ito, which people with colour blindness can tell apart; greys for the rest."""
+"""The palette of Okabe and Ito, which readers with colour blindness can distinguish; greys for the rest."""
 
 LINES = {
     "model": ("model", "solid", 2.5),
     "no_change": ("no change", "dash", 1.5),
     "constant_velocity": ("constant velocity", "dot", 2),
 }
-"""By predictor: name, dash, width."""
+"""Name, dash and width of the line of each predictor."""
 
 LEGEND = {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.1, "yanchor": "bottom"}
 
 MOST_RUNS = 12
-"""Runs whose error is drawn over time."""
+"""Runs whose error is drawn over time at most."""
 
 POINTS = 600
-"""Most points of one cloud; a page with every window would be slow and no clearer."""
+"""Points of one scatter plot at most: a page with every window would be slow and no clearer."""
 
 
 def horizon_figure(comparison: Comparison) -> dict[str, Any]:
-    """Trimmed RMS error over the horizon, one panel a state, the model next to the naive predictors."""
+    """Returns the trimmed RMS error over the horizon: one panel per state, with the naive predictors."""
     states = comparison.windows.system.state
     panels = Panels(rows=1, columns=len(states), height=300)
     seconds = [item.seconds for item in comparison.horizons]
@@ -70,18 +70,18 @@ def horizon_figure(comparison: Comparison) -> dict[str, Any]:
 
 
 def where_figure(comparison: Comparison) -> dict[str, Any]:
-    """Error by bins of every variable but time, the variable that explains most first; the line is the average."""
+    """Returns the error in bins of every variable but time, sorted by what they explain; the line is the average."""
     factors = [item for item in comparison.factors if item.kind != "time"]
     panels = Panels(rows=-(-len(factors) // 3), columns=min(3, len(factors)), height=250)
     for factor in factors:
         at = panels.add(f"{factor.variable} (explains {100 * max(factor.explained, 0):.0f} %)", label(factor), "error")
         _bars(panels, at, factor.bins, comparison.error.value)
-        panels.axis(at, "y", range=_heights(comparison))
+        panels.axis(at, "y", range=_bar_range(comparison))
     return panels.figure("where", bargap=0)
 
 
 def time_figure(comparison: Comparison) -> dict[str, Any]:
-    """Error over the time of each run; of many runs those with the largest errors."""
+    """Returns the error over the time of each run, for at most twelve runs with the largest errors."""
     factor = next(item for item in comparison.factors if item.kind == "time")
     worst = sorted((run for run in comparison.runs if run.windows), key=lambda run: -run.error)[:MOST_RUNS]
     runs = [run.name for run in comparison.runs if run in worst]
@@ -89,12 +89,12 @@ def time_figure(comparison: Comparison) -> dict[str, Any]:
     for name in runs:
         at = panels.add(name, "time [s]", "error")
         _bars(panels, at, [item for item in factor.bins if item.run == name], comparison.error.value)
-        panels.axis(at, "y", range=_heights(comparison))
+        panels.axis(at, "y", range=_bar_range(comparison))
     return panels.figure("time", bargap=0)
 
 
-def place_figure(comparison: Comparison) -> dict[str, Any] | None:
-    """Error in the plane; None for a robot that does not move about."""
+def position_figure(comparison: Comparison) -> dict[str, Any] | None:
+    """Returns the error over the position in the plane; None for a robot without a position."""
     if not comparison.cells:
         return None
     cells = comparison.cells
@@ -124,9 +124,9 @@ def place_figure(comparison: Comparison) -> dict[str, Any] | None:
 
 
 def residual_figure(comparison: Comparison) -> dict[str, Any]:
-    """Residual rates against state and action, one row a state; the line is the median of each tenth of the points."""
+    """Returns residual rates over states and actions, one row per state; the line is the median by tenths of points."""
     system, found = comparison.windows.system, comparison.residuals
-    shown = [(index, v) for index, v in enumerate((*system.state, *system.action)) if v.name not in PLACE]
+    shown = [(index, v) for index, v in enumerate((*system.state, *system.action)) if v.name not in POSITION]
     panels = Panels(rows=len(system.state), columns=len(shown), height=225)
     keep = np.linspace(0, len(found.rates) - 1, min(POINTS, len(found.rates))).astype(np.int64)
     for row, state in enumerate(system.state):
@@ -166,8 +166,8 @@ def _bars(panels: Panels, at: int, bins: tuple[Bin, ...] | list[Bin], average: f
     panels.level(at, average)
 
 
-def _heights(comparison: Comparison) -> list[float | None]:
-    """One range for all bars, so that panels can be compared."""
+def _bar_range(comparison: Comparison) -> list[float | None]:
+    """Returns one range for all bars, so that panels can be compared."""
     errors = [item.error for factor in comparison.factors for item in factor.bins]
     return [0.0, *rounded([1.08 * max((error for error in errors if math.isfinite(error)), default=1.0)])]
 

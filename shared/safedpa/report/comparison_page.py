@@ -1,4 +1,4 @@
-"""The comparison as one offline HTML page."""
+"""Writes a comparison as one offline HTML page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_figures import (
     MOST_RUNS,
     horizon_figure,
-    place_figure,
+    position_figure,
     residual_figure,
     time_figure,
     where_figure,
@@ -24,9 +24,9 @@ __all__ = ["compare_page", "embedded", "rendered", "write_comparison"]
 
 
 def write_comparison(comparison: Comparison, folder: Path, title: str) -> tuple[Path, Path]:
-    """Writes ``compare.html`` and ``compare.json`` into a folder that exists; returns both paths.
+    """Writes ``compare.html`` and ``compare.json`` into an existing folder and returns both paths.
 
-    Raises RecordingError when they cannot be written; each is there whole or not at all.
+    Each file is written completely or not at all. Raises RecordingError if one cannot be written.
     """
     page, data = folder / "compare.html", folder / "compare.json"
     with atomic_path(page) as temporary:
@@ -37,10 +37,10 @@ def write_comparison(comparison: Comparison, folder: Path, title: str) -> tuple[
 
 
 def compare_page(comparison: Comparison, title: str) -> str:
-    """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
-    place = place_figure(comparison)
+    """Returns the page: figures, tables and plotly.js in one file that loads nothing from other hosts."""
+    position = position_figure(comparison)
     figures = [horizon_figure(comparison), where_figure(comparison), time_figure(comparison)]
-    figures += [residual_figure(comparison)] if place is None else [place, residual_figure(comparison)]
+    figures += [residual_figure(comparison)] if position is None else [position, residual_figure(comparison)]
     overlays = overlay_figures(comparison)
     return rendered(
         "comparison_page.html",
@@ -53,22 +53,22 @@ def compare_page(comparison: Comparison, title: str) -> str:
         predictors=PREDICTORS,
         worst=[(bin_text(item), item) for item in worst_bins(comparison)[:12]],
         most_runs=MOST_RUNS,
-        has_place=place is not None,
+        has_position=position is not None,
         overlay_labels=[figure["label"] for figure in overlays],
         data=embedded({"figures": figures, "overlays": overlays}),
     )
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A template next to this file, with plotly.js, what draws figures by it, and the pages' common style in it."""
+    """Renders a template of this package with plotly.js, the drawing script and the common style included."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    own = files("safedpa.report")
+    package = files("safedpa.report")
     plotly = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
-    style = own.joinpath("page.css").read_text(encoding="utf-8")
-    drawing = own.joinpath("figures.js").read_text(encoding="utf-8")
-    page = environment.from_string(own.joinpath(template).read_text(encoding="utf-8"))
+    style = package.joinpath("page.css").read_text(encoding="utf-8")
+    drawing = package.joinpath("figures.js").read_text(encoding="utf-8")
+    page = environment.from_string(package.joinpath(template).read_text(encoding="utf-8"))
     return page.render(plotly=plotly, style=style, drawing=drawing, **values)
 
 
@@ -86,13 +86,14 @@ def _tiles(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def _table_horizons(comparison: Comparison) -> list[Any]:
-    """A fifth, half and the whole of the horizon, as far as they exist."""
+    """Returns the errors after a fifth, half and the whole of the horizon, as far as they exist."""
     count = len(comparison.horizons)
     picked = sorted({max(1, round(count * share)) for share in (0.2, 0.5, 1.0)})
     return [comparison.horizons[index - 1] for index in picked]
 
 
 def embedded(data: dict[str, Any]) -> str:
-    """JSON that may stand inside a script element."""
+    """Returns JSON that is safe inside a script element."""
+    # Escaped, so that text in the data cannot close the script element.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

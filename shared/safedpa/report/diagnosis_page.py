@@ -1,7 +1,4 @@
-"""A diagnosis as one offline HTML page: what was missing, why that and nothing else, and how the error fell.
-
-Its figures: the error as it falls, and where it was before and is after.
-"""
+"""Writes a diagnosis as one offline HTML page: the missing effects, the reasons, and the error before and after."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from safedpa.arrays import FloatArray
 from safedpa.comparison.comparison import EVERY, Comparison, compare_model
 from safedpa.comparison.excerpt import subsample_runs
 from safedpa.comparison.rollout import rollout
-from safedpa.comparison.where import PLACE, window_squares
+from safedpa.comparison.where import POSITION, window_squares
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 from safedpa.records.writers.tables import atomic_path
@@ -31,7 +28,7 @@ __all__ = ["before_after_figure", "falling_figure", "map_figure", "report_page",
 
 
 def unexplained_figure(unexplained: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """From ``unexplained`` of report.json; None where it holds neither map nor profile."""
+    """Draws the map and the profile of ``unexplained`` of report.json; None if it has neither."""
     if not unexplained or not (unexplained.get("map") or unexplained.get("profile")):
         return None
     both = bool(unexplained.get("map")) and bool(unexplained.get("profile"))
@@ -44,13 +41,13 @@ def unexplained_figure(unexplained: Mapping[str, Any] | None) -> dict[str, Any] 
 
 
 def _map(panels: Panels, table: Mapping[str, Any]) -> None:
-    """Blue below zero, orange above, white at zero: the sign is what an engineer asks first."""
+    """Draws the map of a missing rate: blue below zero, orange above, white at zero, because the sign matters most."""
     middles = [_middles(table[f"{side}_edges"]) for side in ("across", "up")]
     means = np.array([[np.nan if value is None else value for value in row] for row in table["means"]], dtype=float)
     most = float(np.nanmax(np.abs(means), initial=0.0)) or 1.0
     title = f"d({table['state']})/dt over {table['across']} and {table['up']}"
     x_title, y_title = (f"{table[side]} [{table[f'{side}_unit']}]" for side in ("across", "up"))
-    at = panels.place(title, x_title, y_title, (0.0, 0.40 if panels.columns == 2 else 0.85), (0.0, 1.0))
+    at = panels.add_at(title, x_title, y_title, (0.0, 0.40 if panels.columns == 2 else 0.85), (0.0, 1.0))
     text = [[f"{count} windows" for count in row] for row in table["windows"]]
     z = [rounded(row) for row in means]
     panels.heat(at, rounded(middles[0]), rounded(middles[1]), z, text, table["rate_unit"])
@@ -65,7 +62,7 @@ def _map(panels: Panels, table: Mapping[str, Any]) -> None:
         colorbar=bar,
         hovertemplate=hover + "<extra></extra>",
     )
-    if (table["across"], table["up"]) == PLACE:
+    if (table["across"], table["up"]) == POSITION:
         panels.axis(at, "y", scaleanchor="x", constrain="domain")
         panels.axis(at, "x", constrain="domain")
 
@@ -73,11 +70,11 @@ def _map(panels: Panels, table: Mapping[str, Any]) -> None:
 def _profile(panels: Panels, table: Mapping[str, Any]) -> None:
     x_title, y_title = f"{table['variable']} [{table['unit']}]", f"d({table['state']})/dt [{table['rate_unit']}]"
     left = 0.58 if panels.columns == 2 else 0.0
-    at = panels.place(f"to first order, over {table['variable']}", x_title, y_title, (left, 1.0), (0.0, 1.0))
+    at = panels.add_at(f"to first order, over {table['variable']}", x_title, y_title, (left, 1.0), (0.0, 1.0))
     x = [float(value) for value in table["knots"]]
     bars = {"type": "data", "array": rounded(table["errors"]), "color": COLOURS["measured"], "thickness": 1.2}
     panels.draw(
-        at, x, table["values"], mode="lines+markers", name="fitted, straight between; one standard deviation",
+        at, x, table["values"], mode="lines+markers", name="fitted function with one standard deviation",
         error_y=bars, showlegend=True, marker={"size": 7}, line={"color": COLOURS["measured"], "width": 1},
     )  # fmt: skip
     if table.get("formula"):
@@ -89,23 +86,21 @@ def _middles(edges: Any) -> list[float]:
     return [0.5 * (low + high) for low, high in pairwise(edges)]
 
 
-_MOST_ROWS = 200_000
-"""Of longer logs the figures show an excerpt; the numbers in the tables of stages and candidates are those of all."""
-
-_MOST_WINDOWS = 6000
-"""More would make a page no clearer."""
-
+# Figures of longer recordings show an excerpt; the tables of stages and candidates use all rows.
+_MAX_ROWS = 200_000
+# More windows would make the page slower and no clearer.
+_MAX_WINDOWS = 6000
+# Candidates of a stage that are shown before the others are unfolded.
 _SHOWN = 6
-"""Candidates of a stage that stand in the table before the others are unfolded."""
 
 
 def write_report(
     document: Mapping[str, Any], runs: Sequence[Run], models: Sequence[PhysicsModel], folder: Path, title: str
 ) -> Path:
-    """Writes ``report.html`` into a folder that exists; returns its path.
+    """Writes ``report.html`` into an existing folder and returns its path.
 
-    ``document`` is what stands in report.json; ``models`` are those of its stages, the first one before anything was
-    added. Raises RecordingError when it cannot be written; it is there whole or not at all.
+    ``document`` is the content of report.json; ``models`` are those of its stages, the given one first. The file is
+    written completely or not at all. Raises RecordingError if it cannot be written.
     """
     path = folder / "report.html"
     with atomic_path(path) as temporary:
@@ -116,18 +111,18 @@ def write_report(
 def report_page(
     document: Mapping[str, Any], runs: Sequence[Run], models: Sequence[PhysicsModel], title: str, horizon: float = 1.0
 ) -> str:
-    """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
+    """Returns the page: figures, tables and plotly.js in one file that loads nothing from other hosts."""
     horizon = float(document.get("horizon", horizon))
     seconds = sum(run.duration for run in runs)
-    shown = subsample_runs(runs, _MOST_ROWS, horizon)
-    every = max(EVERY, sum(run.duration for run in shown) / _MOST_WINDOWS)
+    shown = subsample_runs(runs, _MAX_ROWS, horizon)
+    every = max(EVERY, sum(run.duration for run in shown) / _MAX_WINDOWS)
     before = compare_model(models[0], shown, horizon, every=every)
     after = before if len(models) == 1 else compare_model(models[-1], shown, horizon, every=every)
     figures = [falling_figure(document), before_after_figure(before, after), residual_figure(after)]
     maps = map_figure(before, after)
     figures += [] if maps is None else [maps]
-    rest = unexplained_figure(document["unexplained"])
-    figures += [] if rest is None else [rest]
+    unexplained_panels = unexplained_figure(document["unexplained"])
+    figures += [] if unexplained_panels is None else [unexplained_panels]
     overlays = _overlays(before, after)
     return rendered(
         "diagnosis_page.html",
@@ -141,7 +136,7 @@ def report_page(
         worse=document.get("worse", ()),
         tiles=_tiles(document, before, seconds, len(runs)),
         has_maps=maps is not None,
-        has_rest=rest is not None,
+        has_rest=unexplained_panels is not None,
         share=sum(run.duration for run in shown) / seconds,
         shown=_SHOWN,
         overlay_labels=[figure["label"] for figure in overlays],
@@ -154,7 +149,7 @@ def _tiles(document: Mapping[str, Any], before: Comparison, seconds: float, runs
     first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     tiles = [(f"{first:.3g}", "held-out error of the given model")]
     if len(stages) > 1:
-        tiles.append((f"{last:.3g}", "with what was found"))
+        tiles.append((f"{last:.3g}", "held-out error with the effects found"))
         tiles.append((f"{100 * (last / first - 1):+.0f} %".replace("-", "−"), "change of the error"))
         tiles.append((str(stages[-1]["runs_improved"]), "runs improved"))
     tiles.append((f"{before.horizon:g} s", "horizon of the predictions"))
@@ -163,17 +158,18 @@ def _tiles(document: Mapping[str, Any], before: Comparison, seconds: float, runs
 
 
 def _overlays(before: Comparison, after: Comparison) -> list[dict[str, Any]]:
-    """Measured and predicted, before and after, in windows from the worst of the given model to its best."""
+    """Returns figures of measured and predicted states, before and after, from the given model's worst window on."""
     chosen = chosen_windows(before)
     windows = before.windows.select(np.array([index for _, index in chosen], dtype=np.int64))
     lines = {"before": rollout(before.model, windows)}
     if after is not before:
         lines["after"] = rollout(after.model, windows)
     figures = []
-    for place, (kind, index) in enumerate(chosen):
-        rows = windows.steps[place] + 1
-        figure = window_figure(windows, place, {name: states[:rows, place] for name, states in lines.items()})
-        at, run = windows.time[windows.start[place]], windows.names[windows.run[place]]
+    for number_shown, (kind, index) in enumerate(chosen):
+        rows = windows.steps[number_shown] + 1
+        shown = {name: states[:rows, number_shown] for name, states in lines.items()}
+        figure = window_figure(windows, number_shown, shown)
+        at, run = windows.time[windows.start[number_shown]], windows.names[windows.run[number_shown]]
         errors = f"error {before.window_errors[index]:.2f}"
         errors += "" if after is before else f" before, {after.window_errors[index]:.2f} after"
         figure["label"] = f"{kind}: {errors}, {run} at {at:.1f} s"
@@ -181,48 +177,51 @@ def _overlays(before: Comparison, after: Comparison) -> list[dict[str, Any]]:
     return figures
 
 
+# Cells along each side of a map of the error.
 _CELLS = 14
-"""Along each side of a map."""
-_FEWEST = 3
-"""Windows in a cell of a map."""
+# Windows in a cell that is shown: fewer are mostly noise.
+_MIN_WINDOWS = 3
+# Maps in a row: more would be too small to read.
 _MAPS = 3
-_SOME = 0.05
-"""Share of the differences that a heading must explain to be worth a map."""
-_SAME = 0.8
-"""Correlation from which two variables span a line, not a map."""
+# Share of the variation that a heading has to explain for a map over it.
+_MIN_EXPLAINED = 0.05
+# Correlation above which two variables span a line instead of a plane.
+_CORRELATED = 0.8
 
 
 def falling_figure(document: Mapping[str, Any]) -> dict[str, Any]:
-    """One bar a stage, falling from left to right: the mean in front, then every state."""
+    """Returns bars of the held-out error, one per stage: first the mean, then each state."""
     stages = document["stages"]
     states = list(stages[0]["per_state"])
     panels = Panels(rows=1, columns=1, height=330)
     width = 0.55 / max(len(states), 1)
-    at = panels.place("mean over the states", "", "held-out error", (0.0, 0.36), (0.0, 1.0))
+    at = panels.add_at("mean over the states", "", "held-out error", (0.0, 0.36), (0.0, 1.0))
     _stage_bars(panels, at, [number(stage["heldout_error"]) for stage in stages], stages)
     for index, state in enumerate(states):
         left = 0.43 + index * (width + 0.025)
-        at = panels.place(state, "", "", (left, min(left + width - 0.02, 1.0)), (0.0, 1.0))
+        at = panels.add_at(state, "", "", (left, min(left + width - 0.02, 1.0)), (0.0, 1.0))
         _stage_bars(panels, at, [number(stage["per_state"][state]) for stage in stages], stages, short=True)
     return panels.figure("falling", bargap=0, margin={"l": 62, "r": 14, "t": 40, "b": 52 if len(stages) < 4 else 90})
 
 
 def _stage_bars(panels: Panels, at: int, errors: list[float], stages: Any, *, short: bool = False) -> None:
-    places = [float(index) for index in range(len(errors))]
+    positions = [float(index) for index in range(len(errors))]
     colours = [COLOURS["before"], *[COLOURS["after"]] * (len(errors) - 1)]
     names = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
     texts = [f"{name}<br>error {error:.3g}" for name, error in zip(names, errors, strict=True)]
-    panels.bars(at, places, errors, [0.72] * len(errors), colours, texts)
-    panels.axis(at, "x", tickvals=places, ticktext=[str(i) for i in range(len(places))] if short else names)
-    panels.axis(at, "x", tickangle=0 if short or len(places) < 4 else -25, range=[-0.6, max(len(errors) - 0.4, 1.6)])
+    panels.bars(at, positions, errors, [0.72] * len(errors), colours, texts)
+    short_names = [str(i) for i in range(len(positions))]
+    panels.axis(at, "x", tickvals=positions, ticktext=short_names if short else names)
+    angle = 0 if short or len(positions) < 4 else -25
+    panels.axis(at, "x", tickangle=angle, range=[-0.6, max(len(errors) - 0.4, 1.6)])
     panels.axis(at, "y", range=[0.0, 1.18 * max([1e-12, *(error for error in errors if np.isfinite(error))])])
     if short:
-        places, errors = [places[0], *places[1:][-1:]], [errors[0], *errors[1:][-1:]]
+        positions, errors = [positions[0], *positions[1:][-1:]], [errors[0], *errors[1:][-1:]]
         panels.axis(at, "x", title={"text": "additions", "font": {"size": 12}})
-    for place, error in zip(places, errors, strict=True):
-        fall = f"<br>{_change(error, errors[0])}" if place and not short else ""
+    for position, error in zip(positions, errors, strict=True):
+        fall = f"<br>{_change(error, errors[0])}" if position and not short else ""
         panels.draw(
-            at, [place], [error], mode="text", text=[f"<b>{error:.3g}</b>{fall}"], textposition="top center",
+            at, [position], [error], mode="text", text=[f"<b>{error:.3g}</b>{fall}"], textposition="top center",
             hoverinfo="skip", textfont={"size": 11 if short else 13}, cliponaxis=False,
         )  # fmt: skip
 
@@ -232,7 +231,7 @@ def _change(error: float, first: float) -> str:
 
 
 def before_after_figure(before: Comparison, after: Comparison) -> dict[str, Any]:
-    """Error in bins of every variable, the given model's behind, the diagnosed model's in front."""
+    """Returns the error in bins of every variable, the given model's behind and the final model's in front."""
     order = [item.variable for item in before.factors if item.kind != "time"]
     later = {item.variable: item for item in after.factors}
     panels = Panels(rows=-(-len(order) // 3), columns=min(3, len(order)), height=250)
@@ -257,9 +256,9 @@ def before_after_figure(before: Comparison, after: Comparison) -> dict[str, Any]
 
 
 def map_figure(before: Comparison, after: Comparison) -> dict[str, Any] | None:
-    """Maps of the error over pairs of state and action, and over the plane: before above, after below.
+    """Returns maps of the error over pairs of variables and over the plane: the given model above, the final one below.
 
-    The pairs are those of the variables on which the error before depends most. None without two variables.
+    The pairs are of the variables on which the given model's error depends most. None if there are no two variables.
     """
     pairs = _pairs(before)
     if not pairs:
@@ -290,16 +289,16 @@ def _pairs(comparison: Comparison) -> list[tuple[str, str]]:
     names = [
         item.variable
         for item in comparison.factors
-        if item.kind in ("state", "action") and (item.variable not in angles or item.explained > _SOME)
+        if item.kind in ("state", "action") and (item.variable not in angles or item.explained > _MIN_EXPLAINED)
     ]
     names = [name for name in names if np.ptp(_values(comparison, name)) > 1e-9]
     pairs = []
     for i, later in enumerate(names):
         for earlier in names[:i]:
-            if abs(np.corrcoef(_values(comparison, later), _values(comparison, earlier))[0, 1]) < _SAME:
+            if abs(np.corrcoef(_values(comparison, later), _values(comparison, earlier))[0, 1]) < _CORRELATED:
                 swap = earlier in system.action_names and later in system.state_names
                 pairs.append((later, earlier) if swap else (earlier, later))
-    if set(PLACE) <= set(_units(comparison)):
+    if set(POSITION) <= set(_units(comparison)):
         return [*pairs[: _MAPS - 1], ("x", "y")]
     return pairs[:_MAPS]
 
@@ -310,7 +309,7 @@ def _units(comparison: Comparison) -> dict[str, str]:
 
 
 def _values(comparison: Comparison, name: str) -> FloatArray:
-    """A state or action at the middle of each window, shape (windows,)."""
+    """Returns a state or action at the middle of each window, (windows,)."""
     windows = comparison.windows
     middle, system = windows.start + windows.steps // 2, windows.system
     if name in system.action_names:
@@ -321,7 +320,7 @@ def _values(comparison: Comparison, name: str) -> FloatArray:
 
 
 def _cell_errors(comparison: Comparison, across: str, up: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Middles (cells,), middles (cells,), root mean square error and windows (cells up, cells across)."""
+    """Returns cell centres across and up (cells,), then errors and window counts (cells up, cells across)."""
     squares = window_squares(comparison.errors, comparison.error.scale)
     edges, at = [], []
     for name in (across, up):
@@ -333,7 +332,7 @@ def _cell_errors(comparison: Comparison, across: str, up: str) -> tuple[FloatArr
     cell = at[1][inside] * _CELLS + at[0][inside]
     counts = np.bincount(cell, minlength=_CELLS**2).astype(np.float64)
     total = np.bincount(cell, squares[inside], minlength=_CELLS**2)
-    errors = np.where(counts >= _FEWEST, np.sqrt(total / np.maximum(counts, 1.0)), np.nan)
+    errors = np.where(counts >= _MIN_WINDOWS, np.sqrt(total / np.maximum(counts, 1.0)), np.nan)
     middles = [0.5 * (edge[:-1] + edge[1:]) for edge in edges]
     shape = (_CELLS, _CELLS)
     return middles[0], middles[1], errors.reshape(shape), counts.reshape(shape)

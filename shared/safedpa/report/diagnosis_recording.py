@@ -1,4 +1,4 @@
-"""A diagnosis as a Rerun recording: measured and predicted trajectories, stage by stage on the time line."""
+"""Writes a diagnosis as a Rerun recording: measured and predicted trajectories, one stage after the other."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.excerpt import first_seconds
 from safedpa.comparison.rollout import rollout
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows, windows_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, RecordingError
@@ -21,11 +21,12 @@ from safedpa.report.diagnosis_story import number, report_text, step_text
 
 __all__ = ["write_recording"]
 
-_MOST_SECONDS = 60.0
-"""s of the run that is played in each stage, and of each run that is drawn in the plane."""
-_MOST_RUNS = 6
+# Length [s] of the run that is played in each stage, and of each run drawn in the plane: a viewer watches no more.
+_MAX_SECONDS = 60.0
+# More paths would cover each other.
+_MAX_RUNS = 6
+# Pause between two stages [s].
 _PAUSE = 2.0
-"""s between two stages."""
 _TIME_LINE = "t"
 _MEASURED = 0xC8C8C8FF
 _BEFORE, _AFTER = 0xE8803CFF, 0x4AA8E8FF
@@ -35,11 +36,11 @@ _ROBOT = 0xFFFFFFFF
 def write_recording(
     document: Mapping[str, Any], runs: Sequence[Run], models: Sequence[PhysicsModel], folder: Path
 ) -> Path:
-    """Writes ``diagnosis.rrd`` into a folder that exists; returns its path.
+    """Writes ``diagnosis.rrd`` into an existing folder and returns its path.
 
-    The time line plays the first minute of the first run once for every stage, the given model first: each state as a
-    curve, measured and predicted (open loop, restarted after every horizon), and all runs in the plane. Raises
-    RecordingError when it cannot be written.
+    The timeline plays the first minute of the first run once per stage, the given model first. Each state is a curve,
+    measured and predicted (open loop, restarted after every horizon); all runs are drawn in the plane. Raises
+    RecordingError if the file cannot be written.
     """
     import rerun as rr
 
@@ -63,10 +64,10 @@ def write_recording(
 
 
 def _back_to_back(runs: Sequence[Run], horizon: float) -> Windows:
-    """Windows of one horizon, each beginning where the last one ended, over the first minute of the first runs."""
+    """Returns consecutive windows of one horizon over the first minute of the first runs."""
     try:
-        every = windows_of(first_seconds(runs[:_MOST_RUNS], _MOST_SECONDS), horizon, stride=1)
-    except InputError:  # no stretch of a whole horizon so early: then from wherever there is one
+        every = windows_of(first_seconds(runs[:_MAX_RUNS], _MAX_SECONDS), horizon, stride=1)
+    except InputError:  # no stretch of a whole horizon in the first minute: use the whole runs
         every = windows_of(runs, horizon, stride=1)
     retained, free = [], -1
     for index in np.argsort(every.start, kind="stable"):
@@ -80,26 +81,26 @@ def _back_to_back(runs: Sequence[Run], horizon: float) -> Windows:
 class _Stage:
     number: int
     begin: float
-    """s on the time line."""
+    """Start on the timeline [s]."""
     entry: Mapping[str, Any]
     windows: Windows
     predicted: FloatArray
-    """(steps + 1, windows, states)"""
+    """Predicted states, (steps + 1, windows, states)."""
 
     def log(self, stream: Any) -> float:
-        """Draws the stage; returns where it ends on the time line [s]."""
+        """Draws the stage and returns its end on the timeline [s]."""
         names = self.windows.system.state_names
-        if set(PLACE) <= set(names):
-            self._log_plane(stream, [names.index(name) for name in PLACE])
+        if set(POSITION) <= set(names):
+            self._log_plane(stream, [names.index(name) for name in POSITION])
         return self._log_curves(stream)
 
-    def _log_plane(self, stream: Any, place: list[int]) -> None:
+    def _log_plane(self, stream: Any, position: list[int]) -> None:
         import rerun as rr
 
         windows = self.windows
         pairs = list(zip(windows.start.tolist(), windows.end.tolist(), windows.steps.tolist(), strict=True))
-        measured = [_flat(windows.states[start : end + 1, place]) for start, end, _ in pairs]
-        predicted = [_flat(self.predicted[: steps + 1, index, place]) for index, (_, _, steps) in enumerate(pairs)]
+        measured = [_flat(windows.states[start : end + 1, position]) for start, end, _ in pairs]
+        predicted = [_flat(self.predicted[: steps + 1, index, position]) for index, (_, _, steps) in enumerate(pairs)]
         predicted = [strip[np.isfinite(strip).all(axis=1)] for strip in predicted]
         colour = _BEFORE if self.number == 0 else _AFTER
         stream.log("plane/measured", rr.LineStrips2D(measured, colors=np.uint32(_MEASURED), radii=0.012))
@@ -120,9 +121,9 @@ class _Stage:
             shown = predicted[:, index] - (turns if state.angle else 0.0)
             for name, values in (("measured", windows.states[at, index]), (kind, shown)):
                 stream.send_columns(f"states/{state.name}/{name}", [time], rr.Scalars.columns(scalars=values))
-        if set(PLACE) <= set(windows.system.state_names):
-            place = [windows.system.state_names.index(name) for name in PLACE]
-            points = _flat(windows.states[at][:, place]).astype(np.float32)
+        if set(POSITION) <= set(windows.system.state_names):
+            position = [windows.system.state_names.index(name) for name in POSITION]
+            points = _flat(windows.states[at][:, position]).astype(np.float32)
             stream.send_columns("plane/robot", [time], rr.Points2D.columns(positions=points))
         errors = np.full(2, number(self.entry["heldout_error"]))
         ends = rr.TimeColumn(_TIME_LINE, duration=[self.begin, float(seconds[-1])])
@@ -131,7 +132,7 @@ class _Stage:
 
 
 def _flat(points: FloatArray) -> FloatArray:
-    """The viewer counts y downwards."""
+    """Flips y, which the viewer draws downwards."""
     return np.asarray(points * np.array([1.0, -1.0]))
 
 
@@ -165,10 +166,10 @@ def _blueprint(windows: Windows) -> Any:
         rrb.TimeSeriesView(origin=f"/states/{state.name}", name=f"{state.name} [{state.unit}]", plot_legend=corner)
         for state in windows.system.state
     ]
-    error = rrb.TimeSeriesView(origin="/error", name="held-out error, stage after stage")
+    error = rrb.TimeSeriesView(origin="/error", name="held-out error by stage")
     phrase = rrb.TextDocumentView(origin="/story", name="stage")
     left: list[Any] = [rrb.Horizontal(phrase, error)]
-    if set(PLACE) <= set(windows.system.state_names):
+    if set(POSITION) <= set(windows.system.state_names):
         left.append(rrb.Spatial2DView(origin="/plane", name="all runs from above [m]", background=[24, 26, 30]))
     return rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(*left, row_shares=[1, 2][: len(left)]), rrb.Vertical(*curves)),

@@ -1,4 +1,4 @@
-"""What a diagnosis says in sentences, from the document that stands in report.json."""
+"""Sentences and tables of a diagnosis page, from the document of report.json."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class AcceptedEffect:
-    """One accepted effect: its parameters as text, and what it cannot be told from."""
+    """One accepted effect: its parameters as text, and the effects that it cannot be distinguished from."""
 
     effect: str
     parameters: list[tuple[str, str, str, str]]
@@ -34,7 +34,7 @@ class AcceptedEffect:
 
 @dataclass(frozen=True)
 class StageTable:
-    """The candidates of one stage, best first, next to the error that they were to lower."""
+    """The candidates of one stage, best first, and the error before the stage."""
 
     number: int
     question: str
@@ -50,7 +50,7 @@ class ReportText:
     remains: str
     found: list[AcceptedEffect]
     groups: list[tuple[str, list[str], str]]
-    """(effect, those that this data cannot tell from it, decision)"""
+    """(effect, effects that the data cannot distinguish from it, decision)"""
     stages: list[StageTable]
     improved: list[tuple[str, str]]
     """(what a stage changed, in how many runs the error fell)"""
@@ -59,16 +59,16 @@ class ReportText:
     formula_rows: list[tuple[str, str, str, str, str]]
     """(state, term, coefficient, standard deviation, unit)"""
     dependence: list[dict[str, Any]]
-    """How much of what remains each variable tells, those that tell anything."""
+    """How much of the residual each variable explains, without negligible ones."""
 
 
 def number(value: float | None) -> float:
-    """A number of the document, where null stands for what is not finite."""
+    """Returns a number of the document; null is NaN."""
     return math.nan if value is None else float(value)
 
 
 def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str:
-    """What one stage changed against the one before: ``+ quadratic_drag``, or the given model."""
+    """Returns what one stage changed, such as ``+ quadratic_drag``, or "given model" for the first."""
     if before is None:
         return "given model"
     old, new = before["effects"], stage["effects"]
@@ -76,31 +76,31 @@ def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str
     return " ".join(parts) or "refitted"
 
 
-_REPORTS = 0.02
-"""Share that is worth a line."""
-_MOST_GAPS = 3
-"""That are told in a sentence."""
+# Share of the residual that a variable has to explain for a row in the table.
+_MIN_SHARE = 0.02
+# Gaps that a sentence lists, the widest first.
+_MAX_GAPS = 3
 
 _FORMULA = {
     "place": (
-        "A place where the floor is different",
-        "Fitted like an effect, but it is none: it holds in one room. If all recordings were made there, look at the "
-        "floor in that place; if not, give those of one room at a time.",
+        "A region where the floor is different",
+        "Fitted like an effect, but valid in one room only. If all recordings were made there, inspect the floor in "
+        "that region; if not, diagnose the recordings of one room at a time.",
     ),
     "formula": (
-        "Best short formula for the remaining rate",
-        "Found by sparse regression. It is a formula that fits, not a physical effect with a name; do not trust it "
-        "outside the range of the data.",
+        "Best short formula for the missing rate",
+        "Found by sparse regression. It is a formula that fits, not a physical effect; do not trust it outside the "
+        "range of the data.",
     ),
     "dependence": (
-        "The remaining rate depends on this, but no short formula describes how",
-        "The profile below shows it; it is no physical effect with a name.",
+        "The missing rate depends on this variable, but no short formula describes how",
+        "The profile below shows the dependence; it is not a physical effect.",
     ),
 }
-"""Title and note, by kind of what is unexplained."""
+"""Title and note by ``kind`` of the unexplained structure."""
 
 
-def _formula_rows(rest: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+def _formula_rows(unexplained: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     return [
         (
             item["state"],
@@ -109,12 +109,12 @@ def _formula_rows(rest: Mapping[str, Any]) -> list[tuple[str, str, str, str, str
             "" if item["std"] is None else f"{item['std']:.2g}",
             "" if item["unit"] == "1" else item["unit"],
         )
-        for item in rest.get("terms", ())
+        for item in unexplained.get("terms", ())
     ]
 
 
 def report_text(document: Mapping[str, Any]) -> ReportText:
-    """Everything that a page says in words."""
+    """Returns all sentences and tables of a page."""
     found = [_found(document, stage, name) for stage, name in enumerate(document["added"])]
     groups = [
         (item["effect"], list(item["indistinguishable_from"]), item["decision"])
@@ -125,28 +125,28 @@ def report_text(document: Mapping[str, Any]) -> ReportText:
     stages = document["stages"]
     improved = [(step_text(before, stage), str(stage["runs_improved"])) for before, stage in pairwise(stages)]
     tables = [_stage(document, index) for index in order]
-    rest = document["unexplained"] or {}
-    title, note = _FORMULA.get(rest.get("kind", "formula"), _FORMULA["formula"])
-    if rest.get("alternatives"):
-        note += f" As good as its first term on unseen data: {', '.join(rest['alternatives'])}."
-    dependence = [item for item in rest.get("dependence", ()) if number(item["share"]) > _REPORTS]
+    unexplained = document["unexplained"] or {}
+    title, note = _FORMULA.get(unexplained.get("kind", "formula"), _FORMULA["formula"])
+    if unexplained.get("alternatives"):
+        note += f" As good as its first term on unseen data: {', '.join(unexplained['alternatives'])}."
+    dependence = [item for item in unexplained.get("dependence", ()) if number(item["share"]) > _MIN_SHARE]
     return ReportText(
         _lead(document),
-        _remains(document),
+        _residual_sentence(document),
         found,
         groups,
         tables,
         improved,
         title,
         note,
-        _formula_rows(rest),
+        _formula_rows(unexplained),
         dependence,
     )
 
 
 def _lead(document: Mapping[str, Any]) -> str:
-    lost = naive_sentence(document)
-    return f"{lost} {_verdict(document)}" if lost else _verdict(document)
+    warning = naive_sentence(document)
+    return f"{warning} {_verdict(document)}" if warning else _verdict(document)
 
 
 def _verdict(document: Mapping[str, Any]) -> str:
@@ -155,7 +155,7 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if added:
         fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
         verb = "falls" if fall > 0 else "changes"
-        lacking, them = [_reported(document, name) for name in added], "it" if len(added) == 1 else "them"
+        lacking, them = [_described(document, name) for name in added], "it" if len(added) == 1 else "them"
         if document["verdict"] == "undecided":
             return unsure_sentence(document, _joined(lacking), first, last)
         return (
@@ -165,10 +165,10 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "undecided":
         return undecided_sentence(document)
     if document["verdict"] == "nothing_missing":
-        reported = nothing_sentence(document)
+        sizes = nothing_sentence(document)
         return (
             f"Nothing is missing{gaps_clause(document)}: no effect of the library predicts unseen data better than "
-            f"chance would have it. The error is {first:.3g}.{' ' if reported else ''}{reported}"
+            f"chance. The error is {first:.3g}.{' ' if sizes else ''}{sizes}"
         )
     if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
         return f"No verdict: {document['unexplained']['expression']}."
@@ -176,63 +176,63 @@ def _verdict(document: Mapping[str, Any]) -> str:
 
 
 def gaps_clause(document: Mapping[str, Any]) -> str:
-    """Which parts of the driven ranges the recordings hardly hold, as an aside after what was found; empty for none."""
+    """Returns a clause that names gaps in the coverage of the recordings; empty if there are none."""
     found = [(item, gap) for item in document.get("coverage") or () for gap in item["gaps"]]
     if not found:
         return ""
-    reported = [_gap_text(item, gap) for item, gap in sorted(found, key=_narrower)[:_MOST_GAPS]]
-    names = " and ".join([", ".join(reported[:-1]), reported[-1]]) if len(reported) > 1 else reported[0]
-    return f", judged without {names}, which these logs hardly hold (there the model is extrapolated)"
+    gap_texts = [_gap_text(item, gap) for item, gap in sorted(found, key=_by_width)[:_MAX_GAPS]]
+    names = " and ".join([", ".join(gap_texts[:-1]), gap_texts[-1]]) if len(gap_texts) > 1 else gap_texts[0]
+    return f", judged without {names}, where these recordings contain little data and the model extrapolates"
 
 
-def _narrower(found: tuple[Mapping[str, Any], Mapping[str, Any]]) -> float:
-    """Less the share of its range that a gap takes: the widest first."""
+def _by_width(found: tuple[Mapping[str, Any], Mapping[str, Any]]) -> float:
+    """Returns the negative width of a gap relative to its range, as a sort key: the widest first."""
     item, gap = found
     return -float(gap["high"] - gap["low"]) / float(item["high"] - item["low"])
 
 
 def _gap_text(item: Mapping[str, Any], gap: Mapping[str, Any]) -> str:
     unit = "" if item["unit"] == "1" else f" {item['unit']}"
-    held = f"{gap['seconds']:.0f} of {item['seconds']:.0f} s"
-    return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{unit} ({held})"
+    seconds = f"{gap['seconds']:.0f} of {item['seconds']:.0f} s"
+    return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{unit} ({seconds})"
 
 
-def _reported(document: Mapping[str, Any], name: str) -> str:
-    """An effect by its name; one that does not act everywhere and always alike with where, when and how much."""
-    own = [item["sentence"] for item in document.get("conditions") or () if item["effect"] == name]
-    return own[0] if own else name
+def _described(document: Mapping[str, Any], name: str) -> str:
+    """Returns the name of an effect, or the sentence of its law if it has one."""
+    sentences = [item["sentence"] for item in document.get("conditions") or () if item["effect"] == name]
+    return sentences[0] if sentences else name
 
 
-def _remains(document: Mapping[str, Any]) -> str:
+def _residual_sentence(document: Mapping[str, Any]) -> str:
     unexplained = document["unexplained"]
     if unexplained is None:
         return ""
     variables = _joined(unexplained["depends_on"]) or "no variable that was measured"
     share = unexplained.get("share")
-    size = f"{100.0 * share:.0f} % of what remains" if isinstance(share, int | float) else "A part of what remains"
+    size = f"{100.0 * share:.0f} % of the residual" if isinstance(share, int | float) else "A part of the residual"
     if unexplained.get("kind") == "place":
         return (
-            f"{size} lies in one place of the plane: if these recordings are of one room, the floor is different "
-            "there, which no effect of the library has."
+            f"{size} lies in one region of the plane: if these recordings are of one room, the floor is different "
+            "there. No effect of the library describes that."
         )
-    return f"{size} depends on {variables} in a way that no effect of the library has."
+    return f"{size} depends on {variables} in a way that no effect of the library describes."
 
 
 def _found(document: Mapping[str, Any], stage: int, name: str) -> AcceptedEffect:
-    """The accepted candidate of a stage; where several stages name it, the last one's numbers."""
-    own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
-    own = [item for item in own if item["stage"] == stage] or own
-    if not own:
+    """Returns the accepted candidate of a stage; if several stages list the effect, the last one."""
+    accepted = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
+    accepted = [item for item in accepted if item["stage"] == stage] or accepted
+    if not accepted:
         return AcceptedEffect(name, [], [])
     rows = [
         (key, f"{number(entry['value']):.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
-        for key, entry in _parameters(document, name, own[-1]["parameters"]).items()
+        for key, entry in _parameters(document, name, accepted[-1]["parameters"]).items()
     ]
-    return AcceptedEffect(name, rows, list(own[-1]["indistinguishable_from"]))
+    return AcceptedEffect(name, rows, list(accepted[-1]["indistinguishable_from"]))
 
 
 def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The numbers of the last model, by name; those of the trial in which it was accepted where there are none."""
+    """Returns the parameters of the last model by name, or those of the accepted trial if the model has none."""
     final = document.get("parameters") or {}
     return {path.split(".")[1]: entry for path, entry in final.items() if path.split(".")[0] == name} or trial
 
@@ -240,7 +240,7 @@ def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]
 def _stage(document: Mapping[str, Any], index: int) -> StageTable:
     stage = document["stages"][min(index, len(document["stages"]) - 1)]
     have = stage["effects"]
-    question = "What does the given model lack?" if not have else f"What is missing next to {_joined(have)}?"
+    question = "What does the given model lack?" if not have else f"What is missing besides {_joined(have)}?"
     candidates = [
         {**item, "text": parameters_text(item["parameters"]), "width": _width(item["heldout_error"], stage)}
         for item in document["candidates"]
@@ -250,14 +250,14 @@ def _stage(document: Mapping[str, Any], index: int) -> StageTable:
 
 
 def _width(error: float | None, stage: Mapping[str, Any]) -> float:
-    """Length of the bar in per cent of the cell, full at the error without any candidate."""
+    """Returns the length of the bar in per cent: full at the error without the candidate."""
     if error is None or not number(stage["heldout_error"]) > 0:
         return 0.0
     return min(100.0, 100.0 * error / float(stage["heldout_error"]))
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """coefficient 0.121 ± 0.003 1/m, one after the other."""
+    """Returns parameters as text, such as "coefficient 0.121 ± 0.003 1/m", separated by commas."""
     parts = []
     for name, entry in parameters.items():
         spread = "" if entry.get("std") is None else f" ± {entry['std']:.2g}"

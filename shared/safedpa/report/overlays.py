@@ -1,4 +1,4 @@
-"""Predicted and measured trajectories of some windows, one figure a window, from the worst to the best."""
+"""Figures of predicted and measured trajectories, one per window, from the worst to the best."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.comparison import Comparison
 from safedpa.comparison.naive import measured_rates
 from safedpa.comparison.rollout import rollout
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows
 from safedpa.report.comparison_figures import COLOURS, LEGEND
 from safedpa.report.panels import Panels, label
@@ -19,10 +19,10 @@ from safedpa.report.panels import Panels, label
 __all__ = ["chosen_windows", "overlay_figures", "window_figure"]
 
 EACH = 4
-"""Windows of each kind."""
+"""Windows of each kind: worst, 95 % quantile, median and best."""
 
 MOST_ROWS = 250
-"""Most points of one line."""
+"""Points of one line at most."""
 
 STYLES = {
     "measured": (2.0, "solid"),
@@ -31,11 +31,11 @@ STYLES = {
     "before": (2.0, "dash"),
     "after": (2.5, "solid"),
 }
-"""Width and dash of a line, by what it shows."""
+"""Width and dash of each line."""
 
 
 def overlay_figures(comparison: Comparison) -> list[dict[str, Any]]:
-    """One figure for each window of ``chosen_windows``, with a ``label`` for the list to choose from."""
+    """Returns a figure for each window of ``chosen_windows``, with a ``label`` for the selection list."""
     chosen = chosen_windows(comparison)
     windows = comparison.windows.select(np.array([index for _, index in chosen], dtype=np.int64))
     predicted = rollout(comparison.model, windows)
@@ -51,10 +51,10 @@ def overlay_figures(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def chosen_windows(comparison: Comparison) -> list[tuple[str, int]]:
-    """(kind, window): the worst, those at the 95 % quantile, the median and the best, none overlapping within a kind.
+    """Returns (kind, window) pairs: the worst, those at the 95 % quantile, the median and the best.
 
-    Windows in which nothing moves are no test: those whose measured states change by less than a tenth of what is usual
-    are passed over where others are left.
+    Windows of one kind do not overlap. Windows in which the states change by less than a tenth of the usual change are
+    skipped if there are others: predicting a robot at rest is no test.
     """
     windows, errors = comparison.windows, comparison.window_errors
     scale = np.where(comparison.error.scale > 0, comparison.error.scale, np.inf)
@@ -68,11 +68,11 @@ def chosen_windows(comparison: Comparison) -> list[tuple[str, int]]:
     chosen: list[tuple[str, int]] = []
     for kind, share in (("worst", 0.0), ("95 % quantile", 0.05), ("median", 0.5), ("best", 1.0)):
         near = np.argsort(np.abs(np.arange(len(order)) - share * (len(order) - 1)), kind="stable")
-        chosen += [(kind, index) for index in _apart(windows, order[near], EACH)]
+        chosen += [(kind, index) for index in _not_overlapping(windows, order[near], EACH)]
     return chosen
 
 
-def _apart(windows: Windows, order: IndexArray, count: int) -> list[int]:
+def _not_overlapping(windows: Windows, order: IndexArray, count: int) -> list[int]:
     retained: list[int] = []
     for index in order.tolist():
         middle = windows.clock[windows.start[index]]
@@ -91,9 +91,9 @@ def _figure(windows: Windows, number: int, predicted: FloatArray, rates: FloatAr
 
 
 def window_figure(windows: Windows, number: int, predicted: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Path, states and actions of one window, measured from half a horizon before it.
+    """Returns path, states and actions of one window, with half a horizon of measurements before it.
 
-    ``predicted``: by style, the states (steps + 1, states) of one predictor from the window's start to its end.
+    ``predicted`` maps a line style to the states (steps + 1, states) of one predictor over the window.
     """
     start, end = int(windows.start[number]), int(windows.end[number])
     past = int(np.searchsorted(windows.clock, windows.clock[start] - 0.5 * windows.horizon))
@@ -104,46 +104,46 @@ def window_figure(windows: Windows, number: int, predicted: Mapping[str, FloatAr
     lines |= {name: (ahead, states[ahead - start]) for name, states in predicted.items()}
     time = windows.clock - windows.clock[start]
     system = windows.system
-    flat = all(name in system.state_names for name in PLACE)
-    states = [(i, v) for i, v in enumerate(system.state) if not (flat and v.name in PLACE)]
-    panels, places = _layout(len(states) + len(system.action), flat)
+    flat = all(name in system.state_names for name in POSITION)
+    states = [(i, v) for i, v in enumerate(system.state) if not (flat and v.name in POSITION)]
+    panels, extents = _layout(len(states) + len(system.action), flat)
     if flat:
-        x, y = (system.state_names.index(name) for name in PLACE)
-        at = panels.place("path", "x [m]", "y [m]", (0.0, 0.36), (0.0, 1.0))
+        x, y = (system.state_names.index(name) for name in POSITION)
+        at = panels.add_at("path", "x [m]", "y [m]", (0.0, 0.36), (0.0, 1.0))
         for name, (_, values) in lines.items():
             panels.draw(at, values[:, x], values[:, y], **_style(name), showlegend=True)
         panels.axis(at, "y", scaleanchor="x")
-    for (index, variable), (across, up) in zip(states, places, strict=False):
-        at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
+    for (index, variable), (across, up) in zip(states, extents, strict=False):
+        at = panels.add_at(variable.name, "time from start [s]", label(variable), across, up)
         for name, (rows, values) in lines.items():
             turns = 2.0 * np.pi * np.round(windows.states[start, index] / (2.0 * np.pi)) if variable.angle else 0.0
             panels.draw(at, time[rows], values[:, index] - turns, **_style(name), showlegend=at == 1)
     usual = 0.2 * np.ptp(np.quantile(windows.actions, [0.01, 0.99], axis=0), axis=0)
-    for index, (variable, (across, up)) in enumerate(zip(system.action, places[len(states) :], strict=True)):
-        at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
+    for index, (variable, (across, up)) in enumerate(zip(system.action, extents[len(states) :], strict=True)):
+        at = panels.add_at(variable.name, "time from start [s]", label(variable), across, up)
         line = {"color": COLOURS["measured"], "width": 1.5, "shape": "hv"}
         panels.draw(at, time[shown], windows.actions[shown, index], mode="lines", line=line)
-        panels.axis(at, "y", range=_wide(windows.actions[shown, index], usual[index]))
+        panels.axis(at, "y", range=_axis_range(windows.actions[shown, index], usual[index]))
     return panels.figure("overlay", legend=LEGEND, margin={"l": 62, "r": 14, "t": 70, "b": 52})
 
 
 def _layout(count: int, flat: bool) -> tuple[Panels, list[tuple[tuple[float, float], tuple[float, float]]]]:
-    """Places for ``count`` panels in two columns, right of the path when there is one."""
+    """Returns the extents of ``count`` panels in two columns, to the right of the path if there is one."""
     left = 0.44 if flat else 0.0
     width = (1.0 - left - 0.08) / 2
     rows = -(-count // 2)
     tall = (1.0 - 0.2 * (rows - 1)) / rows
-    places = []
+    extents = []
     for number in range(count):
         row, column = divmod(number, 2)
         across = left + column * (width + 0.08)
         top = 1.0 - row * (tall + 0.2)
-        places.append(((across, across + width), (max(top - tall, 0.0), top)))
-    return Panels(rows=rows, columns=1, height=210), places
+        extents.append(((across, across + width), (max(top - tall, 0.0), top)))
+    return Panels(rows=rows, columns=1, height=210), extents
 
 
-def _wide(values: FloatArray, least: float) -> list[float]:
-    """A range around the values of at least that width: the last digit of a command should not look like a jump."""
+def _axis_range(values: FloatArray, least: float) -> list[float]:
+    """Returns an axis range of at least width ``least``, so that rounding of a command does not look like a jump."""
     middle, width = 0.5 * (values.min() + values.max()), max(1.1 * float(np.ptp(values)), least)
     half = 0.5 * width or 1.0
     return [float(middle - half), float(middle + half)]

@@ -31,7 +31,7 @@ class Panels:
         self.count = 0
 
     def add(self, title: str, x_title: str, y_title: str) -> int:
-        """Opens the next panel and returns its number."""
+        """Adds the next panel of the grid and returns its number."""
         row, column = divmod(self.count, self.columns)
         self.count += 1
         gap_x = 0.22 / self.columns if self.columns > 1 else 0.0
@@ -43,14 +43,14 @@ class Panels:
         self.open(title, x_title, y_title, (left, left + width), (max(top - tall, 0.0), top))
         return self.count
 
-    def place(self, title: str, x_title: str, y_title: str, x: tuple[float, float], y: tuple[float, float]) -> int:
-        """Opens a panel at a place of its own, in shares of the figure."""
+    def add_at(self, title: str, x_title: str, y_title: str, x: tuple[float, float], y: tuple[float, float]) -> int:
+        """Adds a panel with the given extent, as shares of the figure, and returns its number."""
         self.count += 1
         self.open(title, x_title, y_title, x, y)
         return self.count
 
     def open(self, title: str, x_title: str, y_title: str, x: tuple[float, float], y: tuple[float, float]) -> None:
-        """Axes and title of panel number ``count``."""
+        """Creates the axes and the title of panel number ``count``."""
         suffix = _suffix(self.count)
         common = {"gridcolor": _GRID, "zeroline": False, "linecolor": "#9AA3AB", "ticks": "outside", "ticklen": 4}
         font = {"size": 12, "color": _TEXT}
@@ -88,28 +88,28 @@ class Panels:
         self.axes[f"{which}axis{_suffix(at)}"].update(settings)
 
     def draw(self, at: int, x: Iterable[float], y: Iterable[float], **settings: Any) -> None:
-        """A line or a cloud in a panel."""
+        """Draws a line or points in a panel."""
         settings.setdefault("showlegend", False)
         self._trace(at, {"type": "scatter", "x": rounded(x), "y": rounded(y), **settings})
 
     def bars(
         self, at: int, x: list[float], heights: list[float], widths: list[float], colours: list[str], texts: list[str]
     ) -> None:
-        """Bars of their own widths in a panel."""
+        """Draws bars with individual widths in a panel."""
         marker = {"color": colours, "line": {"color": "#FFFFFF", "width": 1}}
         shape = {"type": "bar", "x": rounded(x), "y": rounded(heights), "width": rounded(widths), "marker": marker}
         hover = {"text": texts, "hoverinfo": "text", "textposition": "none"}
         self._trace(at, {**shape, **hover, "showlegend": False})
 
     def heat(self, at: int, x: list[Any], y: list[Any], z: list[list[Any]], text: list[list[str]], title: str) -> None:
-        """A map of values in a panel, in colours that everyone can order."""
+        """Draws a heat map in a panel, with a colour scale that readers with colour blindness can order."""
         bar = {"title": {"text": title, "side": "right"}, "thickness": 14, "outlinewidth": 0}
         hover = "x %{x:.2f} m, y %{y:.2f} m<br>error %{z:.3f}<br>%{text}<extra></extra>"
         colour = {"colorscale": "Cividis", "colorbar": bar}
         self._trace(at, {"type": "heatmap", "x": x, "y": y, "z": z, "text": text, "hovertemplate": hover, **colour})
 
     def level(self, at: int, value: float) -> None:
-        """A thin line across a panel at one height."""
+        """Draws a thin horizontal line across a panel."""
         suffix = _suffix(at)
         if math.isfinite(value):
             self.shapes.append(
@@ -126,7 +126,7 @@ class Panels:
             )
 
     def figure(self, name: str, **layout: Any) -> dict[str, Any]:
-        """The figure, to be drawn into the element ``name``."""
+        """Returns the figure, which the page draws into the element ``name``."""
         return {
             "id": name,
             "data": self.data,

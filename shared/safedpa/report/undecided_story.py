@@ -1,4 +1,4 @@
-"""What a diagnosis says where the data are not sure, and what they would have shown: sentences from report.json."""
+"""Sentences of an undecided diagnosis, and tables of what the data would have shown, from report.json."""
 
 from __future__ import annotations
 
@@ -10,49 +10,49 @@ __all__ = [
     "closest_rows", "detectable_rows", "naive_sentence", "nothing_sentence", "undecided_sentence", "unsure_sentence",
 ]  # fmt: skip
 
-_NAIVE = {"no_change": "assuming no change", "constant_velocity": "assuming constant velocity"}
+_NAIVE = {"no_change": "predicting no change", "constant_velocity": "predicting constant velocity"}
+# Sizes that a sentence quotes; the table lists all.
 _EXAMPLES = 3
-"""Sizes that are told in a sentence; the table has all."""
 
 
 def undecided_sentence(document: Mapping[str, Any]) -> str:
-    """Why nothing was decided, and what comes closest."""
-    rest, closest = document.get("unexplained"), document.get("closest") or []
-    why = f"{rest['expression']}" if rest else _why(document, closest)
+    """Returns why nothing was decided, and the effect that comes closest."""
+    unexplained, closest = document.get("unexplained"), document.get("closest") or []
+    why = f"{unexplained['expression']}" if unexplained else _why(document, closest)
     if not closest:
         return f"Undecided: {why}."
-    nearest = closest[0]
-    numbers = ", ".join(_number_text(path, value) for path, value in nearest["parameters"].items())
-    fall = nearest.get("heldout_fall")
-    off = "" if fall is None else f"; it would take {100.0 * fall:.0f} % off the error"
+    closest_item = closest[0]
+    values = ", ".join(_number_text(path, value) for path, value in closest_item["parameters"].items())
+    fall = closest_item.get("heldout_fall")
+    reduction = "" if fall is None else f"; it would reduce the error by {100.0 * fall:.0f} %"
     others = [item["effect"] for item in closest[1:]]
     also = f" Next: {', '.join(others)}." if others else ""
-    return f"Undecided: {why}. Closest, likely but not proven: {nearest['effect']} ({numbers}{off}).{also}"
+    return f"Undecided: {why}. Closest, likely but not proven: {closest_item['effect']} ({values}{reduction}).{also}"
 
 
 def unsure_sentence(document: Mapping[str, Any], lacking: str, first: float, last: float) -> str:
-    """What was added and helps where it was driven, and what of it these data do not tell the size of."""
+    """Returns which effects help in the recorded driving although the data do not determine their sizes."""
     unsure = [item for item in document.get("closest") or () if item["effect"] in document["added"]]
-    numbers = "; ".join(
+    values = "; ".join(
         f"{item['effect']} ({', '.join(_number_text(path, value) for path, value in item['parameters'].items())})"
         for item in unsure
     )
     return (
         f"Undecided: with {lacking} the error on such driving falls from {first:.3g} to {last:.3g}, but these data do "
-        f"not tell the size of {numbers}. Do not believe the model in other driving."
+        f"not determine the size of {values}. Do not rely on the model in other driving."
     )
 
 
 def _why(document: Mapping[str, Any], closest: Sequence[Mapping[str, Any]]) -> str:
     if closest:
-        return "not enough data to tell whether an effect is missing"
+        return "not enough data to decide whether an effect is missing"
     hidden = [item["effect"] for item in document.get("detectable") or () if not _shown(item)]
     names = ", ".join(dict.fromkeys(hidden))
-    return f"the data are too uniform: an ordinary size of {names} would not have been found"
+    return f"the data are too uniform: a typical size of {names} would not have been found"
 
 
 def naive_sentence(document: Mapping[str, Any]) -> str:
-    """That the given model, its free numbers refitted, is worse than what knows no physics; else empty."""
+    """Returns a warning if the refitted given model is worse than a naive prediction; else an empty string."""
     naive = {name: value for name, value in (document.get("naive") or {}).items() if value is not None}
     if not naive or document["stages"][0]["heldout_error"] is None:
         return ""
@@ -61,13 +61,13 @@ def naive_sentence(document: Mapping[str, Any]) -> str:
     if not given > naive[name] > 0:
         return ""
     return (
-        f"The given model, its free numbers refitted, predicts worse than {_NAIVE.get(name, name)}: an error of "
-        f"{given:.3g} where that has {naive[name]:.3g}."
+        f"The given model, its free parameters refitted, predicts worse than {_NAIVE.get(name, name)}: its error is "
+        f"{given:.3g}, compared with {naive[name]:.3g}."
     )
 
 
 def nothing_sentence(document: Mapping[str, Any]) -> str:
-    """From which size on an effect would have been found."""
+    """Returns from which size on effects would have been found."""
     every = document.get("detectable") or []
     shown = [item for item in every if item.get("smallest") is not None]
     if not shown:
@@ -75,26 +75,26 @@ def nothing_sentence(document: Mapping[str, Any]) -> str:
     order = sorted(shown, key=lambda item: item["smallest"] / item["ordinary"])
     sizes = "; ".join(f"{item['effect']} {_size_text(item)}" for item in order[:_EXAMPLES])
     never = list(dict.fromkeys(item["effect"] for item in every if not _shown(item)))
-    rest = f" Of {', '.join(never)} an ordinary size would not have been found." if never else ""
-    return f"Of {len(every)} sizes that were asked for, {len(shown)} would have been found, from {sizes} on.{rest}"
+    hidden = f" A typical size of {', '.join(never)} would not have been found." if never else ""
+    return f"Of {len(every)} parameters of effects, {len(shown)} would have been found, from {sizes} on.{hidden}"
 
 
 def closest_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """(effect, numbers, share of the error that it would take off, what to drive) of effects that may be missing."""
+    """Returns (effect, parameters, reduction of the error, what to drive) of effects that may be missing."""
     rows = []
     for item in document.get("closest") or ():
-        numbers = ", ".join(_number_text(path, value) for path, value in item["parameters"].items())
+        values = ", ".join(_number_text(path, value) for path, value in item["parameters"].items())
         fall = item.get("heldout_fall")
-        rows.append((item["effect"], numbers, "" if fall is None else f"{100.0 * fall:.0f} %", item["drive"]))
+        rows.append((item["effect"], values, "" if fall is None else f"{100.0 * fall:.0f} %", item["drive"]))
     return rows
 
 
 def detectable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
-    """(effect, number, smallest size, ordinary size, what stands in the way) of everything that may be missing."""
+    """Returns (effect, parameter, smallest size, typical size, note) of everything that may be missing."""
     rows = []
     for item in document.get("detectable") or ():
         unit = "" if item["unit"] == "1" else f" {item['unit']}"
-        smallest = "not at all" if item.get("smallest") is None else f"{item['smallest']:.2g}{unit}"
+        smallest = "not detectable" if item.get("smallest") is None else f"{item['smallest']:.2g}{unit}"
         alongside = f"only as a sum with {', '.join(item['only_with'])}" if item["only_with"] else ""
         drive = f"drive: {item['drive']}" if item["drive"] else ""
         note = "; ".join(part for part in (alongside, drive) if part)

@@ -1,4 +1,4 @@
-"""What the robots that ship have in common: effects in a package next to them, settings in a file of their name."""
+"""The base class of the shipped robots: effects from the package next to them, filter settings from a named file."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Encoded messages: the wanted numbers out of each, and nothing else of it.
+"""Decodes selected fields of an encoded message (CDR or ROS 1) and skips the rest.
 
-A type is flattened once into a short program: stretches of fixed layout, which one call of ``struct`` reads whole, with
-strings and sequences between them. Nothing behind the last wanted number is looked at, so a scan of a thousand rays
-costs nothing next to the pose that is asked for. Every length is compared with the bytes that are there before it is
-believed.
+A type is compiled once into a short program: parts of fixed layout, each read by one ``struct`` call, with strings and
+sequences between them. Nothing after the last requested field is read, so a scan of a thousand rays adds no time to
+reading a pose before it. Every length is checked against the available bytes.
 """
 
 from __future__ import annotations
@@ -20,21 +19,21 @@ from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, Mes
 __all__ = ["Decoder", "DecodingError"]
 
 _LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
-_MOST_STEPS = 20_000
-"""Fields of a flattened type; a message of 6 covariances has 250."""
+_MAX_FIELDS = 20_000
+"""Limit of fields in a flattened type; a message with 6 covariances has 250."""
 _STEP = re.compile(r"([^.\[\]]+)((?:\[\d{1,6}\])*)")
 
-_FURTHER = re.compile(r"\[[1-9]")
-"""In the path of another entry than the first: not named in an error."""
+_LATER_INDEX = re.compile(r"\[[1-9]")
+"""Matches the path of an array entry other than the first; such paths are not listed in errors."""
 
 
 class DecodingError(ValueError):
-    """The bytes are no message of this type."""
+    """The bytes are not a message of this type."""
 
 
 @dataclass
 class _FixedLayout:
-    """A stretch of fixed layout: (letter, bytes, slot) each; slot -1: not wanted."""
+    """A part of fixed layout: (struct letter, bytes, slot) of each field; slot -1 if the field is not requested."""
 
     items: list[tuple[str, int, int]] = field(default_factory=list)
     compiled: dict[tuple[str, int], tuple[struct.Struct, tuple[int, ...], int]] = field(default_factory=dict)
@@ -48,20 +47,20 @@ class _Text:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """A sequence; ``elements`` are programs of those that are wanted, by index, ``other`` that of the rest."""
+    """A sequence: ``elements`` are the programs of requested elements by index, ``other`` that of the rest."""
 
     size: int
-    """Bytes of an element where it is a number, else 0."""
+    """Bytes of a numeric element, else 0."""
     letter: str
     other: list[Any]
     elements: dict[int, list[Any]]
 
 
 class Decoder:
-    """Reads chosen fields of one type: numbers, times [ns], strings, and quaternions as four numbers.
+    """Reads selected fields of one type: numbers, times [ns], strings, and quaternions as four numbers.
 
-    ``paths`` are like ``pose.pose.position.x`` or ``data[3]``. Raises InputError naming the fields that are there when
-    the type has no such field.
+    ``paths`` have the form ``pose.pose.position.x`` or ``data[3]``. Raises InputError that lists the fields of the type
+    if one does not exist.
     """
 
     def __init__(self, definitions: Definitions, name: str, paths: Sequence[str], *, ros1: bool = False) -> None:
@@ -69,15 +68,15 @@ class Decoder:
         self.paths = tuple(paths)
         self._slots: list[int] = []
         self.kinds: list[str] = []
-        """number, text, time or quaternion, of each path."""
+        """Kind of each path: number, text, time or quaternion."""
         wanted: dict[tuple[str | int, ...], int] = {}
         for path in paths:
             self._want(name, path, wanted)
         try:
-            self._program = self._flat(name, (), wanted)
+            self._program = self._flatten(name, (), wanted)
         except RecursionError as error:
-            raise InputError(f"type '{name}': it holds itself; wanted types of ROS") from error
-        _cut(self._program)
+            raise InputError(f"type '{name}': it contains itself; wanted a ROS type") from error
+        _trim(self._program)
         self._count = sum(self._widths())
 
     def _widths(self) -> list[int]:
@@ -107,36 +106,36 @@ class Decoder:
             wanted[(*steps, inner)] = first + offset
 
     def _kind_at(self, name: str, path: str, steps: list[str | int]) -> str:
-        """The type of what a path leads to."""
+        """Type of the field at a path."""
         kind, at = name, 0
         while at < len(steps):
             if kind in NUMBERS or kind in ("string", "wstring"):
                 raise self._missing(name, path)
-            here = next((item for item in self._definitions.of(kind) if item.name == steps[at]), None)
-            if here is None or not isinstance(steps[at], str):
+            item = next((item for item in self._definitions.of(kind) if item.name == steps[at]), None)
+            if item is None or not isinstance(steps[at], str):
                 raise self._missing(name, path)
             at += 1
-            if here.times != 0:
+            if item.times != 0:
                 index = steps[at] if at < len(steps) else None
-                if not isinstance(index, int) or (here.times > 0 and index >= here.times):
+                if not isinstance(index, int) or (item.times > 0 and index >= item.times):
                     raise self._missing(name, path)
                 at += 1
-            kind = here.type
+            kind = item.type
         if kind not in (*NUMBERS, *TIMES, QUATERNION, "string"):
             raise self._missing(name, path)
         return kind
 
     def _missing(self, name: str, path: str) -> InputError:
-        known = [one for one in numeric_fields(self._definitions, name) if not _FURTHER.search(one)]
+        known = [one for one in numeric_fields(self._definitions, name) if not _LATER_INDEX.search(one)]
         return InputError(f"field '{path}' of {name}: {did_you_mean(path, known)}")
 
     # flattening
 
-    def _flat(self, name: str, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> list[Any]:
+    def _flatten(self, name: str, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> list[Any]:
         program: list[Any] = []
         fields = self._definitions.of(name)
         if not fields and not self._ros1:
-            _add_number(program, "B", 1, -1)  # an empty message carries one byte
+            _add_number(program, "B", 1, -1)  # ROS 2 encodes an empty message as one byte
         for item in fields:
             self._add(program, item, (*at, item.name), wanted)
         return program
@@ -151,8 +150,8 @@ class Decoder:
         if item.times < 0:
             program.append(self._sequence(item, at, wanted))
             return
-        plain = item.type in NUMBERS and item.times > 0 and not any(key[: len(at)] == at for key in wanted)
-        if plain:
+        skipped = item.type in NUMBERS and item.times > 0 and not any(key[: len(at)] == at for key in wanted)
+        if skipped:
             letter, size = NUMBERS[item.type]
             self._step()
             _add_number(program, f"{item.times}{letter}", size, -1)
@@ -167,7 +166,7 @@ class Decoder:
             elif item.type == "wstring":
                 program.append(_Text(-1, 2))
             else:
-                for part in self._flat(item.type, place, wanted):
+                for part in self._flatten(item.type, place, wanted):
                     _append(program, part)
 
     def _sequence(
@@ -195,18 +194,18 @@ class Decoder:
         elif item.type in ("string", "wstring"):
             program.append(_Text(wanted.get(at, -1), 1 if item.type == "string" else 2))
         else:
-            program = self._flat(item.type, at, wanted)
+            program = self._flatten(item.type, at, wanted)
         return program
 
     def _step(self) -> None:
-        self._steps += 1  # an array is counted by element
-        if self._steps > _MOST_STEPS:
-            raise InputError(f"a message of more than {_MOST_STEPS} fields; wanted fewer")
+        self._steps += 1  # each element of an array counts
+        if self._steps > _MAX_FIELDS:
+            raise InputError(f"a message of more than {_MAX_FIELDS} fields; wanted fewer")
 
     # reading
 
     def __call__(self, data: bytes) -> list[Any]:
-        """One value for each path; None where a sequence is shorter. Raises DecodingError."""
+        """Returns one value for each path; None if a sequence is too short. Raises DecodingError."""
         values: list[Any] = [None] * self._count
         try:
             if self._ros1:
@@ -235,16 +234,16 @@ def _add_number(program: list[Any], letter: str, size: int, slot: int) -> None:
 
 
 def _append(program: list[Any], part: Any) -> None:
-    """Stretches that meet become one."""
+    """Appends a part; merges adjacent parts of fixed layout."""
     if isinstance(part, _FixedLayout) and program and isinstance(program[-1], _FixedLayout):
         program[-1].items.extend(part.items)
     else:
         program.append(part)
 
 
-def _cut(program: list[Any]) -> None:
-    """Takes away what stands behind the last wanted number."""
-    while program and not _wants(program[-1]):
+def _trim(program: list[Any]) -> None:
+    """Removes everything after the last requested field."""
+    while program and not _is_wanted(program[-1]):
         program.pop()
     if program and isinstance(program[-1], _FixedLayout):
         items = program[-1].items
@@ -252,14 +251,14 @@ def _cut(program: list[Any]) -> None:
             items.pop()
 
 
-def _wants(part: Any) -> bool:
+def _is_wanted(part: Any) -> bool:
     if isinstance(part, _FixedLayout):
         return any(slot >= 0 for _, _, slot in part.items)
     return part.slot >= 0 if isinstance(part, _Text) else bool(part.elements)
 
 
 def _run(program: list[Any], data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
-    """Where the program ends; ``base``: from where CDR aligns, 0 where nothing is aligned."""
+    """Runs a program from ``at`` and returns the end; CDR aligns relative to ``base`` (0: no alignment, ROS 1)."""
     for part in program:
         if isinstance(part, _FixedLayout):
             phase = (at - base) % 8 if base else -1
@@ -272,9 +271,9 @@ def _run(program: list[Any], data: bytes, at: int, order: str, base: int, values
                 values[slot] = value
             at += size
         elif isinstance(part, _Text):
-            at = _text(part, data, at, order, base, values)
+            at = _read_text(part, data, at, order, base, values)
         else:
-            at = _many(part, data, at, order, base, values)
+            at = _read_sequence(part, data, at, order, base, values)
     return at
 
 
@@ -302,7 +301,7 @@ def _length(data: bytes, at: int, order: str, base: int) -> tuple[int, int]:
     return length, at + 4
 
 
-def _text(part: _Text, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+def _read_text(part: _Text, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
     length, at = _length(data, at, order, base)
     end = at + part.wide * length
     if end > len(data):
@@ -312,7 +311,7 @@ def _text(part: _Text, data: bytes, at: int, order: str, base: int, values: list
     return end
 
 
-def _many(part: _Sequence, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+def _read_sequence(part: _Sequence, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
     length, at = _length(data, at, order, base)
     if length > len(data) - at:
         raise DecodingError("a sequence is longer than the message")
@@ -326,7 +325,7 @@ def _many(part: _Sequence, data: bytes, at: int, order: str, base: int, values: 
             if index < length:
                 _run(program, data, at + index * part.size, order, base, values)
         return end
-    if not part.other:  # elements of no bytes
+    if not part.other:  # elements without bytes
         return at
     for index in range(length):
         at = _run(part.elements.get(index, part.other), data, at, order, base, values)

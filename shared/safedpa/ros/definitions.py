@@ -1,6 +1,6 @@
-"""Message types: which fields a type has, from a definition that a log carries, or from those that are known.
+"""Fields of message types, from the definitions in a log or the standard ones.
 
-Definitions from a log are parsed and walked here; no code is made of them.
+Definitions from a log are only parsed; no code is generated from them.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ NUMBERS: Final[Mapping[str, tuple[str, int]]] = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4), "uint32": ("I", 4),
     "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4), "float64": ("d", 8),
 }  # fmt: skip
-"""Letter of ``struct`` and bytes of each primitive type that is a number."""
+"""``struct`` letter and size in bytes of each numeric primitive type."""
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 QUATERNION = "geometry_msgs/msg/Quaternion"
-_DEEPEST = 24
-"""Types within types; those of ROS have 6."""
-_REPORTS_NOTHING = 16
-"""Times as long as what it says a definition may be, with its comments."""
-_MOST_FIELDS = 4096
-"""Numbers of one message that are listed."""
-_MOST_STEPS = 20_000
-"""Fields that are looked at in one type."""
+_MAX_DEPTH = 24
+"""Limit of nested types; those of ROS have 6."""
+_COMMENT_FACTOR = 16
+"""A definition with its comments may be so many times as long as the limit for the part without."""
+_MAX_FIELDS = 4096
+"""Fields of one message that are listed."""
+_MAX_VISITED = 20_000
+"""Fields of one type that are visited."""
 
 
 @dataclass(frozen=True)
 class MessageField:
-    """One field of a type: a primitive's or a type's name, and how often: 0 once, n an array, -1 a sequence."""
+    """A field: its type (primitive or message), and ``times``: 0 for one value, n for an array, -1 for a sequence."""
 
     name: str
     type: str
@@ -62,25 +62,25 @@ Fields = tuple[MessageField, ...]
 
 @dataclass(frozen=True)
 class Definitions:
-    """Fields of types by their full name ``package/msg/Type``; what a log defines comes before what is known."""
+    """Fields of types by full name ``package/msg/Type``; definitions of the log take precedence over standard ones."""
 
     ros1: bool = False
     own: Mapping[str, Fields] = field(default_factory=dict)
 
     def of(self, name: str) -> Fields:
-        """The fields of a type. Raises InputError when no one defines it."""
+        """Returns the fields of a type; raises InputError if it is not defined."""
         found = self.own.get(name)
         if found is None:
             found = known_fields(self.ros1).get(name)
         if found is None:
             raise InputError(
-                f"type '{readable(name)}': the log does not define it and it is none of the standard ones; record it "
-                "with its definition (rosbag2 --storage mcap), or leave its topic out"
+                f"type '{readable(name)}': the log does not define it and it is not a standard type; record it "
+                "with its definition (rosbag2 --storage mcap), or remove its topic"
             )
         return found
 
     def knows(self, name: str) -> bool:
-        """Whether the type, and every type within it, is defined."""
+        """Whether the type and every type inside it are defined."""
         try:
             numeric_fields(self, name)
         except InputError:
@@ -89,7 +89,7 @@ class Definitions:
 
 
 def plain_type(name: str) -> str:
-    """``nav_msgs/Odometry``, ``nav_msgs/msg/Odometry`` and ``nav_msgs::msg::dds_::Odometry_`` as the second one."""
+    """Normalises ``nav_msgs/Odometry`` and ``nav_msgs::msg::dds_::Odometry_`` to ``nav_msgs/msg/Odometry``."""
     parts = [part for part in name.replace("::", "/").split("/") if part != "dds_"]
     if "::dds_::" in name and parts[-1].endswith("_"):
         parts[-1] = parts[-1][:-1]
@@ -97,15 +97,15 @@ def plain_type(name: str) -> str:
 
 
 def numeric_fields(definitions: Definitions, name: str) -> dict[str, str]:
-    """Path to type of everything in a message that can become a column: numbers, times, quaternions as an angle.
+    """Returns the type of every field that can become a column: numbers, times, and quaternions (as an angle).
 
-    Sequences show their first element, ``data[0]``. Raises InputError for types that are not defined.
+    A sequence is listed with its first element, ``data[0]``. Raises InputError for undefined types.
     """
     found: dict[str, str] = {}
     steps = count(1)
     for path, kind in _leaves(definitions, name, "", 0, steps):
         found[path] = kind
-        if len(found) >= _MOST_FIELDS:
+        if len(found) >= _MAX_FIELDS:
             break
     return found
 
@@ -113,13 +113,13 @@ def numeric_fields(definitions: Definitions, name: str) -> dict[str, str]:
 def _leaves(
     definitions: Definitions, name: str, prefix: str, depth: int, steps: Iterator[int]
 ) -> Iterator[tuple[str, str]]:
-    if depth > _DEEPEST:
-        raise InputError(f"type '{readable(name)}': more than {_DEEPEST} types within each other; wanted fewer")
+    if depth > _MAX_DEPTH:
+        raise InputError(f"type '{readable(name)}': more than {_MAX_DEPTH} nested types; wanted fewer")
     for item in definitions.of(name):
-        if next(steps) > _MOST_STEPS:
-            raise InputError(f"type '{readable(name)}': more than {_MOST_STEPS} fields; wanted fewer")
+        if next(steps) > _MAX_VISITED:
+            raise InputError(f"type '{readable(name)}': more than {_MAX_VISITED} fields; wanted fewer")
         path = f"{prefix}{item.name}"
-        times = 1 if item.times < 0 else min(item.times, _MOST_FIELDS)
+        times = 1 if item.times < 0 else min(item.times, _MAX_FIELDS)
         for one in [path] if item.times == 0 else [f"{path}[{k}]" for k in range(times)]:
             if item.type in NUMBERS or item.type in TIMES:
                 yield one, item.type
@@ -131,7 +131,7 @@ def _leaves(
 
 @cache
 def known_fields(ros1: bool = False) -> dict[str, Fields]:
-    """The standard types, and those of common drivers that ship here."""
+    """Fields of the standard types, and of common driver messages that are shipped here."""
     need("ros", what="reading ROS logs")
     store = importlib.import_module(f"rosbags.typesys.stores.{'ros1_noetic' if ros1 else 'ros2_kilted'}")
     found = {name: _fields(described[1]) for name, described in store.FIELDDEFS.items()}
@@ -143,33 +143,33 @@ def known_fields(ros1: bool = False) -> dict[str, Fields]:
 
 
 def summarize_definition(text: str, form: str) -> tuple[str, int]:
-    """A definition without lines that are blank or a comment alone, and how many lines and commas are left in it.
+    """Removes blank and comment lines from a definition; returns the rest and its number of lines and commas.
 
-    Cheap, whatever it is, while the library's grammar takes 15 to 100 us for each line, and 15 for each comma.
+    This bounds the parsing time: the library needs 15 to 100 us for each line, and 15 us for each comma.
     """
-    notice = [line for raw in text.split("\n") if (line := raw.strip(" \t\r"))]
+    lines = [line for raw in text.split("\n") if (line := raw.strip(" \t\r"))]
     if form != "ros2idl":
-        notice = [line for line in notice if line[0] != "#"]
-    left = "\n".join([*notice, ""])
-    return left, len(notice) + left.count(",")
+        lines = [line for line in lines if line[0] != "#"]
+    left = "\n".join([*lines, ""])
+    return left, len(lines) + left.count(",")
 
 
 @lru_cache(maxsize=512)
 def parsed(name: str, text: str, form: str) -> Mapping[str, Fields]:
-    """Types that a definition describes, ``form`` being ros1msg, ros2msg or ros2idl.
+    """Parses a definition; ``form`` is ros1msg, ros2msg or ros2idl. Returns the fields of its types.
 
-    Raises InputError for what cannot be parsed, LimitError for a text that is too long.
+    Raises InputError if it cannot be parsed, and LimitError if it is too long.
     """
     need("ros", what="reading ROS logs")
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
-    if len(text) > _REPORTS_NOTHING * limit("definition_letters"):
+    if len(text) > _COMMENT_FACTOR * limit("definition_letters"):
         raise too_much("definition_letters", len(text), f"type '{readable(name)}'")
-    text, lines = summarize_definition(text, form)
+    text, count = summarize_definition(text, form)
     if len(text) > limit("definition_letters"):
         raise too_much("definition_letters", len(text), f"type '{readable(name)}'")
-    if lines > limit("definition_lines"):
-        raise too_much("definition_lines", lines, f"type '{readable(name)}'")
+    if count > limit("definition_lines"):
+        raise too_much("definition_lines", count, f"type '{readable(name)}'")
     try:
         if form == "ros2idl":
             parts = [part for part in text.split("=" * 80 + "\n") if part.strip()]
@@ -184,7 +184,7 @@ def parsed(name: str, text: str, form: str) -> Mapping[str, Fields]:
 
 
 def _fields(described: Any) -> Fields:
-    """From the library's form: (name, (kind, what)), kind 1 a primitive, 2 a type, 3 an array, 4 a sequence."""
+    """Converts from rosbags: (name, (kind, what)), where kind is 1 primitive, 2 type, 3 array, 4 sequence."""
     found = []
     for name, (kind, what) in described:
         inner, times = (what[0], what[1] if kind == 3 else -1) if kind in (3, 4) else ((kind, what), 0)

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 from plain values: CDR as ``rmw`` middlewares send it, and the hash of each type."""
+"""Encodes ROS 2 messages from plain values as CDR, and computes the hash of a type."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["decode", "encode", "hash_of", "stamp_of", "type_store"]
 
 @cache
 def type_store() -> Any:
-    """Standard types and those that ship here, as the library keeps them; no type from elsewhere comes in."""
+    """Type store of rosbags with the standard and the shipped types, and no others."""
     need("ros", what="speaking ROS 2")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -34,25 +34,25 @@ def type_store() -> Any:
 
 @cache
 def hash_of(name: str) -> str:
-    """``RIHS01_`` and 64 hexadecimal digits (ROS REP 2016): of a type's structure. Raises InputError if unknown."""
+    """Type hash ``RIHS01_`` with 64 hexadecimal digits (ROS REP 2016); raises InputError for an unknown type."""
     _require(plain_type(name))
     return str(type_store().hash_rihs01(plain_type(name)))
 
 
 def encode(name: str, values: Mapping[str, Any]) -> bytes:
-    """A message with these fields, nested as mappings and sequences; what is left out is zero, empty or false.
+    """Encodes a message; fields are nested mappings and sequences, missing ones are zero, empty or false.
 
-    Raises InputError for a type that is not known, or a field that it does not have.
+    Raises InputError for an unknown type or field.
     """
     name = plain_type(name)
     _require(name)
-    return bytes(type_store().serialize_cdr(_built(name, values), name))
+    return bytes(type_store().serialize_cdr(_build(name, values), name))
 
 
 def decode(name: str, data: bytes) -> Any:
-    """A whole message, its fields as attributes, arrays as numpy's. Raises DecodingError for what is none.
+    """Decodes a whole message, with fields as attributes and arrays as NumPy arrays; raises DecodingError.
 
-    A Decoder is faster where a few numbers are wanted.
+    ``Decoder`` is faster for a few fields.
     """
     store = type_store()
     from rosbags.serde import SerdeError
@@ -60,11 +60,11 @@ def decode(name: str, data: bytes) -> Any:
     try:
         return store.deserialize_cdr(data, plain_type(name))
     except (SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, TypeError) as error:
-        raise DecodingError("it is cut off, or no plain CDR") from error
+        raise DecodingError("it is truncated, or not plain CDR") from error
 
 
 def stamp_of(nanoseconds: int) -> dict[str, int]:
-    """``builtin_interfaces/msg/Time`` of nanoseconds."""
+    """Converts nanoseconds to ``builtin_interfaces/msg/Time``."""
     seconds, rest = divmod(nanoseconds, 1_000_000_000)
     return {"sec": seconds, "nanosec": rest}
 
@@ -72,11 +72,11 @@ def stamp_of(nanoseconds: int) -> dict[str, int]:
 def _require(name: str) -> None:
     if name not in known_fields():
         package = name.split("/", 1)[0]
-        alongside = [one for one in known_fields() if one.startswith(f"{package}/")] or ["geometry_msgs/msg/Twist"]
-        raise InputError(f"type '{name}': {did_you_mean(name, alongside)}")
+        similar = [one for one in known_fields() if one.startswith(f"{package}/")] or ["geometry_msgs/msg/Twist"]
+        raise InputError(f"type '{name}': {did_you_mean(name, similar)}")
 
 
-def _built(name: str, values: Mapping[str, Any]) -> Any:
+def _build(name: str, values: Mapping[str, Any]) -> Any:
     fields = {item.name: item for item in known_fields()[name]}
     for key in values:
         if key not in fields:
@@ -100,7 +100,7 @@ def _one(kind: str, given: Any) -> Any:
         return float(given or 0.0)
     if "/" not in kind:
         return int(given or 0)
-    return _built(kind, given or {})
+    return _build(kind, given or {})
 
 
 def _many(kind: str, count: int, given: Sequence[Any] | None) -> Any:

@@ -1,4 +1,4 @@
-"""How one kind of robot shows itself to ROS: its state out of odometry, its action as a command, and back."""
+"""Interface of one kind of robot to ROS: odometry to state, action to command, and back."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ Numbers = tuple[float, ...]
 
 
 class AbstractFace(ABC):
-    """A robot on the plane, as ROS sees one. A robot declares its own by ``AbstractRobot.ros_face``."""
+    """A robot on the plane as seen by ROS; ``AbstractRobot.ros_face`` returns that of a robot."""
 
     commands: tuple[str, ...]
-    """Types of messages by which it is driven, the usual one first."""
+    """Message types of its commands, the usual one first."""
 
     @abstractmethod
     def state(self, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> Numbers:
-        """(states,) of a pose of its reference point, m and rad in the world, and its velocity in its own frame."""
+        """Returns the state (states,) for a pose of its reference point [m, rad] in the world and its body velocity."""
 
     @abstractmethod
     def planar(self, values: Numbers) -> tuple[float, float, float, float, float]:
-        """x, y, yaw, speed, yaw rate of (states,); the rate 0 where the state does not tell it."""
+        """Returns x, y, yaw, speed and yaw rate of a state (states,); the yaw rate is 0 if the state has none."""
 
     @abstractmethod
     def paths(self, command: str) -> tuple[str, ...]:
-        """Fields of a command that its action is made of."""
+        """Fields of a command message that determine the action."""
 
     @abstractmethod
     def action(self, command: str, numbers: Numbers, state: Numbers) -> Numbers:
-        """(actions,) that a command asks for, whose fields are ``numbers``, in the state (states,)."""
+        """Returns the action (actions,) of a command with the fields ``numbers``, in the state (states,)."""
 
     def brake(self, command: str, resting: Numbers, state: Numbers) -> tuple[Numbers, Mapping[str, Any]]:
-        """The action that brings it to rest, and its command's fields; ``resting``: as its filter's settings say."""
+        """Returns the braking action and its command; ``resting`` is the action at rest of the filter settings."""
         return resting, self.message(command, resting, state)
 
     @abstractmethod
     def message(self, command: str, action: Numbers, state: Numbers) -> Mapping[str, Any]:
-        """Fields of the command that drives by ``action`` (actions,) in the state (states,)."""
+        """Returns the fields of the command for ``action`` (actions,) in the state (states,)."""

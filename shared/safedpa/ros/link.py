@@ -1,7 +1,7 @@
-"""A session on a robot's side: hears its topics, drives it, knows who else is there. No ROS is needed for it.
+"""A session with a ROS 2 robot over Zenoh, without ROS: subscribes to topics, publishes, and lists endpoints.
 
-Two forms: ``rmw_zenoh`` (ROS 2 nodes on Zenoh) and ``bridge`` (zenoh-bridge-ros2dds next to nodes on DDS: plain keys,
-no attachment, no tokens of ROS).
+There are two forms: ``rmw_zenoh`` (ROS 2 nodes on Zenoh) and ``bridge`` (zenoh-bridge-ros2dds with nodes on DDS: plain
+keys, no attachments, no tokens of ROS).
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ __all__ = ["FORMS", "Heard", "RosLink", "RosPublisher"]
 
 Form = Literal["rmw_zenoh", "bridge"]
 FORMS: tuple[Form, ...] = ("rmw_zenoh", "bridge")
-_LOOK_SECONDS = 2.0
-_PATIENCE_MILLISECONDS = 5000
-_MOST_SEEN = 10_000
-"""Tokens that are remembered."""
+_QUERY_SECONDS = 2.0
+_CONNECT_MILLISECONDS = 5000
+_MAX_TOKENS = 10_000
+"""Largest number of tokens that are kept."""
 
 Heard = Callable[[bytes, "Attachment | None"], None]
-"""Called on the network's thread for each message: its bytes, and what stood next to it."""
+"""Callback for each message, on the network thread: its bytes and its attachment."""
 
 
 @final
 class RosLink:
-    """Joins the robot's Zenoh router as a client. Raises BusError where no one answers at the endpoint."""
+    """Connects to the robot's Zenoh router as a client; raises BusError if no router answers."""
 
     def __init__(self, endpoint: str, domain: int = 0, form: Form = "rmw_zenoh", node: str = "/safedpa") -> None:
         import zenoh
@@ -42,7 +42,7 @@ class RosLink:
         settings = {
             "mode": "client",
             "connect/endpoints": [endpoint],
-            "connect/timeout_ms": _PATIENCE_MILLISECONDS,
+            "connect/timeout_ms": _CONNECT_MILLISECONDS,
             "connect/exit_on_failure": True,
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
@@ -52,7 +52,7 @@ class RosLink:
         try:
             configuration = zenoh_session_configuration(settings)
         except zenoh.ZError as error:
-            raise InputError(f"{endpoint}: is no endpoint; wanted one such as tcp/robot:7447") from error
+            raise InputError(f"{endpoint}: is not an endpoint; wanted one such as tcp/robot:7447") from error
         try:
             self._session = open_session(configuration)
         except zenoh.ZError as error:
@@ -61,43 +61,43 @@ class RosLink:
                 "ros2 run rmw_zenoh_cpp rmw_zenohd, or zenoh-bridge-ros2dds"
             ) from error
         self.domain, self.form, self.node = domain, form, node
-        self._held: list[Any] = []
+        self._declared: list[Any] = []
         self._lock = threading.Lock()
         self._seen: dict[str, Endpoint] | None = None
 
     @property
     def session(self) -> str:
-        """Its name in tokens."""
+        """Name of this session in tokens."""
         return str(self._session.info.zid())
 
     def endpoints(self) -> list[Endpoint]:
-        """Every publisher and subscriber of the domain that shows itself, by topic."""
-        replies = self._session.liveliness().get(f"@ros2_lv/{self.domain}/**", timeout=_LOOK_SECONDS)
+        """Queries every publisher and subscriber of the domain, sorted by topic."""
+        replies = self._session.liveliness().get(f"@ros2_lv/{self.domain}/**", timeout=_QUERY_SECONDS)
         tokens = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
         found = [endpoint for endpoint in map(Endpoint.of, tokens) if endpoint is not None]
         return sorted(found, key=lambda one: (one.topic, one.kind, one.node, one.session, one.number))
 
     def others_on(self, topic: str, kind: str) -> list[Endpoint]:
-        """Endpoints of a topic that are not this session's."""
-        mine = self.session
+        """Queries the endpoints of a topic in other sessions."""
+        own = self.session
         wanted = f"/{topic.strip('/')}"
-        return [one for one in self.endpoints() if one.topic == wanted and one.kind == kind and one.session != mine]
+        return [one for one in self.endpoints() if one.topic == wanted and one.kind == kind and one.session != own]
 
     def watched(self, topic: str, kind: str) -> list[Endpoint]:
-        """The same from what was told since the start; never waits for anybody."""
+        """Like ``others_on``, but from the tokens received so far; does not block."""
         if self._seen is None:
             self._watch()
-        mine, wanted = self.session, f"/{topic.strip('/')}"
+        own, wanted = self.session, f"/{topic.strip('/')}"
         with self._lock:
             seen = list((self._seen or {}).values())
-        return [one for one in seen if one.topic == wanted and one.kind == kind and one.session != mine]
+        return [one for one in seen if one.topic == wanted and one.kind == kind and one.session != own]
 
     def _watch(self) -> None:
         import zenoh
 
         self._seen = {}
 
-        def reported(sample: zenoh.Sample) -> None:
+        def on_token(sample: zenoh.Sample) -> None:
             token = str(sample.key_expr)
             endpoint = Endpoint.of(token)
             with self._lock:
@@ -105,29 +105,29 @@ class RosLink:
                     return
                 if sample.kind == zenoh.SampleKind.DELETE:
                     self._seen.pop(token, None)
-                elif len(self._seen) < _MOST_SEEN:
+                elif len(self._seen) < _MAX_TOKENS:
                     self._seen[token] = endpoint
 
         key = f"@ros2_lv/{self.domain}/**"
-        callback = zenoh.handlers.Callback(reported, indirect=False)
-        self._held.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
+        callback = zenoh.handlers.Callback(on_token, indirect=False)
+        self._declared.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
 
     def hear(self, topic: str, type_name: str, heard: Heard) -> None:
-        """Has ``heard`` called for each message of a topic, whatever hash its sender gives the type."""
+        """Calls ``heard`` for each message of a topic, whatever type hash its sender uses."""
         self._subscribe(data_key(self.domain, topic, type_name, "*"), topic, heard, overhear=False)
 
     def overhear(self, topic: str, heard: Heard) -> None:
-        """The same for messages of any type that other sessions send on a topic, whether they show a token or not."""
+        """Calls ``heard`` for messages of any type that other sessions send on a topic, with or without a token."""
         self._subscribe(f"{self.domain}/{topic.strip('/')}/*/*", topic, heard, overhear=True)
 
     def _subscribe(self, key: str, topic: str, heard: Heard, *, overhear: bool) -> None:
         import zenoh
 
         def on_sample(sample: zenoh.Sample) -> None:
-            alongside = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
-            heard(sample.payload.to_bytes(), alongside)
+            attachment = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
+            heard(sample.payload.to_bytes(), attachment)
 
-        self._held.append(
+        self._declared.append(
             self._session.declare_subscriber(
                 topic.strip("/") if self.form == "bridge" else key,
                 zenoh.handlers.Callback(on_sample, indirect=False),
@@ -136,35 +136,35 @@ class RosLink:
         )
 
     def publisher(self, topic: str, type_name: str, type_hash: str = "", qos: str = QOS) -> RosPublisher:
-        """One that speaks on a topic, and shows that it does; ``type_hash``: as its readers ask, else the type's."""
+        """Creates a publisher with its token; ``type_hash`` is that of the subscribers, by default that of the type."""
         return RosPublisher(self, self._session, topic, type_name, type_hash or hash_of(type_name), qos)
 
     def next_number(self) -> int:
-        """Of an entity of this session."""
-        return len(self._held) + 1
+        """Number for the next entity of this session."""
+        return len(self._declared) + 1
 
     def hold(self, thing: Any) -> None:
-        """Keeps what is declared until the end."""
-        self._held.append(thing)
+        """Keeps a declaration alive until the session ends."""
+        self._declared.append(thing)
 
     def close(self) -> None:
-        """Leaves; tokens go with it."""
+        """Closes the session and its tokens."""
         close_session(self._session)
 
     def __enter__(self) -> RosLink:
-        """Itself."""
+        """Returns the link."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leaves."""
+        """Closes the session."""
         self.close()
 
 
 @final
 class RosPublisher:
-    """Messages of one topic; numbered, stamped and signed as rmw_zenoh does, or plain for a bridge."""
+    """Publishes on one topic; adds the attachment of rmw_zenoh, or none for a bridge."""
 
     def __init__(self, link: RosLink, session: Any, topic: str, type_name: str, type_hash: str, qos: str) -> None:
         import zenoh
@@ -190,7 +190,7 @@ class RosPublisher:
                 link.hold(session.liveliness().declare_token(token))
 
     def put(self, values: Any) -> None:
-        """Sends a message with these fields, from any thread. Raises InputError for a field that its type has not."""
+        """Sends a message, from any thread; raises InputError for a field that the type does not have."""
         number = next(self._numbers)
-        alongside = Attachment(number, time.time_ns(), self._sender).packed() if self._form == "rmw_zenoh" else None
-        self._publisher.put(encode(self.type, values), attachment=alongside)
+        attachment = Attachment(number, time.time_ns(), self._sender).packed() if self._form == "rmw_zenoh" else None
+        self._publisher.put(encode(self.type, values), attachment=attachment)

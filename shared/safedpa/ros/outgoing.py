@@ -1,4 +1,4 @@
-"""What is told to ROS: odometry, a transform, a verdict as diagnostics, a path as a marker; as plain fields."""
+"""Builds the fields of ROS messages: odometry, transforms, diagnostics of verdicts, and path markers."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ __all__ = [
 Head = Mapping[str, Any]
 OK, WARN, ERROR = 0, 1, 2
 _LEVELS = {"passed": OK, "corrected": OK, "relaxed": WARN, "stopped": WARN, "disabled": WARN}
-"""Of ``diagnostic_msgs/DiagnosticStatus`` by the verdict's status; whatever else: ERROR."""
+"""Level of ``diagnostic_msgs/DiagnosticStatus`` by status of a verdict; ERROR for any other status."""
 
 
 def quaternion_of(yaw: float) -> dict[str, float]:
-    """A rotation about the vertical axis [rad]."""
+    """Quaternion of a rotation about the vertical axis [rad]."""
     return {"z": math.sin(yaw / 2.0), "w": math.cos(yaw / 2.0)}
 
 
 def odometry_of(head: Head, body: str, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> dict[str, Any]:
-    """``nav_msgs/Odometry``: pose in the header's frame, velocity in that of ``body``; covariances are not told."""
+    """``nav_msgs/Odometry``: pose in the header's frame, velocity in frame ``body``; covariances stay zero."""
     return {
         "header": head,
         "child_frame_id": body,
@@ -50,7 +50,7 @@ def transform_of(head: Head, body: str, x: float, y: float, yaw: float) -> dict[
 
 
 def level_of(status: str) -> int:
-    """How bad a verdict's status is, as ``diagnostic_msgs`` counts."""
+    """Level of a verdict's status in ``diagnostic_msgs``."""
     return _LEVELS.get(status, ERROR)
 
 
@@ -78,7 +78,7 @@ def diagnostics_of(head: Head, robot: str, verdict: VerdictMessage) -> dict[str,
 
 
 def gateway_diagnostics(head: Head, robot: str, why: str, facts: Mapping[str, str]) -> dict[str, Any]:
-    """``diagnostic_msgs/DiagnosticArray`` of the gateway; ``why``: for what it brakes by itself, empty while not."""
+    """``diagnostic_msgs/DiagnosticArray`` of the gateway; ``why`` is its reason to brake, empty if it does not."""
     status = {
         "level": ERROR if why else OK,
         "name": f"{robot}: gateway",
@@ -90,7 +90,7 @@ def gateway_diagnostics(head: Head, robot: str, why: str, facts: Mapping[str, st
 
 
 def path_marker(head: Head, places: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """``visualization_msgs/Marker``: a line through places [m] of the header's frame."""
+    """``visualization_msgs/Marker``: a line through positions [m] in the header's frame."""
     return {
         "header": head,
         "ns": "predicted",

@@ -1,6 +1,7 @@
-"""The safety filter service's step: action[k] and its verdict from state[k], latent[k] and nominal action[k].
+"""The node of the safety filter: computes action[k] and its verdict from state[k], latent[k] and nominal action[k].
 
-Whatever is missing, an action goes out in time: without a nominal action, or with a latent that is too old, it is the backup.
+An action is sent in time in any case. If the nominal action is missing or the latent is too old, the filter sends the
+backup action.
 """
 
 from __future__ import annotations
@@ -41,25 +42,25 @@ from safedpa.runtime.robot_session import NO_BARRIERS, LastDecision, RobotSessio
 from safedpa.runtime.stop_orders import StopOrders
 from safedpa.safety.barriers.base import AbstractBarrierSet
 from safedpa.safety.margins.calibration import MarginCalibration
-from safedpa.safety.margins.transition import least_by_kind, margin_change
+from safedpa.safety.margins.transition import margin_change, min_h_by_kind
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
 __all__ = ["SafetyFilterNode"]
 
+# m/s; a car that is slower is stationary.
 _IS_STATIONARY = 0.02
-"""m/s; slower than that a car stands."""
-_WIDTHS = 1e3
-"""Margins that no one can keep, as multiples of the largest |h| and of the margins in force."""
+# Factor of a margin that no action can satisfy, relative to the largest |h| and to the active margins.
+_IMPOSSIBLE_FACTOR = 1e3
 
 
 @final
 class SafetyFilterNode(AbstractNode):
-    """Filters the requests each robot. With ``settings.enabled`` false it hands nominal actions on and says so.
+    """Filters the nominal actions of each robot. With ``settings.enabled`` false it passes them on unchanged.
 
-    A new model comes with its own margin, and the watch over the margin begins again. A latent of another model than the
-    filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
-    belongs to another model, the settings are another robot's, or no one wrote barriers for this one.
+    A new model brings its own margin, and the margin monitor starts again. A latent of another model is not used: the
+    filter sends the backup action until both services have the same model. Raises InputError if the calibration belongs
+    to another model, the settings to another robot, or if there are no barriers for this robot.
     """
 
     name = "safety_filter"
@@ -68,7 +69,8 @@ class SafetyFilterNode(AbstractNode):
     listens = (MODEL,)
     sensor_inputs = (SURROUNDINGS,)
     share = 0.5
-    # As the policy: a nominal action does not wait for news of a load. The watch over the margin sees what that costs.
+    # A latent may be one tick old, as in the policy: waiting for it would add the adaptation's time to every action.
+    # The margin monitor measures the error that follows.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
 
     def __init__(
@@ -79,119 +81,120 @@ class SafetyFilterNode(AbstractNode):
         orders: StopOrders | None = None,
     ) -> None:
         self.orders = orders or StopOrders()
-        """Who is to stop."""
+        """The stop orders in force."""
         self._settings = settings or FilterSettings()
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = CalibratedModel(
             model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings)
         )
-        RobotSession.begun(first, self._settings)  # refuses another robot now, and not at its first tick
+        RobotSession.create(first, self._settings)  # raises for another robot's settings now, not at the first tick
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._predicted)
         self._robots: dict[str, RobotSession] = {}
         self._broken: dict[str, RobotSession] = {}
-        """Of robots whose last step failed: their margin goes on."""
+        """Sessions of robots whose last step failed; the next session continues their margin."""
         self._rehearsed: PhysicsModel | None = None
-        """With which a decision was rehearsed last; robots of one period share it."""
+        """Model of the last rehearsed decision; robots with equal periods share it."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
         if self._versions.begin(robot, state) and robot in self._robots:
             self._robots[robot].changed_at = state.tick
-        memory = self._robots.get(robot)
-        if memory is not None and memory.model.period != state.period:
-            self._broken[robot], memory = memory, None
-        if memory is None:
+        session = self._robots.get(robot)
+        # The model predicts over one period, so a robot that changes its period needs a new session.
+        if session is not None and session.model.period != state.period:
+            self._broken[robot], session = session, None
+        if session is None:
             broken = self._broken.pop(robot, None)
             before = None if broken is None else broken.margin.epsilon
-            memory = RobotSession.begun(self._versions.of(robot), self._settings, before, state.period)
-            if broken is not None and _same_margin(broken, memory):
-                memory.margin = broken.margin
-                memory.margin.expect(None)
-            memory.inherit_from(broken)
-            self._robots[robot] = memory
-        memory.observe_state(state)
+            session = RobotSession.create(self._versions.of(robot), self._settings, before, state.period)
+            if broken is not None and _same_margin(broken, session):
+                session.margin = broken.margin
+                session.margin.expect(None)
+            session.inherit_from(broken)
+            self._robots[robot] = session
+        session.observe_state(state)
 
     def _with_latent(self, robot: str, state: StateMessage, inputs: Inputs) -> RobotSession:
-        """The robot's memory with the model to decide with: a new one from the first latent of it on.
+        """Returns the robot's session; a new one from the first latent of a new model on.
 
-        The latent that a tick gets may be one tick old, and then it is of the old model: model, latent and margin of
-        until now belong together, and decide again. For so long as a missing latent is waited for, and no longer.
+        The latent of a tick may be one tick old and then belongs to the old model. Old model, latent and margin decide
+        together until a latent of the new model arrives, for at most as long as a missing latent is tolerated.
         """
-        memory, held = self._robots[robot], self._versions.of(robot)
-        if memory.held is held:
-            return memory
+        session, held = self._robots[robot], self._versions.of(robot)
+        if session.held is held:
+            return session
         latent = inputs[LATENT]
-        of_before = not isinstance(latent, LatentMessage) or latent.model == memory.held.fingerprint
-        if of_before and memory.held.fingerprint != held.fingerprint and memory.may_use_previous_model(state):
-            return memory
-        begun = RobotSession.begun(held, self._settings, memory.margin.epsilon, state.period)
-        begun.inherit_from(memory)
-        self._robots[robot] = begun
+        of_before = not isinstance(latent, LatentMessage) or latent.model == session.held.fingerprint
+        if of_before and session.held.fingerprint != held.fingerprint and session.may_use_previous_model(state):
+            return session
+        created = RobotSession.create(held, self._settings, session.margin.epsilon, state.period)
+        created.inherit_from(session)
+        self._robots[robot] = created
         self.prepare(robot, state)
         return self._robots[robot]
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        memory = self._robots.get(robot)
-        if memory is None or memory.prepared != (state.epoch, state.tick):
+        session = self._robots.get(robot)
+        if session is None or session.prepared != (state.epoch, state.tick):
             self.prepare(robot, state)
-        memory = self._with_latent(robot, state, inputs)
+        session = self._with_latent(robot, state, inputs)
         if state.sources:
             seen = inputs[SURROUNDINGS]
             assert isinstance(seen, SurroundingsMessage | Stale)
-            memory.see(state, seen)
+            session.observe_surroundings(state, seen)
         nominal = inputs[NOMINAL]
-        latent, stale = memory.usable_latent(state, inputs)
+        latent, stale = session.usable_latent(state, inputs)
         absent = f"the nominal action ({nominal.sentence})" if isinstance(nominal, Stale) else ""
-        holds = bool(absent and not memory.scene.stationary_for)
+        holds = bool(absent and not session.scene.can_stop)
         if absent and not holds:
             stale.append(absent)
         stale.extend(state_too_old(state))
-        if isinstance(memory.barriers, str):
-            stale.append(f"the {memory.barriers}")
-        barriers = NO_BARRIERS if isinstance(memory.barriers, str) else memory.barriers
+        if isinstance(session.barriers, str):
+            stale.append(f"the {session.barriers}")
+        barriers = NO_BARRIERS if isinstance(session.barriers, str) else session.barriers
         known: dict[str, Any] = {
-            "memory": memory.pending,
+            "memory": session.pending,
             "barriers": barriers,
-            "epsilon": memory.margin.epsilon,
+            "epsilon": session.margin.epsilon,
             "stale": stale,
             "time": state.robot_time,
         }
-        ordered = memory.ordered = self.orders.reason(robot)
+        ordered = session.ordered = self.orders.reason(robot)
         if ordered:
-            verdict = memory.filter.stop(
-                ordered, state.values, latent, stationary_for=memory.scene.stationary_for, **known
-            )
-        elif state.sources and memory.scene.yields_to and not stale:
-            verdict = memory.filter.stop(
-                memory.scene.yields_to, state.values, latent, stationary_for=memory.scene.stationary_for, **known
+            verdict = session.filter.stop(ordered, state.values, latent, can_stop=session.scene.can_stop, **known)
+        elif state.sources and session.scene.yields_to and not stale:
+            verdict = session.filter.stop(
+                session.scene.yields_to, state.values, latent, can_stop=session.scene.can_stop, **known
             )
         elif holds:
-            verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
+            verdict = session.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
             nominal_values = nominal.values if isinstance(nominal, NominalMessage) else None
-            verdict = memory.filter.decide(state.values, nominal_values, latent, **known, searched=memory.searched)
-            verdict = memory.out_of_the_layer(state, verdict, latent)
-            verdict = memory.out_of_dead_band(
+            verdict = session.filter.decide(
+                state.values, nominal_values, latent, **known, held_solution=session.held_solution
+            )
+            verdict = session.escape_boundary_layer(state, verdict, latent)
+            verdict = session.rest_in_dead_band(
                 state,
                 verdict,
                 latent,
-                lambda: memory.filter.decide(state.values, self._settings.resting_action, latent, **known),
+                lambda: session.filter.decide(state.values, self._settings.resting_action, latent, **known),
             )
-        memory.decision = LastDecision(state, latent, verdict)
+        session.decision = LastDecision(state, latent, verdict)
         return {ACTION: _action(state, tuple(verdict.action.tolist()))}
 
     def afterwards(self, robot: str) -> Outputs:
-        """The verdict, with the next states that the model expects; the action is on its way already."""
-        memory = self._robots[robot]
-        assert memory.decision is not None
-        state, latent, verdict = memory.decision
-        predicted = memory.predict_states(state, verdict, latent)
-        memory.watch_standing(state, predicted)
-        if not (memory.rehearsed or isinstance(memory.barriers, str) or verdict.status is Status.fallback):
-            memory.rehearsed = True
-            if memory.model is not self._rehearsed:
-                self._rehearsed = memory.model
-                _rehearse(memory, memory.decision, memory.barriers)
-        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
+        """Returns the verdict, with the next states that the model predicts; the action was already sent."""
+        session = self._robots[robot]
+        assert session.decision is not None
+        state, latent, verdict = session.decision
+        predicted = session.predict_states(state, verdict, latent)
+        session.watch_deadlock(state, predicted)
+        if not (session.rehearsed or isinstance(session.barriers, str) or verdict.status is Status.fallback):
+            session.rehearsed = True
+            if session.model is not self._rehearsed:
+                self._rehearsed = session.model
+                _rehearse(session, session.decision, session.barriers)
+        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, session)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
 
@@ -199,15 +202,15 @@ class SafetyFilterNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.hand_in = hand_in
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
+        self._versions.submit = submit
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
-        memory = self._robots.get(robot)
-        return None if memory is None or memory.decision is None else memory.decision.state
+        session = self._robots.get(robot)
+        return None if session is None or session.decision is None else session.decision.state
 
-    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.welcome(robot, status)
+    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.adopt_model(robot, status)
 
     def agreed(self, robot: str) -> Answer | None:  # noqa: D102
         return self._versions.agreed(robot)
@@ -215,25 +218,27 @@ class SafetyFilterNode(AbstractNode):
     def model_of(self, robot: str) -> str:  # noqa: D102
         return self._versions.fingerprint(robot)
 
-    def wind_up(self) -> None:  # noqa: D102
+    def begin_shutdown(self) -> None:  # noqa: D102
         self.orders.end("the safety filter is about to end")
 
     def at_rest(self, robot: str) -> bool:
-        """Whether the robot stands by an order; at once of one that has no speed to lose, and so cannot stand."""
-        memory = self._robots.get(robot)
-        if memory is None or memory.decision is None:
+        """Whether the robot has stopped by order; true at once for a robot without a speed, which cannot stop."""
+        session = self._robots.get(robot)
+        if session is None or session.decision is None:
             return False
-        state, _, verdict = memory.decision
-        speeds = [state.values[index] for index in memory.speeds if index < len(state.values)]
+        state, _, verdict = session.decision
+        speeds = [state.values[index] for index in session.speeds if index < len(state.values)]
         return verdict.status in (Status.stopped, Status.fallback) and all(
             abs(speed) <= _IS_STATIONARY for speed in speeds
         )
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """The backup of a robot that does not rest by itself, else the resting action, and a verdict that says so.
+        """Returns the backup action after a failed step, and a verdict with the reason.
 
-        What is remembered of the robot may be broken and begins again, but for the margin, which may have been widened.
+        Uses the scene's own backup if the robot has one, otherwise the resting action.
         """
+        # The session may be the cause of the failure, so the next tick starts another one. Only the margin is taken
+        # over: it may have been widened, and a failure must not narrow it.
         broken = self._robots.pop(robot, None)
         if broken is not None:
             self._broken[robot] = broken
@@ -251,26 +256,29 @@ class SafetyFilterNode(AbstractNode):
         self._versions.forget(robot)
 
     def _load(self, robot: str, offer: ModelMessage) -> CalibratedModel:
-        """The offered model and margin, tried at the robot's last decision. Raises InputError when it is not usable."""
+        """Loads the offered model and margin, and tries them at the robot's last decision.
+
+        Raises InputError if they are not usable.
+        """
         held = accept_offer(offer, self._versions.of(robot), self._settings)
-        trial, memory = RobotSession.begun(held, self._settings), self._robots.get(robot)
-        if memory is not None and memory.decision is not None:
-            trial.sync_actuators(memory.decision.state)
-            trial.try_out(memory.decision, memory.barriers)
+        trial, session = RobotSession.create(held, self._settings), self._robots.get(robot)
+        if session is not None and session.decision is not None:
+            trial.sync_actuators(session.decision.state)
+            trial.check_decision(session.decision, session.barriers)
         return held
 
     def _predicted(self, robot: str, held: CalibratedModel) -> str:
-        """What the margin of an offered model would do where the robot is now."""
-        memory, current = self._robots.get(robot), self._versions.of(robot).calibration.epsilon
-        if memory is None or memory.decision is None or isinstance(memory.barriers, str):
+        """Describes the effect of an offered model's margin at the robot's current state."""
+        session, current = self._robots.get(robot), self._versions.of(robot).calibration.epsilon
+        if session is None or session.decision is None or isinstance(session.barriers, str):
             return margin_change(current, held.calibration.epsilon, {}, self._settings.eta)
-        h = least_by_kind(memory.barriers, memory.decision.state.values)
-        coming, _ = held.margin_over(memory.model.period, self._settings)
-        return margin_change(memory.margin.epsilon, coming.epsilon, h, self._settings.eta)
+        h = min_h_by_kind(session.barriers, session.decision.state.values)
+        coming, _ = held.margin_over(session.model.period, self._settings)
+        return margin_change(session.margin.epsilon, coming.epsilon, h, self._settings.eta)
 
 
 def _same_margin(before: RobotSession, now: RobotSession) -> bool:
-    """Whether what was watched goes on: of the same model, and of steps no shorter that were calibrated alike."""
+    """Whether the margin monitor may continue: same model, same calibration, and no longer steps than before."""
     alike = before.held is now.held and before.margin.longer == now.margin.longer
     return alike and before.model.period >= now.model.period
 
@@ -281,40 +289,40 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
     )
 
 
-def _rehearse(memory: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:
-    """Goes once through all that a decision may need, before a robot drives; changes no verdict.
+def _rehearse(session: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:
+    """Warms up the fallback path of a decision before the robot drives; changes no verdict.
 
-    The first decision for which no action satisfies every condition took 5 ms where the next take half of one: solvers make
-    their workspaces, equations are written down, modules are imported. A tick of 5 ms has no time for it later. So it
-    is decided with margins that nothing can keep, and the verdict is thrown away.
+    The first decision for which no action satisfies every condition takes 5 ms, the following ones 0.5 ms, because
+    solvers allocate workspaces, equations are generated and modules imported. With a period of 5 ms there is no time
+    for that later. The warm-up decides with margins that no action satisfies and discards the verdict.
     """
     state = decided.state
-    with suppress(Exception):  # whatever a user's equations raise, the robot drives as it would have without this
-        memory.model.write_straight()
-        widest = max([1.0, *map(abs, barriers.heights(tuple(state.values))), *memory.margin.epsilon.values()])
-        memory.filter.decide(
+    with suppress(Exception):  # an exception in a user's equations must not stop a robot because of a warm-up
+        session.model.record_scalar_step()
+        widest = max([1.0, *map(abs, barriers.h_floats(tuple(state.values))), *session.margin.epsilon.values()])
+        session.filter.decide(
             state.values,
-            memory.filter.settings.high,
+            session.filter.settings.high,
             decided.latent,
-            memory=memory.pending,
+            memory=session.pending,
             barriers=barriers,
-            epsilon=dict.fromkeys(memory.margin.epsilon, _WIDTHS * widest),
+            epsilon=dict.fromkeys(session.margin.epsilon, _IMPOSSIBLE_FACTOR * widest),
             time=state.robot_time,
         )
 
 
 def _report(
-    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: RobotSession | None = None
+    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], session: RobotSession | None = None
 ) -> VerdictMessage:
-    stationary_reason = memory.stationary_reason(verdict) if memory else ""
-    remarks = [memory.margin.remark] if memory and memory.margin.remark else []
-    if memory and memory.until_action > state.until_action:
-        remarks.append(memory.delay.remark)
-    if memory and state.sources and memory.scene.remark:
-        remarks.append(memory.scene.remark)
-    stationary_for = (
-        f" The robot has stood for {memory.standing.seconds:.1f} s. {stationary_reason}."
-        if memory and stationary_reason
+    stationary_reason = session.stationary_reason(verdict) if session else ""
+    remarks = [session.margin.remark] if session and session.margin.remark else []
+    if session and session.until_action > state.until_action:
+        remarks.append(session.delay.remark)
+    if session and state.sources and session.scene.remark:
+        remarks.append(session.scene.remark)
+    deadlock_sentence = (
+        f" The robot has been stationary for {session.deadlock_detector.seconds:.1f} s. {stationary_reason}."
+        if session and stationary_reason
         else ""
     )
     return VerdictMessage(
@@ -323,7 +331,7 @@ def _report(
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=" ".join([verdict.sentence, *remarks]) + stationary_for,
+        sentence=" ".join([verdict.sentence, *remarks]) + deadlock_sentence,
         action=tuple(verdict.action.tolist()),
         nominal=() if verdict.nominal is None else tuple(verdict.nominal.tolist()),
         slack=verdict.slack,
@@ -334,10 +342,10 @@ def _report(
         solver=verdict.solver,
         microseconds=verdict.microseconds,
         predicted=predicted,
-        coverage=memory.margin.coverage if memory else -1.0,
-        promised=memory.margin.promised if memory else -1.0,
-        model=memory.held.fingerprint if memory else "",
-        ordered=memory.ordered if memory else "",
-        stationary_for=memory.standing.seconds if memory else 0.0,
+        coverage=session.margin.coverage if session else -1.0,
+        promised=session.margin.promised if session else -1.0,
+        model=session.held.fingerprint if session else "",
+        ordered=session.ordered if session else "",
+        stationary_for=session.deadlock_detector.seconds if session else 0.0,
         stationary_reason=stationary_reason,
     )

@@ -1,8 +1,7 @@
-"""A scene: the barriers around one robot, from its state messages, kept for as long as nothing changes.
+"""Scenes: they build the barriers around one robot from its state messages.
 
-What builds the barriers around a robot: the robot's own, found by the states and actions of its model.
-
-What may move, as far as it can have come by the time an action that is chosen now begins to act.
+``scene_of`` finds the scene of a robot by the states and actions of its model. ``propagate_obstacles`` enlarges moving
+obstacles by the distance that they may travel before an action takes effect.
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
-from safedpa.robot import AbstractRobot, robot_like, robots
 from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.compatibility import check_margins, check_reads, check_settings
 from safedpa.safety.decision import Backup
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
+from safedpa.systems.robots import Robot, robot_like, robots
 
 __all__ = [
     "MOST_OBSTACLES",
@@ -34,28 +33,28 @@ __all__ = [
 
 
 MOST_OBSTACLES: Final = 64
-"""A decision about so many takes 5 ms at the worst; a thousand, all of them at hand, take three seconds, in
-which the other robots of the fleet would get no action."""
+"""Maximum number of obstacles. With 64, a decision takes 5 ms at worst; with a thousand nearby ones it would take three
+seconds, in which the other robots of the fleet would get no action."""
 
 
 class AbstractScene(ABC):
-    """The barriers around one robot."""
+    """Builds the barriers around one robot."""
 
-    stationary_for: bool = True
+    can_stop: bool = True
     """Whether the backup action brings the robot to rest."""
     quick: bool = False
-    """Whether its h is cheap enough to be asked at hundreds of states in a tick."""
+    """Whether h is cheap enough to evaluate at hundreds of states per tick."""
     yields_to: str = ""
-    """Who may be at the robot before it stands, as of the last ``around``: then the backup is taken at once, since what
-    moves by itself may not be dodged but by standing. Empty: no one."""
+    """Description of a moving object that may reach the robot before it has stopped, as of the last ``around``; empty:
+    none. The backup action is then taken immediately, because a robot must not evade moving objects, but stop."""
     remark: str = ""
-    """What a verdict has to say about the barriers of the last ``around``; empty: nothing."""
+    """Sentence about the barriers of the last ``around`` for the verdict; empty: none."""
     backup: Backup | None = None
     """The backup action at a state; None: the resting action of the settings."""
 
     @abstractmethod
     def of(self, state: StateMessage) -> AbstractBarrierSet | str:
-        """The barriers around this robot, or a sentence about what cannot be a scene of it."""
+        """Returns the barriers around this robot, or a description of what is wrong with the state."""
 
     def around(
         self,
@@ -64,38 +63,35 @@ class AbstractScene(ABC):
         epsilon: Mapping[str, float] | None = None,
         late: float = 0.0,
     ) -> AbstractBarrierSet | str:
-        """The barriers around a robot that names sources, from what they see; or why there are none.
+        """Returns the barriers around a robot with sensors from its surroundings, or a description of a problem.
 
-        ``epsilon`` are the margins in force by kind, ``late`` [s] passes until an action acts: from both follows what
-        is too far to matter.
+        ``epsilon`` has the active margins by kind; ``late`` [s] passes until an action acts. Both determine which
+        objects are too far away to matter.
         """
         del seen, epsilon, late
-        return f"scene (sources {', '.join(state.sources)}: this robot has barriers for what is told alone)"
+        return f"scene (sources {', '.join(state.sources)}: this robot's barriers do not support sensors)"
 
     def follow(self, state: StateMessage) -> None:
-        """What a state tells of the robot's own way, whatever is around it; the same state twice changes nothing."""
+        """Updates the odometry from a state; idempotent for a repeated state."""
         del state
 
     def learn(self, latent: FloatArray | None) -> None:
-        """The latent that was used last; None: that of the model's file."""
+        """Sets the latent used last; None: the model's own."""
         del latent
 
     def remember(self, former: AbstractScene) -> None:
-        """Takes over what the scene of the model before this one knew of the robot."""
+        """Takes over the odometry of the scene of the previous model."""
         del former
 
 
 @final
 class DeclaredScene(AbstractScene):
-    """The barriers that a robot declares, built again where its message or the latent changed.
+    """The barriers that a robot declares. If the robot's code raises an exception, the backup acts."""
 
-    Whatever the robot's own code raises is a sentence, and the backup acts.
-    """
-
-    def __init__(self, robot: AbstractRobot, model: AbstractDynamics, settings: FilterSettings) -> None:
+    def __init__(self, robot: Robot, model: AbstractDynamics, settings: FilterSettings) -> None:
         self._robot, self._model, self._settings = robot, model, settings
         self._latent: FloatArray | None = None
-        self.stationary_for = robot.stationary_for
+        self.can_stop = robot.can_stop
         self.backup = self._backup
 
     def around(
@@ -105,13 +101,9 @@ class DeclaredScene(AbstractScene):
         epsilon: Mapping[str, float] | None = None,
         late: float = 0.0,
     ) -> AbstractBarrierSet | str:
-        """The barriers around a robot that names sources, from what they see; or why there are none.
-
-        ``epsilon`` are the margins in force by kind, ``late`` [s] passes until an action acts: from both follows what
-        is too far to matter.
-        """
+        """Not supported: the barriers that a robot declares use the obstacles of its state message."""
         del seen, epsilon, late
-        return f"scene (sources {', '.join(state.sources)}: this robot has barriers for what is told alone)"
+        return f"scene (sources {', '.join(state.sources)}: this robot's barriers do not support sensors)"
 
     def learn(self, latent: FloatArray | None) -> None:  # noqa: D102
         self._latent = latent
@@ -124,21 +116,22 @@ class DeclaredScene(AbstractScene):
             check_reads(parts, self._model.system.state_names)
         except InputError as error:
             return f"scene ({error})"
-        except Exception as error:  # noqa: BLE001 - a robot's own code may raise anything; the backup acts then
+        except Exception as error:  # noqa: BLE001
+            # A robot's own code may raise anything. The sentence goes into the verdict, and the backup acts.
             return f"scene (barriers of robot '{self._robot.name}': {type(error).__name__}: {error})"
         return CachingBarrierSet(make_barrier_set(parts))
 
     def _backup(self, state: FloatArray | None) -> Any:
-        """The resting action where the state is not known; the filter takes it as well where this raises."""
+        """Returns the robot's backup action; the resting action if the state is unknown."""
         if state is None:
             return self._settings.resting_action
         return self._robot.backup(state, self._model, self._settings)
 
 
 def scene_of(model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:
-    """The barriers' builder for one robot.
+    """Returns the scene for a robot with this model.
 
-    Raises InputError for a robot whose barriers no one wrote, settings of another one, or margins of unknown kinds.
+    Raises InputError for a robot without barriers, settings of another robot, or margins of unknown kinds.
     """
     robot = robot_like(model.system)
     if robot is None:
@@ -153,9 +146,9 @@ def _no_names(system: System) -> str:
     known = [one.system for one in robots().values()]
     reported = "; ".join(f"{', '.join(item.state_names)} with {', '.join(item.action_names)}" for item in known)
     return (
-        f"model: of the system '{system.name}', {', '.join(system.state_names)} with "
-        f"{', '.join(system.action_names) or 'no action'}; the service has barriers for {reported}; declare a robot of "
-        "your own (--robot-file), or filter it with the library, which takes barriers of your own"
+        f"model: no barriers for the system '{system.name}', {', '.join(system.state_names)} with "
+        f"{', '.join(system.action_names) or 'no action'}; the service has barriers for {reported}; declare your own "
+        "robot with --robot-file, or use the library with your own barriers"
     )
 
 
@@ -163,7 +156,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def propagate_obstacles(seen: SurroundingsMessage, seconds: float) -> SurroundingsMessage:
-    """What may move, wider by what it goes before an action that is chosen now begins to act."""
+    """Enlarges everything that may move by the distance it may travel in ``seconds``, until an action takes effect."""
     if seconds <= 0.0:
         return seen
     movers, hidden = (tuple(_inflated(row, width, seconds) for row in rows) for rows, width in _propagated(seen))
@@ -171,10 +164,11 @@ def propagate_obstacles(seen: SurroundingsMessage, seconds: float) -> Surroundin
 
 
 def _propagated(seen: SurroundingsMessage) -> tuple[tuple[Rows, int], tuple[Rows, int]]:
-    """Rows x, y, radius, ..., speed of what may move, with how many numbers each has to have."""
+    """Returns the rows (x, y, radius, ..., speed) of everything that may move, with the required length of a row."""
     return (seen.movers, 6), (seen.hidden, 4)
 
 
 def _inflated(row: tuple[float, ...], width: int, seconds: float) -> tuple[float, ...]:
-    """Of a row of another width the scene says that it has one."""
+    """Enlarges one row."""
+    # A row of another width is left as it is; the scene reports the error.
     return row if len(row) != width else (*row[:2], row[2] + row[-1] * seconds, *row[3:])

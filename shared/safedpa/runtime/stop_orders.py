@@ -1,8 +1,8 @@
-"""Orders to stop that are in force: kept on disk, so that a filter that is started again still knows them.
+"""Stop orders, stored on disk so that they remain in force when the filter restarts.
 
-Two kinds stand side by side: an order about one robot, and one about the whole fleet, robots that come later among
-them. A robot drives when neither is in force. What cannot be read counts as an order to stop everybody: an order that
-was lost would let robots drive that someone stopped.
+There are orders for one robot and orders for the whole fleet, including robots that join later. A robot may drive if
+neither is in force. If the file cannot be read, the whole fleet is stopped: a lost order would release a robot that a
+person has stopped.
 """
 
 from __future__ import annotations
@@ -22,40 +22,40 @@ from safedpa.limits import parse_json, text_of_file
 __all__ = ["EVERYBODY", "StopOrders"]
 
 EVERYBODY = "-"
-"""Stands for the robot in an order about the whole fleet."""
+"""Placeholder for the robot in an order for the whole fleet."""
 _FORMAT = 1
 
 
 class StopOrders:
-    """Who is to stand, and why. Asked in every tick by the filter, changed on any thread by ``answer``.
+    """The stop orders in force. The filter reads them every tick; ``answer`` changes them on any thread.
 
-    ``path`` is where the orders are kept; without it they are forgotten when this process ends, and the answers say so.
+    ``path`` is the file of the orders. Without it they are lost when this process ends, and the answers say so.
     """
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._lock = threading.Lock()
         self._active: Mapping[str, str] = MappingProxyType({} if path is None else _read(path))
-        """By robot: why it is to stand. Replaced as a whole, so that a tick reads it without waiting."""
+        """Reason of the order by robot. Replaced as a whole, so that a tick can read it without the lock."""
         self._ending = ""
 
     def reason(self, robot: str) -> str:
-        """Why the robot is to stand; empty: it may drive."""
+        """Returns why the robot has to stop; empty if it may drive."""
         return self._ending or self._active.get(EVERYBODY, "") or self._active.get(robot, "")
 
     def end(self, reason: str) -> None:
-        """Stops everybody until this process ends; never kept, so the next one lets them drive."""
+        """Stops all robots until this process ends; not stored, so they may drive under the next filter."""
         self._ending = reason
 
     @property
     def active(self) -> dict[str, str]:
-        """The orders in force, by robot; ``-`` is the whole fleet."""
+        """The orders in force by robot; ``-`` is the whole fleet."""
         return dict(self._active)
 
     def answer(self, robot: str, request: Request) -> Answer:
-        """``stop``, ``go`` or ``status`` about a robot, or about the fleet where the robot is ``-``.
+        """Handles ``stop``, ``go`` or ``status`` for a robot, or for the fleet (``-``).
 
-        Raises InputError for anything else.
+        Raises InputError for any other request.
         """
         if request.do == "status":
             return Answer(ok=True, sentence=self._reported(robot))
@@ -65,7 +65,7 @@ class StopOrders:
             return self._stop(robot, request.who) if request.do == "stop" else self._go(robot)
 
     def _stop(self, robot: str, who: str) -> Answer:
-        reason = f"ordered by {who or 'someone who gave no name'}"
+        reason = f"ordered by {who or 'an unnamed user'}"
         problem = self._change({**self._active, robot: reason})
         return Answer(ok=True, sentence=f"{_named(robot)} stops, {reason}{self._how_long(problem)}")
 
@@ -75,7 +75,7 @@ class StopOrders:
         if robot not in self._active:
             return Answer(ok=False, sentence=f"refused: {_named(robot)} is not stopped by an order{self._others()}")
         problem = self._change({name: why for name, why in self._active.items() if name != robot})
-        again = f"; but a filter that is started again will stop it again: {problem}" if problem else ""
+        again = f"; but a restarted filter will stop it again: {problem}" if problem else ""
         return Answer(ok=True, sentence=f"{_named(robot)} may drive{self._others()}{again}")
 
     def _others(self) -> str:
@@ -84,15 +84,16 @@ class StopOrders:
 
     def _reported(self, robot: str) -> str:
         reason = self.reason(robot)
-        return f"{_named(robot)} stands, {reason}" if reason else f"{_named(robot)} may drive{self._others()}"
+        return f"{_named(robot)} is stopped, {reason}" if reason else f"{_named(robot)} may drive{self._others()}"
 
     def _how_long(self, problem: str) -> str:
         if self._path is None:
-            return "; held until 'go' or the filter's end, since it keeps no file of orders"
-        return f"; held until 'go' or the filter's end: {problem}" if problem else "; held until 'go'"
+            return "; valid until 'go' or the end of the filter, which has no file of orders"
+        return f"; valid until 'go' or the end of the filter: {problem}" if problem else "; valid until 'go'"
 
     def _change(self, active: dict[str, str]) -> str:
-        """Puts the orders in force, then on disk; what went wrong with the disk, or nothing."""
+        """Applies the orders, then writes them to disk; returns a problem with the disk, or an empty text."""
+        # Applied first: a slow or full disk must not delay a stop.
         self._active = MappingProxyType(active)
         if self._path is None:
             return ""
@@ -108,16 +109,16 @@ def _named(robot: str) -> str:
 
 
 def _read(path: Path) -> dict[str, str]:
-    """The orders kept; one to stop everybody where the file is there but cannot be read."""
+    """Reads the stored orders; returns an order for the whole fleet if the file exists but cannot be read."""
     try:
         text = text_of_file(path, "json_bytes")
     except FileNotFoundError:
         return {}
     except (OSError, UnicodeDecodeError, InputError) as error:
-        return {EVERYBODY: f"since the orders in {path} cannot be read ({type(error).__name__})"}
+        return {EVERYBODY: f"because the orders in {path} cannot be read ({type(error).__name__})"}
     with contextlib.suppress(InputError, AttributeError):
         table = parse_json(text)
         orders = table.get("orders")
         if table.get("format") == _FORMAT and isinstance(orders, dict):
             return {str(robot): str(why) for robot, why in orders.items()}
-    return {EVERYBODY: f"since {path} holds no orders of format {_FORMAT}"}
+    return {EVERYBODY: f"because {path} has no orders of format {_FORMAT}"}

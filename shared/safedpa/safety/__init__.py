@@ -1,10 +1,9 @@
-"""The safety filter: barriers, the program that chooses an action, margins and the verdict.
+"""The safety filter: barriers, the optimisation that chooses an action, margins and the verdict.
 
-Reading order: ``verdict`` (what the filter answers), ``filter`` (the entry point), ``decision`` (one decision),
-``solver.constraints`` (the CBF constraints), ``solver.sqp`` (the nearest feasible action), ``solver.least_violation``
-(no action is feasible), ``barriers.base`` (h and its derivatives), ``margins.conformal`` (the margin).
-
-A name is imported when it is first used: a process that needs only the settings loads no solver.
+These eight files hold the whole promise, in reading order: ``verdict`` (the result), ``filter`` (the entry point),
+``decision`` (one decision), ``solver.constraints`` (the CBF constraints), ``solver.sqp`` (nearest feasible action),
+``solver.least_violation`` (no action is feasible), ``barriers.base`` (h and its derivatives), ``margins.conformal``
+(the margin). Names are imported on first use, so that a process that needs only the settings loads no solver.
 """
 
 import importlib
@@ -86,7 +85,7 @@ _HOMES = {
     "validation": "Plausible",
     "verdict": "Status Verdict",
 }
-"""By module of this package, what of it is named here."""
+"""Public names by module of this package."""
 _HOME = {name: f"safedpa.safety.{module}" for module, names in _HOMES.items() for name in names.split()}
 
 

@@ -1,4 +1,8 @@
-"""One decision: from inputs to a verdict, down the ladder of fallbacks."""
+"""One decision: from inputs to a verdict, with every fallback in between.
+
+Order of the fallbacks: the nominal action, the nearest feasible action (SQP), a feasible action from another start, the
+least-violation action, the backup action, the resting action.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +19,14 @@ from safedpa.safety.barriers.stack import BarrierSetCache
 from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.solver.candidates import NEARBY, HeldSolution, action_grid, grid_around
+from safedpa.safety.solver.candidates import STEP_SHARES, HeldSolution, action_grid, grid_around
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa.safety.solver.least_violation import least_violation
 from safedpa.safety.solver.maximin_lp import MaxMinProgram
 from safedpa.safety.solver.qp import QuadraticProgram
-from safedpa.safety.solver.qp_scaling import within
+from safedpa.safety.solver.qp_scaling import clip_to_bounds
 from safedpa.safety.solver.sqp import DecisionError, backtrack_towards, line_search
-from safedpa.safety.solver.sqp import search as _search
+from safedpa.safety.solver.sqp import solve_sqp as _search
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input, checked_names, checked_output
 from safedpa.safety.verdict import Status, Verdict
 
@@ -32,30 +36,30 @@ Action: TypeAlias = tuple[float, ...]
 Backup = Callable[[FloatArray | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
-search: Callable[..., tuple[ActionCandidate, str]] = _search
-"""Looked up at every call, compiled or not: tests put others in its place."""
+solve_sqp: Callable[..., tuple[ActionCandidate, str]] = _search
+"""A module attribute that is looked up at every call, compiled or not, so that tests can replace the search."""
 
 _BINDING: Final = 0.02
-"""A condition within this share of its scale of its limit is reported as active."""
+"""A condition whose residual is at most this share of its scale is reported as active."""
 
 
 _NAMED: Final = 3
-"""Barriers that a sentence names at most."""
+"""Largest number of barriers that a sentence names."""
 
 _STARTS: Final = 3
-"""Actions that satisfy all conditions from which a nearer one is looked for."""
+"""Number of feasible actions from which the search for a nearer one starts."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class FilterContext:
-    """What does not change from tick to tick."""
+    """The parts of a filter that do not change from tick to tick."""
 
     settings: FilterSettings
     prediction: Prediction
     program: QuadraticProgram
-    highest: MaxMinProgram
-    stacks: BarrierSetCache
+    maximin_lp: MaxMinProgram
+    barrier_sets: BarrierSetCache
     margins: ActiveMargins
     backup: Backup | None
     resting_action: Action
@@ -67,7 +71,7 @@ class FilterContext:
 
 @final
 class FilterInput:
-    """What one tick brings; nothing of it is trusted."""
+    """The inputs of one tick, all of them untrusted."""
 
     def __init__(
         self,
@@ -79,85 +83,95 @@ class FilterInput:
         epsilon: Mapping[str, float],
         stale: Sequence[str],
         time: Any = None,
-        searched: Any = None,
+        held_solution: Any = None,
     ) -> None:
         self.state, self.nominal, self.latent, self.memory = state, nominal, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
-        self.searched = searched if isinstance(searched, HeldSolution) else HeldSolution()
+        # A foreign object is replaced instead of refused: it can only save time, never change what is safe.
+        self.held_solution = held_solution if isinstance(held_solution, HeldSolution) else HeldSolution()
 
 
 @final
 class Decision:
-    """What is known so far of one decision, so that a failure half way can still report it."""
+    """One decision. It keeps what is known so far, so that a failure half way can still report it."""
 
     def __init__(self, tools: FilterContext, request: FilterInput) -> None:
         self._tools, self._request = tools, request
         self._start = tools.clock()
         stale = checked_names(request.stale)
+        # All problems are collected, not only the first: a user who fixes one should not find the next one by another
+        # run.
         self._problems = ["stale is no list of names"] if stale is None else [f"{name} is stale" for name in stale]
         self._state = self._checked("state", request.state, tools.state_range)
+        # An unreadable ``stale`` may have meant the state, so the state counts as stale too.
         if stale is None or "state" in stale:
             self._state = None
         self._nominal = self._checked("nominal", request.nominal, tools.nominal_range)
         wanted = tools.latent_range
+        # A latent without a range is optional: it is checked only if the model needs it or the caller gave one.
         self._needs_latent = wanted is not None and len(wanted.names) > 0
         given = self._needs_latent or request.latent is not None
         self._latent = self._checked("latent", request.latent, wanted) if given else None
         self._seconds = nan
-        """Since the start of the run; NaN: not told."""
+        """Seconds since the start of the run; NaN: not reported."""
         self._report_time(request.time)
         self._margin = 0.0
-        self._conditions: Constraints | None = None
+        self._constraints: Constraints | None = None
 
     def _report_time(self, seconds: Any) -> None:
-        """A model that depends on the time since the start is asked at that time, and not at all without it."""
+        """Passes the time to the model; a problem if the model depends on time and none was given."""
         prediction = self._tools.prediction
         reported = float(seconds) if isinstance(seconds, (float, int)) else nan
         if 0.0 <= reported < inf:
             self._seconds = reported
             prediction.report_time(self._seconds)
-        elif prediction.timed:  # to any other model the time says nothing
+        elif prediction.timed:  # any other model ignores the time
             self._problems.append(
                 f"time: got {seconds!r}, wanted the seconds since the start of the run, on which the model depends"
             )
 
     def run(self) -> Verdict:
-        """The verdict; raises DecisionError, or whatever a user's function raises, when there is none."""
+        """Returns the verdict. Raises DecisionError, or whatever a user's function raises, if there is none."""
         if self._problems:
             raise DecisionError("; ".join(self._problems))
         assert self._nominal is not None
-        conditions = self._posed()
-        clipped = self._within(self._nominal)
+        constraints = self._build_constraints()
+        # Equal tuples may still differ in the sign of zero; the nominal action is then passed on bit for bit.
+        clipped = self._clip(self._nominal)
         unclipped = clipped == self._nominal
-        asked = conditions.outcome(self._nominal if unclipped else clipped)  # bit for bit, -0.0 as well
+        nominal_candidate = constraints.evaluate(self._nominal if unclipped else clipped)
+        # A disabled filter still evaluates h, so that its verdict shows what the nominal action leads to.
         if not self._tools.settings.enabled:
-            return self._verdict(Status.disabled, asked, "", "not run")
-        if conditions.least_now < 0.0:
-            return self._violated(conditions, asked)
-        if asked.kept:
+            return self._verdict(Status.disabled, nominal_candidate, "", "not run")
+        # Below 0 the condition (1 - eta) h + epsilon may itself be negative: satisfying it would not lead back to
+        # safety.
+        if constraints.min_h_now < 0.0:
+            return self._violated(constraints, nominal_candidate)
+        if nominal_candidate.is_feasible:
             if unclipped:
-                return self._verdict(Status.passed, asked, "", "not needed")
+                return self._verdict(Status.passed, nominal_candidate, "", "not needed")
             return self._verdict(
-                Status.corrected, asked, "The nominal action lay outside the actuator limits.", "not needed"
+                Status.corrected, nominal_candidate, "The nominal action lay outside the actuator limits.", "not needed"
             )
-        return self._correct(conditions, self._nominal, asked)
+        return self._correct(constraints, self._nominal, nominal_candidate)
 
     def fallback(self, reason: str, solver: str) -> Verdict:
-        """The backup action, and of what it leads to whatever can still be computed; raises nothing."""
+        """Returns the backup action with what can still be computed about it; raises nothing."""
         action, status = self._backup_action(), Status.fallback
+        # A filter that is switched off must not take control because of a failure of its own.
         if self._nominal is not None and not self._tools.settings.enabled:
-            action, status = self._within(self._nominal), Status.disabled
+            action, status = self._clip(self._nominal), Status.disabled
         return self._unchecked(status, action, f"Reason: {reason}.", solver)
 
     def stopped(self, reason: str) -> Verdict:
-        """The backup action because someone ordered it, and of what it leads to whatever can be computed."""
+        """Returns the backup action because of a stop order, with what can still be computed about it."""
         return self._unchecked(Status.stopped, self._backup_action(), f"Reason: {reason}.", "not run")
 
     def _unchecked(self, status: Status, action: Action, reason: str, solver: str) -> Verdict:
         try:
-            conditions = self._conditions or self._posed()
-            return self._verdict(status, conditions.outcome(action), reason, solver)
-        except Exception:  # noqa: BLE001 - the same failure may strike again; then h stays unknown
+            constraints = self._constraints or self._build_constraints()
+            return self._verdict(status, constraints.evaluate(action), reason, solver)
+        except Exception:  # noqa: BLE001 - the same failure may occur again; then h stays unknown
             return self._answer(status, action, reason, solver)
 
     def _checked(self, what: str, value: Any, plausible: Plausible | None) -> Action | None:
@@ -167,16 +181,17 @@ class Decision:
             return None
         return checked
 
-    def _posed(self) -> Constraints:
-        """The conditions at this state; raises DecisionError when an input that they need is missing."""
+    def _build_constraints(self) -> Constraints:
+        """Builds the CBF constraints at this state. Raises DecisionError if an input that they need is missing."""
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        barriers = self._tools.stacks.of(request.barriers, len(self._state))
+        barriers = self._tools.barrier_sets.get(request.barriers, len(self._state))
+        # Without this check every action would be feasible, and a forgotten barrier list would switch the filter off.
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
-        epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
-        self._conditions = Constraints(
+        epsilon, self._margin = self._tools.margins.resolve(barriers, request.epsilon)
+        self._constraints = Constraints(
             barriers,
             self._tools.prediction,
             self._state,
@@ -186,139 +201,173 @@ class Decision:
             epsilon,
             self._tools.program.sides,
         )
-        return self._conditions
+        return self._constraints
 
-    def _correct(self, conditions: Constraints, nominal: Action, asked: ActionCandidate) -> Verdict:
+    def _correct(self, constraints: Constraints, nominal: Action, nominal_candidate: ActionCandidate) -> Verdict:
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
-        found, solver = search(conditions, program, nominal, asked, rounds)
-        if found.kept:
-            return self._kept(conditions, nominal, found, "", solver)
-        searched = self._request.searched
-        held = searched.still(conditions, program.sides, self._seconds)
-        if held is not None and not held.kept:
-            notice = f"{self._worst(conditions, held)}{searched.notice} Found a moment ago, and no worse now."
-            return self._verdict(Status.relaxed, held, notice, solver)
-        backup = conditions.outcome(self._backup_action())
-        spread = self._spread(conditions)
-        other, solver = self._restart_from(conditions, nominal, asked, [backup, *spread])
-        if other.kept:
-            return self._kept(conditions, nominal, other, "Found from another start than the nominal action.", solver)
-        nearby = self._coordinate_search(conditions, [backup, found, other, *spread])
-        if nearby.kept:
-            other, solver = self._restart_from(conditions, nominal, asked, [nearby])
-            return self._kept(conditions, nominal, other, "Found next to the least broken of many actions.", solver)
-        best, notice = self._least_violation(conditions, backup, [asked, found, other, nearby, *spread])
-        if best.kept:
-            other, solver = self._restart_from(conditions, nominal, asked, [best])
-            return self._kept(conditions, nominal, other, "Found among the least-violation actions.", solver)
-        searched.note(best, self._seconds, notice)
-        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{notice}", solver)
+        found, solver = solve_sqp(constraints, program, nominal, nominal_candidate, rounds)
+        if found.is_feasible:
+            return self._finish_feasible(constraints, nominal, found, "", solver)
+        # The remaining steps take some seventy evaluations; within 0.05 s of the last full search its result is reused.
+        held_solution = self._request.held_solution
+        reused = held_solution.reuse_if_no_worse(constraints, program.sides, self._seconds)
+        # A reused action that has become feasible must not be returned: the nearest feasible one is then found below.
+        if reused is not None and not reused.is_feasible:
+            names = self._violated_names(constraints, reused)
+            notice = f"{names}{held_solution.notice} Found a moment ago, and no worse now."
+            return self._verdict(Status.relaxed, reused, notice, solver)
+        backup = constraints.evaluate(self._backup_action())
+        grid = self._evaluate_grid(constraints)
+        # The SQP may fail although a feasible action exists: the tangent at the nominal action can point the wrong way.
+        other, solver = self._restart_from(constraints, nominal, nominal_candidate, [backup, *grid])
+        if other.is_feasible:
+            return self._finish_feasible(
+                constraints, nominal, other, "Found from another start than the nominal action.", solver
+            )
+        nearby = self._coordinate_search(constraints, [backup, found, other, *grid])
+        # A feasible action found by sampling is feasible, not nearest: the SQP restarts from it.
+        if nearby.is_feasible:
+            other, solver = self._restart_from(constraints, nominal, nominal_candidate, [nearby])
+            return self._finish_feasible(
+                constraints, nominal, other, "Found by a search around the least-violation sample.", solver
+            )
+        best, notice = self._least_violation(constraints, backup, [nominal_candidate, found, other, nearby, *grid])
+        if best.is_feasible:
+            other, solver = self._restart_from(constraints, nominal, nominal_candidate, [best])
+            return self._finish_feasible(
+                constraints, nominal, other, "Found among the least-violation actions.", solver
+            )
+        held_solution.store(best, self._seconds, notice)
+        return self._verdict(Status.relaxed, best, f"{self._violated_names(constraints, best)}{notice}", solver)
 
-    def _kept(
-        self, conditions: Constraints, nominal: Action, found: ActionCandidate, reason: str, solver: str
+    def _finish_feasible(
+        self, constraints: Constraints, nominal: Action, found: ActionCandidate, reason: str, solver: str
     ) -> Verdict:
-        """Corrected to what was found, with no entry that might be a step nearer by itself; once posed from there."""
+        """Returns ``corrected`` after moving each entry back to the nominal action as far as the constraints allow."""
         program = self._tools.program
-        back = backtrack_towards(conditions, program.sides, nominal, found)
+        back = backtrack_towards(constraints, program.sides, nominal, found)
         if back is not found:
-            again, _ = search(conditions, program, nominal, back, 1)
-            nearer = again.kept and program.distance(again.action, nominal) < program.distance(back.action, nominal)
+            # One more program from there: the other entries may now come nearer as well.
+            again, _ = solve_sqp(constraints, program, nominal, back, 1)
+            nearer = again.is_feasible and program.distance(again.action, nominal) < program.distance(
+                back.action, nominal
+            )
             found = again if nearer else back
         return self._verdict(Status.corrected, found, reason, solver)
 
     def _restart_from(
-        self, conditions: Constraints, nominal: Action, asked: ActionCandidate, known: Sequence[ActionCandidate]
+        self,
+        constraints: Constraints,
+        nominal: Action,
+        nominal_candidate: ActionCandidate,
+        known: Sequence[ActionCandidate],
     ) -> tuple[ActionCandidate, str]:
-        """The best outcome found from the kept ones of ``known`` that are nearest to the nominal action, or the least broken."""
+        """The feasible action nearest to the nominal one, searched from the nearest feasible of ``known``.
+
+        If none of ``known`` is feasible, the search starts at the one with the largest scaled residual.
+        """
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
-        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, nominal))
-        if not kept:
-            return search(conditions, program, nominal, max(known, key=conditions.tightest), rounds)
-        best, status = kept[0], "not needed"
-        for start in kept[:_STARTS]:
-            nearer = line_search(conditions, asked, start)
-            found, solver = search(conditions, program, nominal, nearer, rounds)
+        feasible = sorted(
+            [one for one in known if one.is_feasible], key=lambda one: program.distance(one.action, nominal)
+        )
+        if not feasible:
+            return solve_sqp(constraints, program, nominal, max(known, key=constraints.min_scaled_residual), rounds)
+        best, status = feasible[0], "not needed"
+        for start in feasible[:_STARTS]:
+            # The search starts at the boundary: a tangent drawn deep inside says little about where the boundary is.
+            nearer = line_search(constraints, nominal_candidate, start)
+            found, solver = solve_sqp(constraints, program, nominal, nearer, rounds)
             for one in (nearer, found):
-                if one.kept and program.distance(one.action, nominal) < program.distance(best.action, nominal):
+                if one.is_feasible and program.distance(one.action, nominal) < program.distance(best.action, nominal):
                     best, status = one, solver
         return best, status
 
-    def _coordinate_search(self, conditions: Constraints, known: Sequence[ActionCandidate]) -> ActionCandidate:
-        """The least broken that is found by moving the least broken of ``known`` one entry at a time, less and less.
+    def _coordinate_search(self, constraints: Constraints, known: Sequence[ActionCandidate]) -> ActionCandidate:
+        """Moves the best of ``known`` one action entry at a time, by ever smaller steps; returns the best found.
 
-        Where h bends, as at a standstill, no tangent tells what the other side is like.
+        It needs no gradient: at a kink of h, such as zero speed, a tangent says nothing about the other side.
         """
         sides = self._tools.program.sides
-        best = max([one for one in known if one.usable] or known, key=conditions.tightest)
-        most = conditions.tightest(best)
-        for share in NEARBY:
-            if best.kept:
+        best = max([one for one in known if one.is_finite] or known, key=constraints.min_scaled_residual)
+        most = constraints.min_scaled_residual(best)
+        for share in STEP_SHARES:
+            if best.is_feasible:
                 break
-            for tried in [conditions.outcome(one) for one in grid_around(sides, best.action, share)]:
-                if tried.usable and conditions.tightest(tried) > most:
-                    best, most = tried, conditions.tightest(tried)
-        if best.kept:
+            for tried in [constraints.evaluate(one) for one in grid_around(sides, best.action, share)]:
+                if tried.is_finite and constraints.min_scaled_residual(tried) > most:
+                    best, most = tried, constraints.min_scaled_residual(tried)
+        if best.is_feasible:
             return best
-        found, _ = search(conditions, self._tools.program, best.action, best, 2)
+        # Two rounds from the sample: coordinate steps alone stop short of a corner of two constraints.
+        found, _ = solve_sqp(constraints, self._tools.program, best.action, best, 2)
         return found
 
-    def _violated(self, conditions: Constraints, asked: ActionCandidate) -> Verdict:
-        backup = conditions.outcome(self._backup_action())
-        best, notice = self._least_violation(conditions, backup, [asked, *self._spread(conditions)])
-        names, h_now = conditions.barriers.names, conditions.h_now
+    def _violated(self, constraints: Constraints, nominal_candidate: ActionCandidate) -> Verdict:
+        backup = constraints.evaluate(self._backup_action())
+        best, notice = self._least_violation(
+            constraints, backup, [nominal_candidate, *self._evaluate_grid(constraints)]
+        )
+        names, h_now = constraints.barriers.names, constraints.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
         return self._verdict(Status.violated, best, f"Below 0: {below}.{notice}", "solved")
 
-    def _spread(self, conditions: Constraints) -> list[ActionCandidate]:
+    def _evaluate_grid(self, constraints: Constraints) -> list[ActionCandidate]:
         tools = self._tools
-        return [conditions.outcome(one) for one in action_grid(tools.program.sides, affine=tools.prediction.affine)]
+        return [constraints.evaluate(one) for one in action_grid(tools.program.sides, affine=tools.prediction.affine)]
 
     def _least_violation(
-        self, conditions: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
+        self, constraints: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
     ) -> tuple[ActionCandidate, str]:
-        """The least-violation outcome, and what is to be said of barriers that no action moves."""
+        """The least-violation action, and a sentence about barriers that no action can influence."""
         assert self._nominal is not None
         tools = self._tools
-        best, stuck = least_violation(conditions, tools.program, tools.highest, self._nominal, backup, known)
-        if not stuck:
+        best, uncontrollable = least_violation(
+            constraints, tools.program, tools.maximin_lp, self._nominal, backup, known
+        )
+        if not uncontrollable:
             return best, ""
         return (
             best,
-            f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the nominal action.",
+            f" No action changes {', '.join(uncontrollable[:_NAMED])} within one step: "
+            "the backup is used as the nominal action.",
         )
 
-    def _worst(self, conditions: Constraints, best: ActionCandidate) -> str:
-        """Which conditions cannot be kept, in words."""
-        names = conditions.active_names(best, 0.0)
-        return f"Not kept: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
+    def _violated_names(self, constraints: Constraints, best: ActionCandidate) -> str:
+        """A sentence with the constraints that the action violates."""
+        names = constraints.active_names(best, 0.0)
+        return f"Not satisfied: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
 
     def _backup_action(self) -> Action:
-        """The user's backup within the bounds; the resting action where there is none or it fails."""
+        """The user's backup clipped to the bounds; the resting action if there is none or it fails."""
         if self._tools.backup is None:
             return self._tools.resting_action
         try:
+            # A copy: the user's function may write into the state that it gets.
             state = None if self._state is None else np.array(self._state)
             action = checked_output("backup", self._tools.backup(state))
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
         if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
             return self._tools.resting_action
-        return self._within(tuple(action.tolist()))
+        return self._clip(tuple(action.tolist()))
 
-    def _within(self, action: Action) -> Action:
-        return within(action, self._tools.program.sides)
+    def _clip(self, action: Action) -> Action:
+        return clip_to_bounds(action, self._tools.program.sides)
 
-    def _verdict(self, status: Status, outcome: ActionCandidate, reason: str, solver: str) -> Verdict:
-        if not outcome.usable:
-            return self._answer(status, outcome.action, reason, solver)
-        conditions = self._conditions
-        active = () if conditions is None else conditions.active_names(outcome, _BINDING)
-        least = outcome.least
-        if conditions is not None and conditions.least_pending < least:
-            least = conditions.least_pending
-            if least < 0.0 and status in (Status.passed, Status.corrected):
-                status, reason = Status.relaxed, "Some h falls below 0 before this action can act."
-        return self._answer(status, outcome.action, reason, solver, outcome.violation, active, least)
+    def _verdict(self, status: Status, candidate: ActionCandidate, reason: str, solver: str) -> Verdict:
+        # Without finite predictions the verdict reports h as unknown instead of as infinite.
+        if not candidate.is_finite:
+            return self._answer(status, candidate.action, reason, solver)
+        constraints = self._constraints
+        active = () if constraints is None else constraints.active_names(candidate, _BINDING)
+        min_h_next = candidate.min_h_next
+        # While commands are in flight h may fall below 0 before this action takes effect. The verdict must not say
+        # "passed".
+        if constraints is not None and constraints.min_h_in_flight < min_h_next:
+            min_h_next = constraints.min_h_in_flight
+            if min_h_next < 0.0 and status in (Status.passed, Status.corrected):
+                status, reason = Status.relaxed, "Some h falls below 0 before this action takes effect."
+        return self._answer(status, candidate.action, reason, solver, candidate.violation, active, min_h_next)
 
     def _answer(
         self,
@@ -330,9 +379,10 @@ class Decision:
         active: tuple[str, ...] = (),
         h_next: float | None = None,
     ) -> Verdict:
+        # Read-only, so that no consumer of the verdict can change the action that the log and the robot share.
         taken = np.array(action)
         taken.setflags(write=False)
-        conditions = self._conditions
+        constraints = self._constraints
         return Verdict.of(
             {
                 "action": taken,
@@ -340,12 +390,12 @@ class Decision:
                 "reason": reason,
                 "slack": slack,
                 "active": active,
-                "h_now": 0.0 if conditions is None else conditions.least_now,
+                "h_now": 0.0 if constraints is None else constraints.min_h_now,
                 "h_next": 0.0 if h_next is None else h_next,
                 "margin": self._margin,
                 "solver": solver,
                 "microseconds": 1e6 * (self._tools.clock() - self._start),
                 "nominal": None if self._nominal is None else np.array(self._nominal),
-                "known": conditions is not None and h_next is not None,
+                "known": constraints is not None and h_next is not None,
             }
         )

@@ -1,4 +1,4 @@
-"""Settings and margins that ship with the project, by the name of the model that they belong to."""
+"""The settings and margins that ship with the project, by the name of the model that they belong to."""
 
 from __future__ import annotations
 
@@ -7,39 +7,44 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.dynamics.own import load_own_of_environment
+from safedpa.dynamics.user_files import load_user_files
 from safedpa.errors import InputError, did_you_mean
-from safedpa.robot import robot_named, robots
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.safety.settings import FilterSettings, load_settings
+from safedpa.systems.robots import robot_named, robots
 
 __all__ = ["margin_for", "settings_named"]
 
 
 def settings_named(source: str) -> FilterSettings:
-    """Settings from a file, or those of the robot of that name. Raises InputError naming file and key."""
-    load_own_of_environment()
+    """Reads settings from a file, or returns those of the robot of that name. Raises InputError naming file and key."""
+    # A user's robots may be declared in files that the environment names; without them their names are unknown.
+    load_user_files()
     declared = source in robots() and not Path(source).exists() and source not in _shipped("named_settings")
     return robot_named(source).settings() if declared else load_settings(_path(source, "named_settings"))
 
 
 def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | None:
-    """The calibration in a file or under a name; without one the shipped one of this very model, or None.
+    """The calibration in a file or under a name; without ``source`` the shipped one of exactly this model, or None.
 
-    With those of its longer steps, where they ship. Raises InputError when it cannot be read.
+    It includes the shipped margins for longer steps. Raises InputError if it cannot be read.
     """
     if source:
         return MarginCalibration.load(_path(source, "named_margins"))
     shipped = map(MarginCalibration.load, _shipped("named_margins").values())
+    # By fingerprint, not by name: a margin of a model with other parameters would promise a coverage that was never
+    # measured.
     found = sorted((one for one in shipped if one.fingerprint == fingerprint(model)), key=lambda one: one.period)
     if not found:
         return None
+    # A table with less coverage would weaken the promise of the whole calibration.
     slower = [one for one in found[1:] if one.coverage >= found[0].coverage]
     return replace(found[0], slower={f"{one.period:g}": one.epsilon for one in slower})
 
 
 def _path(source: str, kind: str) -> Path:
     path = Path(source)
+    # A file in the working directory takes precedence over a shipped name, as for all other file arguments.
     if path.exists():
         return path
     shipped = _shipped(kind)

@@ -1,7 +1,7 @@
-"""The error of a place without finite slopes; in a module of its own, since no compiled one may define it.
+"""The error of a point without finite derivatives; in a module of its own, since a compiled module may not define it.
 
-mypyc lays out a class by its bases, and knows those of other modules not at all: an exception of such a base had the
-memory of something else for its words, and the process ended with it.
+mypyc lays out a class in memory by its bases, and does not know the layout of a base in another module: an exception
+defined there corrupted memory and crashed the process.
 """
 
 from __future__ import annotations
@@ -15,4 +15,4 @@ __all__ = ["NotFiniteError"]
 
 @final
 class NotFiniteError(InputError):
-    """Model or barrier have no finite slopes there: no tangent, though there may be one elsewhere."""
+    """Model or barrier have no finite derivatives at this point; they may have them elsewhere."""

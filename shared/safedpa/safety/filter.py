@@ -1,13 +1,13 @@
-"""The safety filter: the nearest safe action to a nominal action, and a verdict about it, whatever comes in.
+"""The safety filter: returns the safe action nearest to a nominal action, and a verdict, whatever the inputs are.
 
-Each tick it looks for
+Each tick it solves
 
     min over a, s   (a - nominal)' W (a - nominal) + rho |s|^2 + rho1 sum s
     subject to      p_i'(f + g a) + q_i >= (1 - eta) h_i(x) + epsilon_i - s_i   for every barrier i
                     action_low <= a <= action_high,   s >= 0
 
-where p_i'x + q_i is the tangent of h_i at the predicted next state. The conditions are then evaluated at the model's
-own prediction for the solution and posed again about it if they do not hold there; the verdict reports what holds.
+where p_i'x + q_i is the tangent of h_i at the predicted next state. The constraints are then evaluated at the model's
+own prediction for the solution, and linearised again there if they do not hold; the verdict reports what holds.
 """
 
 from __future__ import annotations
@@ -45,24 +45,25 @@ from safedpa.safety.verdict import Status, Verdict, resting_verdict
 __all__ = ["SafetyFilter"]
 
 _TWO_AT_ONCE = (
-    "another decision of this filter is under way, in another thread or within one of its own functions; "
+    "another decision of this filter is in progress, in another thread or within one of its own functions; "
     "give every thread a filter of its own"
 )
 
 
 @final
 class SafetyFilter:
-    """Keeps h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier, as far as the actuators can.
+    """Enforces h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier, as far as the actuators can.
 
-    ``affine`` and ``step`` as in ``Prediction``; ``backup`` gives the action to take without a decision (default:
-    ``settings.resting_action``). ``state_range`` and ``latent_range`` say what is believed; with a latent range that
-    has entries a latent must be given. ``barriers`` is None where every decision brings its own.
+    ``affine`` and ``step`` are as in ``Prediction``. ``backup`` returns the action that is used when no decision can be
+    computed (default: ``settings.resting_action``). Inputs outside ``state_range`` and ``latent_range`` are refused; a
+    latent range with entries makes the latent mandatory. ``barriers`` is None if every call of ``decide`` passes them.
 
-    Not to be shared between threads: the solver's workspaces are reused. Who asks while another thread's decision is
-    under way gets the resting action and is told so. ``copy.deepcopy`` makes another filter of the same.
+    An instance must not be shared between threads, since the solver's workspaces are reused: a concurrent call returns
+    the resting action and says so. ``copy.deepcopy`` makes an independent filter with the same settings.
 
-    Raises InputError for settings of another system or with bounds that the model's actions cannot take, for barriers
-    that read other states, for none, for a margin that belongs to none of them, and for a backup of another size.
+    Raises InputError for settings of another system, for bounds that the model's actions cannot take, for an empty list
+    of barriers, for barriers of other states, for a margin that belongs to none of them, and for a backup of another
+    size.
     """
 
     def __init__(
@@ -78,11 +79,12 @@ class SafetyFilter:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         prediction = affine if isinstance(affine, Prediction) else Prediction(affine, step)
-        for what, believed in (("state_range", state_range), ("latent_range", latent_range)):
-            if believed is not None and not isinstance(believed, Plausible):
-                raise InputError(f"{what}: got {type(believed).__name__}, wanted Plausible(low, high, names)")
+        for what, given_range in (("state_range", state_range), ("latent_range", latent_range)):
+            if given_range is not None and not isinstance(given_range, Plausible):
+                raise InputError(f"{what}: got {type(given_range).__name__}, wanted Plausible(low, high, names)")
         states = _names_of_states(prediction, state_range)
         own = check_barriers(barriers, states)
+        # Functions do not name their system: what they do not say cannot be compared, and is then not assumed.
         if prediction.system is None:
             check_settings_of_functions(settings, states, own)
         else:
@@ -90,23 +92,28 @@ class SafetyFilter:
         check_margins(settings.epsilon, own)
         check_backup(backup, len(settings.action_low))
         self.settings = settings
+        # All checks run at construction: a mistake in the configuration must show before the robot drives.
         self._barriers = own or ()
         self._one_at_a_time = Lock()
         low, high = settings.low, settings.high
+        # A nominal action far outside the actuator range is more likely a wrong unit than a request: it is refused, not
+        # clipped.
         reach = settings.plausible_nominal * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
         self.tools = FilterContext(
             settings=settings,
             prediction=prediction,
             program=QuadraticProgram(low, high, settings.weight_vector),
-            highest=MaxMinProgram(len(low)),
-            stacks=BarrierSetCache(states),
+            maximin_lp=MaxMinProgram(len(low)),
+            barrier_sets=BarrierSetCache(states),
             margins=ActiveMargins(settings.epsilon),
             backup=backup,
             resting_action=tuple(settings.resting_action.tolist()),
             state_range=state_range,
             nominal_range=Plausible(low - reach, high + reach, names),
             latent_range=latent_range,
+            # A user's clock may raise or return text; only the monotonic clock of the standard library is used as it
+            # is.
             clock=clock if clock is time.perf_counter else FiniteClock(clock),
         )
 
@@ -118,9 +125,9 @@ class SafetyFilter:
         barriers: Sequence[AbstractBarrier] | None = None,
         backup: Backup | None = None,
     ) -> SafetyFilter:
-        """A filter that predicts with a model of this project and believes what lies within its bounds.
+        """A filter that predicts with a model of this project and refuses inputs outside the model's bounds.
 
-        Without ``barriers`` every ``decide`` brings its own. A model with a latent wants one in every ``decide``.
+        Without ``barriers`` every call of ``decide`` passes them. A model with a latent needs one in every call.
         """
         system = model.system
         return cls(
@@ -128,17 +135,18 @@ class SafetyFilter:
             barriers,
             settings,
             backup=backup,
+            # The system's own bounds: outside them the model was never identified.
             state_range=Plausible(system.state_low, system.state_high, system.state_names),
             latent_range=_latent_range(model),
         )
 
     @property
     def barriers(self) -> tuple[AbstractBarrier, ...]:
-        """The barriers that ``decide`` keeps where it is given none."""
+        """The barriers that ``decide`` uses when it is given none."""
         return self._barriers
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy, here or in another process, is made again: with a solver's memory and a turn of its own."""
+        """A copy, here or in another process, is constructed again: with its own solver workspace and lock."""
         tools = self.tools
         ranges = tools.state_range, tools.latent_range
         return _rebuilt, (tools.prediction, self._barriers or None, self.settings, tools.backup, *ranges, tools.clock)
@@ -154,27 +162,29 @@ class SafetyFilter:
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
         time: float | None = None,
-        searched: HeldSolution | None = None,
+        held_solution: HeldSolution | None = None,
     ) -> Verdict:
-        """The verdict for ``state`` (states,), ``nominal`` (actions,), ``latent`` (latents,); raises nothing.
+        """Returns the verdict for ``state`` (states,), ``nominal`` (actions,), ``latent`` (latents,); raises nothing.
 
-        ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
-        the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
-        ``time`` [s] since the start of the run; a model that depends on it has the backup without. ``searched`` is what
-        is remembered of this robot's last search for the least-violation action; without, every tick searches wholly.
+        ``barriers`` replaces the filter's own for this call. ``epsilon`` overrides margins by kind. ``memory`` is the
+        state of the model's actuators. ``stale`` names inputs that are too old: each of them leads to the backup
+        action. ``time`` [s] is the time since the start of the run; a model that depends on it uses the backup without
+        it. ``held_solution`` is this robot's last least-violation search; without it every tick runs the full search.
         """
-        request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, searched)
+        request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, held_solution)
         return self._answer(_decided, request)
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
-        """The verdict where nothing but the nominal action is missing, for a robot that has no stand; arguments as in ``decide``.
+        """Returns the verdict when only the nominal action is missing, for a robot that has no safe standstill.
 
-        The resting action stands in for the nominal action, and the filter changes it as it would any: state and latent are good,
-        so the barriers can be kept. The verdict has no nominal action and says why. With anything else amiss it is the fallback.
+        The resting action replaces the nominal action and is filtered like any other: state and latent are valid, so
+        the barriers can be enforced. The verdict has no nominal action and says why; any other problem is a fallback.
         """
+        # Filtered, not applied as it is: the resting action of a pendulum lets it fall.
         verdict = self.decide(state, self.tools.resting_action, latent, **known)
         if verdict.status is Status.fallback:
             return replace(verdict, nominal=None)
+        # "passed" would claim that a nominal action was passed on, and there was none.
         status = Status.corrected if verdict.status is Status.passed else verdict.status
         notice = f"{verdict.reason} {absent[:1].upper()}{absent[1:]}: the resting action stood in for it.".strip()
         return replace(verdict, nominal=None, status=status, reason=notice)
@@ -189,18 +199,19 @@ class SafetyFilter:
         barriers: Sequence[AbstractBarrier] | None = None,
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
-        stationary_for: bool = True,
+        can_stop: bool = True,
         time: float | None = None,
     ) -> Verdict:
-        """The verdict while the robot is to stop for ``reason``, whatever action is requested; other arguments as in ``decide``.
+        """Returns the verdict while the robot is ordered to stop for ``reason``; other arguments as in ``decide``.
 
-        Where the backup action brings the robot to rest (``stands``) it is taken as it is: braking straight lowers no
-        h, and a robot that was stopped must not be led anywhere. A robot that has no stand, such as a pendulum, would
-        leave its corridor: there the resting action is requested, and the filter changes it as it would any nominal action; the
-        verdict is ``stopped`` where that satisfies every condition, and says what else came out where it does not.
+        If the backup action brings the robot to rest (``stands``), it is used as it is: braking straight lowers no h,
+        and a stopped robot must not be steered. A robot without a safe standstill, such as a pendulum, would leave its
+        corridor: there the resting action is filtered like a nominal action. The verdict is ``stopped`` if the result
+        satisfies every constraint, and otherwise keeps the status of the result.
         """
-        if stationary_for:
+        if can_stop:
             nominal = self.tools.resting_action
+            # A stop needs no valid nominal action; the resting action only fills its place in the checks.
             request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time)
             return replace(self._answer(lambda decision: decision.stopped(reason), request), nominal=None)
         verdict = self.decide(
@@ -213,9 +224,10 @@ class SafetyFilter:
             stale=stale,
             time=time,
         )
+        # A violation must stay visible, also while the robot is ordered to stop.
         if verdict.status not in (Status.passed, Status.corrected):
             return verdict
-        return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are kept.")
+        return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are satisfied.")
 
     def _request(
         self,
@@ -227,20 +239,21 @@ class SafetyFilter:
         epsilon: Any,
         stale: Any,
         time: Any,
-        searched: HeldSolution | None = None,
+        held_solution: HeldSolution | None = None,
     ) -> FilterInput:
         scene = self._barriers if barriers is None else barriers
         return FilterInput(
-            state, nominal, latent, memory, scene, {} if epsilon is None else epsilon, stale, time, searched
+            state, nominal, latent, memory, scene, {} if epsilon is None else epsilon, stale, time, held_solution
         )
 
     def _answer(self, answer: Callable[[Decision], Verdict], request: FilterInput) -> Verdict:
-        """What a decision answers, if none is under way: two at once would share their workspaces, and mix."""
+        """Runs one decision, unless one is in progress: two at once would overwrite each other's workspaces."""
+        # Not blocking: a control loop must get an action now, not when another thread has finished.
         if not self._one_at_a_time.acquire(blocking=False):
             return resting_verdict(self.settings.resting_action, _TWO_AT_ONCE)
         try:
             return answer(Decision(self.tools, request))
-        except Exception as error:  # noqa: BLE001 - whatever came in, the robot must brake
+        except Exception as error:  # noqa: BLE001 - whatever the inputs were, the robot must brake
             return resting_verdict(self.settings.resting_action, f"{type(error).__name__}")
         finally:
             self._one_at_a_time.release()
@@ -281,4 +294,5 @@ def _latent_range(model: AbstractDynamics) -> Plausible:
     if isinstance(model, PhysicsModel):
         parameters = [model.parameters[name] for name in names]
         return Plausible(np.array([p.low for p in parameters]), np.array([p.high for p in parameters]), names)
+    # Infinite bounds still check the number of entries and refuse NaN.
     return Plausible(np.full(len(names), -np.inf), np.full(len(names), np.inf), names)

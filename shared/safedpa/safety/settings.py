@@ -1,4 +1,4 @@
-"""What a person may set about the filter, and its TOML file. Errors name the key."""
+"""The settings of the filter and their TOML file. Errors name the key."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safedpa.barrier_setting import BarrierSetting
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import finite_number, parse_toml, text_of_file
-from safedpa.robot import DEFAULT_ROBOT, robot_named, robots
+from safedpa.systems.robots import DEFAULT_ROBOT, robot_named, robots
 
 __all__ = [
     "FilterSettings",
@@ -26,12 +26,12 @@ __all__ = [
 
 FORMAT = 2
 MARGINS = ("conformal", "drive", "theorem")
-"""Names of margins in a calibration."""
+"""Names of the margins of a calibration."""
 _BOUNDS = ("action_low", "action_high")
 
 
 class _LeftOut(tuple[float, ...]):
-    """In place of bounds that no one gave; an empty tuple that someone gives is a mistake."""
+    """Marks bounds that were not given; an empty tuple that a user gives is a mistake."""
 
 
 _LEFT_OUT: tuple[float, ...] = _LeftOut()
@@ -40,42 +40,43 @@ _LEFT_OUT: tuple[float, ...] = _LeftOut()
 @final
 @dataclass(frozen=True)
 class FilterSettings:
-    """Numbers of the filter, checked at construction; the defaults fit the usual robot.
+    """The settings of the filter, checked at construction; the defaults are those of the default robot.
 
-    Without bounds of the actions they are that robot's, and ``system`` says so. Raises InputError naming the key, what
+    Without action bounds they are the default robot's, and ``system`` names it. Raises InputError naming the key, what
     was got and what was wanted.
     """
 
     system: str = ""
-    """Name of the system that these settings were made for: a filter refuses every other one. Empty: a system of the
-    user's own, of which nothing but the bounds of its actions is known."""
+    """Name of the system of these settings: a filter refuses every other one. Empty: the user's own system, of which
+    only the action bounds are known."""
 
     enabled: bool = True
     eta: float = 0.2
     """1 per step, in (0, 1]: the share of h that one step may use up; h falls with a time constant of period / eta."""
     epsilon: Mapping[str, float] = field(default_factory=lambda: {"obstacle": 0.01, "field": 0.01, "speed": 0.01})
-    """Margin by kind of barrier, in the unit of h, >= 0; ``default`` for kinds not named, else 0."""
+    """Margin by kind of barrier, in the unit of h, >= 0; ``default`` applies to other kinds, else 0."""
     margin: str | float = "conformal"
-    """Which epsilon a filter with a calibration uses: its ``conformal`` (for a step), ``drive`` or ``theorem`` one, or
-    this number."""
+    """Which margin of a calibration the filter uses: ``conformal`` (for a step), ``drive``, ``theorem``, or this
+    number."""
     action_low: tuple[float, ...] = _LEFT_OUT
-    """(actions,) hard actuator bounds; left out, those of the usual robot."""
+    """(actions,) hard actuator bounds; if not given, those of the default robot."""
     action_high: tuple[float, ...] = _LEFT_OUT
     """(actions,) likewise."""
     weights: tuple[float, ...] = ()
     """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
-    """(actions,) what is done when nothing can be computed; empty: 0 within the bounds."""
+    """(actions,) action if no decision can be computed; empty: 0, clipped to the bounds."""
     relinearisations: int = 3
-    """How often the program is posed again about its solution where the model is not affine in the action."""
+    """How often the program is linearised again at its solution, if the model is not affine in the action."""
     plausible_nominal: float = 10.0
-    """A nominal action that lies further outside the bounds than this many ranges is not believed."""
+    """A nominal action further outside the bounds than this multiple of the range is refused."""
     barriers: Mapping[str, float] = field(default_factory=dict)
-    """What the robot's barriers take, by name (``AbstractRobot.barrier_settings``); what is left out has its default.
-    In a file they are keys next to the others."""
+    """Parameters of the robot's barriers by name (``AbstractRobot.barrier_settings``); others have their default. In a
+    file they are keys next to the others."""
 
     def __post_init__(self) -> None:
         self._name_the_system()
+        # A frozen dataclass: the validated values replace those that were given, such as lists by tuples.
         for name in ("action_low", "action_high", "weights", "backup_action"):
             object.__setattr__(self, name, _numbers(name, getattr(self, name)))
         object.__setattr__(self, "epsilon", _margins(self.epsilon))
@@ -83,6 +84,7 @@ class FilterSettings:
         if not isinstance(self.enabled, bool):
             raise InputError(f"enabled: got {self.enabled!r}, wanted true or false")
         self._check_actions()
+        # After the system is known: its barriers define which parameters exist.
         object.__setattr__(self, "barriers", _barriers(self.system, self.barriers))
         _number("plausible_nominal", self.plausible_nominal, 0.0, math.inf, open_low=True)
         _number("eta", self.eta, 0.0, 1.0, open_low=True)
@@ -91,10 +93,11 @@ class FilterSettings:
         _number("relinearisations", self.relinearisations, 0, 20)
 
     def _name_the_system(self) -> None:
-        """Bounds that were left out are the default system's, and then these are its settings."""
+        """Replaces bounds that were not given by the default robot's, and names it as the system."""
         if not isinstance(self.system, str):
             raise InputError(f"system: got {self.system!r}, wanted the name of a system, or '' for one of your own")
         missing = [name for name in _BOUNDS if isinstance(getattr(self, name), _LeftOut)]
+        # The default bounds on another robot would be a limit that its actuators do not have.
         if missing and self.system not in ("", DEFAULT_ROBOT):
             raise InputError(
                 f"{missing[0]}: got none for the system '{self.system}', wanted its bounds: the defaults are those of "
@@ -119,12 +122,13 @@ class FilterSettings:
                 raise InputError(f"{name}: got {len(getattr(self, name))} numbers, wanted {count} or none")
         if any(weight <= 0.0 for weight in self.weights):
             raise InputError(f"weights: got {self.weights}, wanted positive numbers")
+        # Not strict: an empty backup_action is valid, and its length was checked above.
         for low, value, high in zip(self.action_low, self.backup_action, self.action_high, strict=False):
             if not low <= value <= high:
                 raise InputError(f"backup_action: got {value}, wanted {low} to {high}")
 
     def barrier(self, name: str) -> float:
-        """A number of the barriers. Raises InputError where the robot of these settings has none of that name."""
+        """A parameter of the barriers. Raises InputError if the robot of these settings has none of that name."""
         if name in self.barriers:
             return self.barriers[name]
         known = {item.name: item for item in _declared(self.system)}
@@ -133,7 +137,7 @@ class FilterSettings:
         return known[name].default
 
     def with_barriers(self, **numbers: float) -> FilterSettings:
-        """The same with these numbers of the barriers."""
+        """A copy with these parameters of the barriers."""
         return replace(self, barriers={**self.barriers, **numbers})
 
     @property
@@ -148,13 +152,14 @@ class FilterSettings:
 
     @property
     def weight_vector(self) -> NDArray[np.float64]:
-        """Weights (actions,), 1 where none are set."""
+        """Weights (actions,), 1 if none are set."""
         return np.array(self.weights or (1.0,) * len(self.action_low))
 
     @property
     def resting_action(self) -> NDArray[np.float64]:
-        """The backup action (actions,) that needs no state."""
+        """The backup action (actions,), which needs no state."""
         wanted = np.array(self.backup_action or (0.0,) * len(self.action_low))
+        # 0 may lie outside the bounds, for example for a thrust that is always positive.
         return np.asarray(np.minimum(np.maximum(wanted, self.low), self.high))
 
 
@@ -166,11 +171,11 @@ _ONCE_IN_EVERY_FILE = (
     "speed_high",
     "speed_low",
 )
-"""Keys that older programs wrote for every robot: of one that does not have them they said nothing, and say nothing."""
+"""Keys that older programs wrote for every robot; for a robot without such a barrier they are ignored."""
 
 
 def load_settings(path: str | Path) -> FilterSettings:
-    """Settings from a TOML file; raises InputError naming the file and the key."""
+    """Reads settings from a TOML file. Raises InputError naming the file and the key."""
     try:
         text = text_of_file(Path(path), "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
@@ -182,11 +187,13 @@ def load_settings(path: str | Path) -> FilterSettings:
 
 
 def parse_settings(text: str) -> FilterSettings:
-    """Settings from a TOML text; keys left out keep their defaults. Raises InputError naming the key."""
+    """Reads settings from a TOML text; missing keys keep their defaults. Raises InputError naming the key."""
     table = parse_toml(text)
     known = [item.name for item in fields(FilterSettings) if item.name != "barriers"]
     if table.pop("format", FORMAT) != FORMAT:
         raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
+    # Barrier parameters are plain keys of the file, so they are separated from the filter's own by the robot's
+    # declaration.
     own = {item.name for item in _declared(_system_of(table))}
     barriers = {key: table.pop(key) for key in list(table) if key in own and key not in known}
     for key in list(table):
@@ -199,30 +206,33 @@ def parse_settings(text: str) -> FilterSettings:
 
 
 def _system_of(table: Mapping[str, Any]) -> str:
-    """Whose barriers a file speaks of: without bounds it is the usual robot's."""
+    """The system whose barriers a file configures; without bounds it is the default robot's."""
     system = table.get("system", "")
     return DEFAULT_ROBOT if not system and not any(name in table for name in _BOUNDS) else str(system)
 
 
 def _declared(system: str) -> tuple[BarrierSetting, ...]:
-    """What the barriers of a robot take; where no one declared it, what those of any robot do."""
+    """The parameters of a robot's barriers; for an unknown robot those of all robots."""
     known = robots()
     if system in known:
         return known[system].barrier_settings
+    # Reversed, so that of equal names the robot that was declared first counts.
     return tuple({item.name: item for robot in reversed(known.values()) for item in robot.barrier_settings}.values())
 
 
 def _barriers(system: str, given: Any) -> dict[str, float]:
-    """The numbers of the barriers, all of them where the robot is known."""
+    """The parameters of the barriers, all of them if the robot is known."""
     if not isinstance(given, Mapping):
         raise InputError(f"barriers: got {given!r}, wanted numbers by name")
     declared = {item.name: item for item in _declared(system)}
     for name in given:
         if name not in declared:
             raise InputError(f"{name}: no setting of the barriers of '{system}'; {did_you_mean(str(name), declared)}")
+    # For an unknown robot no defaults are added: they would be those of some other robot.
     complete = {item.name: item.default for item in declared.values()} if system in robots() else {}
     found = {**complete, **{name: declared[name].checked(value) for name, value in given.items()}}
     for item in declared.values():
+        # Pairs such as speed_low and speed_high must stay in order, also if only one of them is set.
         if item.above and item.name in found:
             least = found.get(item.above, declared[item.above].default)
             if found[item.name] <= least:
@@ -261,11 +271,13 @@ def _check_margin(value: Any) -> None:
 
 
 def _margins(value: Any) -> dict[str, float]:
+    # A single number is a margin for every kind.
     table = value if isinstance(value, Mapping) else {"default": value}
     return {str(kind): _number(f"epsilon.{kind}", number, 0.0, math.inf) for kind, number in table.items()}
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    # Lists compare and print by value; an array in a frozen dataclass would do neither.
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if not isinstance(value, (list, tuple)):

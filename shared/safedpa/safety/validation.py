@@ -1,8 +1,7 @@
-"""Checks of what comes in at run time: the answer is plain numbers or a sentence, never an exception.
+"""Validation of run-time inputs and of the results of user functions.
 
-What a user's function returned, as an array of real numbers; whatever only looks like them is refused.
-
-A clock that may fail: its readings are for people, and no decision depends on them.
+``checked_input`` returns Python floats or the reason why an input cannot be used, and never raises. ``checked_output``
+converts the result of a user's function to an array of floats. ``FiniteClock`` guards a user's clock.
 """
 
 from __future__ import annotations
@@ -28,35 +27,39 @@ __all__ = [
 ]
 
 
+# Typed as Any: compiled code then compares identities instead of checking for subclasses.
 _ARRAY: Final[Any] = np.ndarray
 _SCALAR: Final[Any] = np.float64
 _FLOAT: Final[Any] = np.dtype(np.float64)
 _REAL: Final = "fiu"
-"""Kinds of arrays that hold real numbers: floats and whole ones, signed or not."""
+"""Array kinds of real numbers: floats, and integers with or without a sign."""
 
 
 def checked_output(what: str, value: Any) -> FloatArray:
-    """``value`` as an array of floats, of any shape, and of its own: a function may return one that it writes again.
+    """Converts ``value`` to an array of floats of any shape; a copy, since a function may reuse its result.
 
-    Numbers, lists of them and arrays of real numbers are believed. Raises InputError for text, booleans, complex
-    numbers, objects, and masked arrays, whose masked entries numpy would hand on as if they were measured.
+    Accepts numbers, lists of numbers and arrays of real numbers. Raises InputError for text, booleans, complex numbers,
+    objects, and masked arrays, whose masked entries NumPy would return as if they were measured.
     """
     kind = type(value)
     if kind is float or kind is _SCALAR or (kind is _ARRAY and value.dtype is _FLOAT):
         return np.array(value)
+    # Before asarray, which would drop the mask.
     if isinstance(value, np.ma.MaskedArray):
         raise InputError(f"{what}: got a masked array, wanted plain numbers")
     try:
         array = np.asarray(value)
     except Exception as error:
         raise InputError(f"{what}: got {type(value).__name__}, wanted numbers") from error
-    if array.dtype.kind not in _REAL or _holds_other(value):
+    # A list [True, 1.0] becomes an array of floats, so the entries are checked as well.
+    if array.dtype.kind not in _REAL or _has_non_numbers(value):
         raise InputError(f"{what}: got {kind.__name__} of {array.dtype}, wanted real numbers")
+    # astype copies even if the type is right.
     return array.astype(np.float64)
 
 
 def read_only(array: FloatArray) -> FloatArray:
-    """The same numbers as no one can write into them: the array itself where that is so already."""
+    """A read-only view; the array itself if it is read-only already."""
     if not array.flags.writeable:
         return array
     view = array.view()
@@ -64,41 +67,42 @@ def read_only(array: FloatArray) -> FloatArray:
     return view
 
 
-def _holds_other(value: Any) -> bool:
-    """Whether a list holds booleans or masked arrays, which numpy takes for numbers next to others."""
+def _has_non_numbers(value: Any) -> bool:
+    """Whether a list contains booleans or masked arrays, which NumPy silently converts to numbers."""
     if isinstance(value, (list, tuple)):
-        return any(map(_holds_other, value))
+        return any(map(_has_non_numbers, value))
     return isinstance(value, (bool, np.bool_, np.ma.MaskedArray))
 
 
 _TUPLE: Final[Any] = tuple
 _LIST: Final[Any] = list
-_PLAIN: Final[Any] = float
+_PYTHON_FLOAT: Final[Any] = float
 
-_BELIEVED: Final = -1
-"""All entries are finite and within their range."""
+_ALL_PLAUSIBLE: Final = -1
+"""Returned if all entries are finite and within their range."""
 _NOT_FINITE: Final = -2
-"""One of them is NaN or infinite."""
+"""Returned if an entry is NaN or infinite."""
 
 
 @final
 class Plausible:
-    """The range in which an input is believed, both (entries,), with the entries' names for messages.
+    """The plausible range of an input, ``low`` to ``high`` (entries,), with the entries' names for messages.
 
-    One number stands for all entries; raises ValueError where the range and the names are not as many, and for NaN.
+    A single number applies to all entries. Raises ValueError if their numbers differ, and for NaN.
     """
 
     def __init__(self, low: FloatArray, high: FloatArray, names: Sequence[str]) -> None:
         self.low, self.high = low, high
         self.names: tuple[str, ...] = tuple(names)
-        self.lowest: tuple[float, ...] = tuple(np.broadcast_to(low, len(self.names)).tolist())
-        """As plain numbers: a few of them are compared faster than arrays."""
-        self.highest: tuple[float, ...] = tuple(np.broadcast_to(high, len(self.names)).tolist())
-        if any(map(isnan, (*self.lowest, *self.highest))):
+        self.low_floats: tuple[float, ...] = tuple(np.broadcast_to(low, len(self.names)).tolist())
+        """As Python floats: for so few entries a loop is faster than an array comparison."""
+        self.high_floats: tuple[float, ...] = tuple(np.broadcast_to(high, len(self.names)).tolist())
+        # Every comparison with NaN is false, so a NaN bound would accept everything.
+        if any(map(isnan, (*self.low_floats, *self.high_floats))):
             raise ValueError("plausible range: got NaN, within which everything would be believed; wanted numbers")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy is made again: what is compiled cannot be made without its arguments."""
+        """A copy is constructed again: a compiled object cannot be created without its arguments."""
         return Plausible, (self.low, self.high, self.names)
 
 
@@ -111,10 +115,11 @@ class InvalidInput:
 
 
 def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[float, ...] | InvalidInput:
-    """``value`` as (entries,) finite numbers within the plausible range, or why not."""
+    """Returns ``value`` as (entries,) finite floats within the plausible range, or the reason why it is not valid."""
     if value is None:
         return InvalidInput(f"{what} is missing")
     entries: tuple[float, ...]
+    # The two usual types first, by identity: every other type takes the slower conversion below.
     if type(value) is _ARRAY and value.dtype is _FLOAT and value.ndim == 1:
         shape, entries = value.shape, tuple(value.tolist())
     elif (type(value) is _TUPLE or type(value) is _LIST) and _all_floats(value):
@@ -122,16 +127,17 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
     else:
         try:
             array = checked_output(what, value)
-        except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
+        except Exception:  # noqa: BLE001 - an object may raise anything when it is read; it is then no vector of numbers
             return InvalidInput(f"{what} does not consist of numbers")
         shape, entries = array.shape, tuple(array.tolist()) if array.ndim == 1 else ()
     if len(shape) != 1 or (plausible is not None and len(entries) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"
         return InvalidInput(f"{what} has shape {shape}, wanted {wanted}")
-    low: tuple[float, ...] = () if plausible is None else plausible.lowest
-    high: tuple[float, ...] = () if plausible is None else plausible.highest
-    found = _first_unbelieved(entries, low, high)
-    if found == _BELIEVED:
+    # Empty bounds leave only the check for finite values.
+    low: tuple[float, ...] = () if plausible is None else plausible.low_floats
+    high: tuple[float, ...] = () if plausible is None else plausible.high_floats
+    found = _first_implausible(entries, low, high)
+    if found == _ALL_PLAUSIBLE:
         return entries
     if plausible is None or found == _NOT_FINITE:
         return InvalidInput(f"{what} holds NaN or infinity")
@@ -140,15 +146,15 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
 
 
 def _all_floats(values: Any) -> bool:
-    """Whether a list or tuple holds nothing but floats: the ordinary case, and no array is needed."""
+    """Whether a list or tuple contains floats only: the usual case, for which no array is needed."""
     for value in values:  # noqa: SIM110 - no generator for every input
-        if type(value) is not _PLAIN:
+        if type(value) is not _PYTHON_FLOAT:
             return False
     return True
 
 
 def checked_names(names: Any) -> tuple[str, ...] | None:
-    """The names in a list, tuple or set; None where that is none, or holds anything but text."""
+    """The names in a list, tuple or set; None for anything else, or if an entry is no text."""
     if type(names) is _TUPLE and not names:
         return ()
     if not isinstance(names, (list, tuple, set, frozenset)):
@@ -161,8 +167,9 @@ def checked_names(names: Any) -> tuple[str, ...] | None:
     return tuple(found)
 
 
-def _first_unbelieved(entries: tuple[float, ...], low: tuple[float, ...], high: tuple[float, ...]) -> int:
-    """The place of the first entry outside ``low`` to ``high`` (none, or as many), or what stands above."""
+def _first_implausible(entries: tuple[float, ...], low: tuple[float, ...], high: tuple[float, ...]) -> int:
+    """The index of the first entry outside ``low`` to ``high`` (both may be empty), or one of the values above."""
+    # Finite values first: NaN is neither below nor above a bound.
     for value in entries:
         if value - value != 0.0:
             return _NOT_FINITE
@@ -170,16 +177,16 @@ def _first_unbelieved(entries: tuple[float, ...], low: tuple[float, ...], high: 
         value = entries[index]
         if value < low[index] or value > high[index]:
             return index
-    return _BELIEVED
+    return _ALL_PLAUSIBLE
 
 
-_MOST = 1e15
-"""s; beyond it a reading is none: the difference of two of them in microseconds has to be finite."""
+_MAX_READING = 1e15
+"""s; a larger reading is refused: the difference of two readings in microseconds must be finite."""
 
 
 @final
 class FiniteClock:
-    """The readings of another clock [s]; 0 where it raises, or tells no number that can be a time."""
+    """Reads another clock [s]; 0 if it raises, or returns no valid time."""
 
     def __init__(self, clock: Callable[[], Any]) -> None:
         self._clock = clock
@@ -188,6 +195,6 @@ class FiniteClock:
         """The reading [s]."""
         try:
             now = float(self._clock())
-        except Exception:  # noqa: BLE001 - whatever a user's clock raises, the robot must get its action
+        except Exception:  # noqa: BLE001 - a user's clock may raise anything, and the robot must still get its action
             return 0.0
-        return now if -_MOST <= now <= _MOST else 0.0
+        return now if -_MAX_READING <= now <= _MAX_READING else 0.0

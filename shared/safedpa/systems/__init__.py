@@ -1,4 +1,4 @@
-"""Kinds of robots: names, units, bounds and angles of state and action, each declared once."""
+"""Systems: names, units, bounds and angles of each robot's state and action, declared once."""
 
 from safedpa.systems.registry import add_system, systems
 from safedpa.systems.system import System, Variable

@@ -1,15 +1,15 @@
-"""Which systems ``safedpa up`` drives as which robot."""
+"""Checks which systems ``safedpa up`` can drive as a robot."""
 
 from __future__ import annotations
 
-from safedpa.robot import robots
+from safedpa.systems.robots import robots
 from safedpa.systems.system import System
 
 __all__ = ["why_not_driven"]
 
 
 def why_not_driven(system: System, robot: str) -> str:
-    """Why ``up`` refuses a model of this system for a robot of this kind: what it is, what was wanted; empty if not."""
+    """Returns why ``up`` rejects a model of this system: what it is, what is wanted; empty: it can be driven."""
     known = robots()
     is_ = f"a {system.name} with {', '.join(system.action_names)} (states {', '.join(system.state_names)})"
     if robot not in known:

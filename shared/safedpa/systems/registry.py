@@ -1,27 +1,27 @@
-"""Every system that is known in this process: those of robots, and a user's own."""
+"""The registry of systems: those of robots, and those that users define."""
 
 from __future__ import annotations
 
 from safedpa.errors import InputError
-from safedpa.robot import forget_robot, robots
+from safedpa.systems.robots import forget_robot, robots
 from safedpa.systems.system import System
 
 __all__ = ["REGISTERED", "add_system", "systems"]
 
 REGISTERED: dict[str, System] = {}
-"""Systems that this process registered, by name."""
+"""The user's systems in this process, by name."""
 
 
 def systems() -> dict[str, System]:
-    """By name; of a kind with several sets of actions, the first."""
+    """Returns all systems by name; of a robot with several sets of actions, the first."""
     return {**REGISTERED, **{name: robot.system for name, robot in robots().items()}}
 
 
 def add_system(system: System) -> None:
-    """Makes a user's own kind of robot known; the same name again replaces it, and a robot of one's own too.
+    """Registers a user's system; the same name again replaces it, and also a user's robot of that name.
 
-    Raises InputError when it has no state, repeats a name, has bounds the wrong way round or an angle that is not in
-    radians, or bears the name of one that ships.
+    Raises InputError if it has no state, repeats a name, has reversed bounds or an angle that is not in radians, or has
+    the name of a shipped robot.
     """
     names = ["t", *system.state_names, *system.action_names]
     if not system.name.isidentifier() or not all(name.isidentifier() for name in names):

@@ -1,4 +1,4 @@
-"""A system: the names, units, bounds and angles of a robot's state and action, declared once."""
+"""A system: names, units, bounds and angles of a robot's state and action."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Variable:
 class System:
     """State and action of one kind of robot.
 
-    Bounds of the state are the range outside which a measurement is not believed; bounds of the action are
+    Bounds of the state are the range outside which a measurement is rejected as implausible; bounds of the action are
     what the actuator accepts.
     """
 
@@ -72,11 +72,11 @@ class System:
         return np.array([variable.high for variable in self.state])
 
     def is_plausible(self, state: NDArray[np.float64]) -> bool:
-        """Whether a measured state (states,) is finite and within the bounds outside which none is believed."""
-        return self.believes(state.tolist())
+        """Returns whether a measured state (states,) is finite and within the plausible bounds."""
+        return self.is_plausible_floats(state.tolist())
 
-    def believes(self, state: Sequence[float]) -> bool:
-        """``is_plausible`` for plain numbers (states,): of a few, faster than an array."""
+    def is_plausible_floats(self, state: Sequence[float]) -> bool:
+        """Returns ``is_plausible`` for Python floats: for a few entries faster than arrays."""
         for value, (low, high) in zip(state, self._state_bounds, strict=True):
             if not (isfinite(value) and low <= value <= high):
                 return False
@@ -87,7 +87,7 @@ class System:
         return tuple(zip(self.state_low.tolist(), self.state_high.tolist(), strict=True))
 
     def difference(self, later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
-        """later - earlier, shape (..., states), with angles taken the short way round, in [-pi, pi)."""
+        """Returns later - earlier (..., states), with differences of angles wrapped to [-pi, pi)."""
         change = np.asarray(later - earlier, dtype=np.float64)
         for index in self.angles:
             change[..., index] = (change[..., index] + np.pi) % (2 * np.pi) - np.pi

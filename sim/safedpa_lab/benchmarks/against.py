@@ -1,7 +1,7 @@
 """Two checkouts side by side: short drives in turn, so that what the machine does meanwhile happens to both.
 
 A drive of one checkout is followed by one of the other, and the order changes from pair to pair. Each pair gives one
-ratio; what is told is the median of them, and an interval that holds the true median with 95 % whatever the
+ratio; the reported value is the median of them, and an interval that holds the true median with 95 % whatever the
 distribution is (the order statistics of the sign test).
 """
 
@@ -121,7 +121,7 @@ def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
 
 
 def benched(folder: Path, rows: Sequence[str], compiled: Path) -> dict[str, float]:
-    """Rows of ``safedpa bench all --quick`` of a checkout: the median of each, in time of the processor where told."""
+    """Rows of ``safedpa bench all --quick`` of a checkout: the median of each, in time of the processor where reported."""
     with tempfile.TemporaryDirectory() as out:
         file = Path(out) / "rows.json"
         named = [part for name in rows for part in ("--only", name)]

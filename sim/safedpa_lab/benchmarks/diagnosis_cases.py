@@ -1,4 +1,4 @@
-"""Logs with an effect hidden in each, what a peer is told of them, and when its answer is right."""
+"""Logs with an effect hidden in each, what a peer is given of them, and when its answer is right."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def written(hidden: Hidden, folder: Path, runs: int, seconds: float) -> Any:
 
 
 def reported(log: Any) -> dict[str, Any]:
-    """What a peer is told of a case: per run what the given model leaves of yaw and speed, and the variables."""
+    """What a peer is given of a case: per run what the given model leaves of yaw and speed, and the variables."""
     model = load_model(log.model)
     described = [_left_over(model, load_run(path, model.system)) for path in log.runs]
     return {

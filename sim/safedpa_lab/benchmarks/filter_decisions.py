@@ -55,7 +55,7 @@ def decided(problem: FilterProblem, model: PhysicsModel, *, every: bool = False)
 def decisions(
     problem: FilterProblem, model: PhysicsModel, calls: int, seconds: float, *, every: bool = False
 ) -> dict[str, Any]:
-    """Microseconds of ``decided``, as ``timed`` tells them."""
+    """Microseconds of ``decided``, as ``timed`` reports them."""
     decide, requests = decided(problem, model, every=every)
     return timed(decide, requests, calls, seconds)
 
@@ -75,7 +75,7 @@ def networks_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
     """f (states,) and g (states, actions) of one state and latent as the filter asks for them: once a decision."""
     base = model.base
     assert isinstance(base, LearnedBase)
-    networks = base.networks  # behind ``known_at``, which would hand out what it told the decision before
+    networks = base.networks  # behind ``known_at``, which would return what it gave the decision before
     states = [(tuple(state.tolist()), tuple(latent.tolist())) for state, _, latent in problem.requests(model)]
     return lambda known: networks.row_of_one(known[0], known[1]), states
 
@@ -100,10 +100,10 @@ def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
 
     def through(request: FilterInput) -> Any:
         decision = Decision(tools, request)
-        conditions, nominal = decision._posed(), tuple(request.nominal)
-        about = conditions.outcome(nominal)
-        A, b = conditions.linearised(about).at(about.residual, nominal, 0.0)
-        came = conditions.outcome(tuple(tools.program.solve(A, b, nominal).action))
+        conditions, nominal = decision._build_constraints(), tuple(request.nominal)
+        about = conditions.evaluate(nominal)
+        A, b = conditions.linearize(about).at(about.residual, nominal, 0.0)
+        came = conditions.evaluate(tuple(tools.program.solve(A, b, nominal).action))
         return decision._verdict(Status.corrected, came, "", "solved")
 
     return through, [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
@@ -119,9 +119,9 @@ def first_program(
 ) -> tuple[list[list[float]], list[float]]:
     """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the nominal action, as a decision poses them."""
     tools = one.tools
-    stack = tools.stacks.of(barriers, len(state))
-    margins, _ = tools.margins.of(stack, dict(epsilon))
+    stack = tools.barrier_sets.get(barriers, len(state))
+    margins, _ = tools.margins.resolve(stack, dict(epsilon))
     sides = tools.program.sides
     conditions = Constraints(stack, tools.prediction, state, latent, None, tools.settings.eta, margins, sides)
-    about = conditions.outcome(nominal)
-    return conditions.linearised(about).at(about.residual, nominal, 0.0)
+    about = conditions.evaluate(nominal)
+    return conditions.linearize(about).at(about.residual, nominal, 0.0)

@@ -66,7 +66,7 @@ class FilterProblem:
         return [(state, np.array(_NOMINAL), model.latent) for state in (self.passed_by if every else self.states)]
 
     def question(self, calls: int, seconds: float, backend: str) -> dict[str, Any]:
-        """What a peer is told."""
+        """What a peer is given."""
         settings = self.settings
         return {
             "obstacles": self.obstacles.tolist(),

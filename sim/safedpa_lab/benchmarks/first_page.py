@@ -25,7 +25,7 @@ _PAGES: Final = ("live view ", "workbench ")
 
 
 def seconds_to_pages(pages: tuple[str, ...] = _PAGES) -> dict[str, float]:
-    """Seconds from the command until each page that it tells of has answered a request, by the page's name.
+    """Seconds from the command until each page that it reports of has answered a request, by the page's name.
 
     Raises SafedpaError where ``safedpa up`` ends before that, or where no page answers within a minute.
     """

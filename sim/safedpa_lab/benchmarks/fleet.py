@@ -29,7 +29,7 @@ _PATIENCE_SECONDS = 60.0
 _LOOK_SECONDS = 0.1
 _OFFERS = "offers.json"
 _SMALLEST_STEP = 1.06
-"""Ratio of two fleet sizes that are not told apart any more."""
+"""Ratio of two fleet sizes that can no longer be distinguished."""
 
 
 @final
@@ -57,7 +57,7 @@ class FleetTrial:
 def fleet_benchmark(
     trial: FleetTrial, report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> dict[str, Any]:
-    """Drives the fleet and tells late ticks, sense to act, and each process's processor time and memory.
+    """Drives the fleet and reports late ticks, sense to act, and each process's processor time and memory.
 
     ``tell(seconds, of)`` hears how far it is.
     Raises SafedpaError when a process ends by itself, or the fleet does not come to its end in time.

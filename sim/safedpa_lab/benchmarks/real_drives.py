@@ -37,7 +37,7 @@ def dart_drives(effort: Effort) -> tuple[Entry, list[Target]]:
 
 
 def _found(folder: Path) -> list[Path]:
-    from safedpa_lab.experiments.real_logs_data import CAR, paths_of
+    from safedpa_lab.experiments.diagnosis.real_logs_data import CAR, paths_of
 
     paths = paths_of(folder, CAR)
     if len(paths) != _DRIVES:
@@ -49,7 +49,7 @@ def _diagnosed(paths: list[Path]) -> Entry:
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report_schema import as_document
     from safedpa.dynamics import load_model
-    from safedpa_lab.experiments.real_logs_data import mapped_runs
+    from safedpa_lab.experiments.diagnosis.real_logs_data import mapped_runs
 
     began, before = time.perf_counter(), time.process_time()
     model = load_model("dart_car")

@@ -22,8 +22,8 @@ from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import walkers
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
@@ -48,7 +48,7 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
     policy, safety = PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin_for(model))
     nodes = (adaptation, perception, policy, safety)
     for node in nodes:
-        node.welcome(_NAME, None)
+        node.adopt_model(_NAME, None)
     wall: list[float] = []
     processor: list[float] = []
     while len(wall) < _WARM + scans:

@@ -51,7 +51,7 @@ def run_rows(
     """Measures rows and hands each to ``report_progress`` as it comes; returns the whole document.
 
     With ``file`` every row is written as soon as it is there; rows in it that are not measured now stay, and with
-    ``resume`` those that are there already are not measured again. A row that fails is told in words; the others go on.
+    ``resume`` those that are there already are not measured again. A row that fails is reported; the others go on.
     """
     document: Document = {"format": _FORMAT, "rows": {}}
     if file is not None and file.exists():

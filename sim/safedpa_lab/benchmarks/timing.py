@@ -27,7 +27,7 @@ def timed(call: Callable[[Any], Any], inputs: Sequence[Any], count: int, seconds
     """Microseconds of ``call(input)`` over ``inputs`` in turn: ``wall`` by the clock, ``processor`` of all threads.
 
     A tenth of the calls, and each input once, go before and are not counted. After ``seconds`` it ends with what it
-    has. The garbage collection runs as it is: what it costs is part of the longest calls.
+    has. The garbage collection runs as it is: its overhead is part of the longest calls.
     """
     for index in range(max(count // 10, len(inputs))):
         call(inputs[index % len(inputs)])

@@ -1,23 +1,48 @@
-"""``safedpa experiment``: what the product shows, measured."""
+"""``safedpa experiment NAME``: the commands of all experiments, generated from their records."""
 
 from __future__ import annotations
 
-import importlib
+import json
+from typing import Any, final
 
 import click
 
 from safedpa.errors import did_you_mean
+from safedpa.extras import need
+from safedpa_lab.experiments.record import JSON, Experiment, resolve
+from safedpa_lab.experiments.table import EXPERIMENTS
 
-__all__ = ["EXPERIMENTS", "command"]
+__all__ = ["EXPERIMENTS", "ExperimentCommand", "command"]
 
-EXPERIMENTS = (
-    "adversary", "all", "bad-data", "car", "car-curves", "controllers", "demo", "diagnosis-pictures",
-    "differential-drive", "faults", "fleet-diagnosis", "hidden-effects", "hostile", "live", "long-logs", "margins",
-    "meeting", "pendulum", "pendulum-story", "point", "point-heat-map", "point-learning", "point-relinearised",
-    "point-story", "real-logs", "ros", "safety", "safety-pays", "sensing", "sensing-curves", "sensing-margins",
-    "theory", "tuning",
-)  # fmt: skip
-"""One file each in the folder ``experiments``, with options of its own; imported when it is called."""
+
+@final
+class ExperimentCommand(click.Command):
+    """The command of one experiment: checks its options, runs it, writes and prints its report."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        super().__init__(
+            experiment.name, params=[*experiment.parameters, JSON], callback=self._run, help=experiment.help
+        )
+        self.experiment = experiment
+
+    def _run(self, as_json: bool, **options: Any) -> None:
+        from safedpa_lab.experiments.report import output_folder, report_text, write_report
+        from safedpa_services.progress import progress
+
+        experiment = self.experiment
+        need(*experiment.extras)
+        experiment.check(options)
+        if options.get("listed"):
+            click.echo("\n".join(resolve(experiment.listing)(options)))
+            return
+        run = resolve(experiment.run)
+        with output_folder(experiment.outputs(options).get("folder")):
+            with progress(f"experiment {self.name}") as report_progress:
+                result = run(options, report_progress)
+            write_report(experiment, result, options)
+        click.echo(json.dumps(result, default=float) if as_json else report_text(experiment, result), nl=as_json)
+        if experiment.verdict:
+            resolve(experiment.verdict)(result)
 
 
 class _Experiments(click.Group):
@@ -29,9 +54,7 @@ class _Experiments(click.Group):
         del ctx
         if cmd_name not in EXPERIMENTS:
             raise click.UsageError(f"experiment '{cmd_name}': {did_you_mean(cmd_name, EXPERIMENTS)}")
-        module = f"safedpa_lab.commands.experiments.{cmd_name.replace('-', '_')}"
-        found: click.Command = importlib.import_module(module).command
-        return found
+        return ExperimentCommand(EXPERIMENTS[cmd_name])
 
 
 @click.command(name="experiment", cls=_Experiments)

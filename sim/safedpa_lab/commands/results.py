@@ -1,4 +1,4 @@
-"""``safedpa results``: where the figures come from, and which are older than the code that they speak of."""
+"""``safedpa results``: which results are older than the code that made them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ __all__ = ["command"]
 
 @click.group(name="results")
 def command() -> None:
-    """Where figures come from."""
+    """The provenance of results."""
 
 
 @command.command(name="check")
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/results"))
-@click.option(
-    "--strict", is_flag=True, help="exit with 1 where one is older than its code, or says not where it is from"
-)
+@click.option("--strict", is_flag=True, help="exit with 1 if a result is older than its code, or has no provenance")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def _check(folder: Path, strict: bool, as_json: bool) -> int:
     """Which results are older than the code that made them.
 
-    Each file of results holds its command, date, commit and digests of the code behind it, room by room; comments and
-    docstrings do not count. A room that differs today is named.
+    Each file holds its command, date, commit and a digest of each package that it uses; comments and docstrings do not
+    count. Packages that differ now are listed.
     """
     from safedpa_lab.provenance.check import standings
 
@@ -41,5 +39,5 @@ def _check(folder: Path, strict: bool, as_json: bool) -> int:
             if each.changed:
                 click.echo(f"{'':34}differ: {', '.join(each.changed)}")
         reported = sum(not each.changed and each.rooms > 0 for each in found)
-        click.echo(f"{reported} of {len(found)} were made by the code of today")
+        click.echo(f"{reported} of {len(found)} were made by the current code")
     return int(strict and any(each.changed or not each.rooms for each in found))

@@ -28,7 +28,7 @@ __all__ = ["command"]
 @click.option("--tasks", metavar="NAME,NAME", help="still, wind; both when left out")
 @click.option("--steps", type=click.IntRange(min=1), help="of each; 4 million when left out")
 @click.option("--seeds", default="0", show_default=True, metavar="N,N,...", help="of training; one folder each")
-@click.option("--inputs", type=click.Choice(INPUTS), default="lidar", show_default=True, help="what they are told")
+@click.option("--inputs", type=click.Choice(INPUTS), default="lidar", show_default=True, help="what the policy gets")
 @click.option("--limit", type=click.FloatRange(min=0.0), default=COST_LIMIT, show_default=True, help="of the cost")
 @click.option("--cap", type=click.FloatRange(min=0.0), help="of the multiplier; none when left out")
 @click.option("--multiplier", type=click.Choice(MULTIPLIERS), default=MULTIPLIERS[0], show_default=True)
@@ -41,10 +41,10 @@ def command(
     """Train the model-free baselines of the point robot: in still air (the benchmark's task), and in winds.
 
     Inputs: lidar is the benchmark's; latent adds what SafeDPA's history encoder knows; equal is all that SafeDPA's own
-    policy is told. A baseline that is there already from the same plan is skipped. Writes weights, baselines.json with
+    policy gets. A baseline that exists already from the same plan is skipped. Writes weights, baselines.json with
     the learning curves, baselines.md and a picture of the curves.
     """
-    from safedpa_lab.experiments.point_baselines import markdown_of, write_baselines
+    from safedpa_lab.experiments.point.baselines import markdown_of, write_baselines
     from safedpa_lab.point.baseline_set import TASKS, baselines_in, train_baselines
 
     chosen = _split("--names", names, BASELINES), _split("--tasks", tasks, tuple(TASKS))

@@ -29,7 +29,7 @@ class Conduct:
 
 PASS = Conduct()
 STALLED = Conduct(stalled_out=True, stalled_in=True)
-"""The network is gone: no byte arrives, and no one is told."""
+"""The network is gone: no byte arrives, and no one is informed."""
 HALF_OPEN = Conduct(stalled_out=True)
 """What the process says is lost; it hears everything."""
 CUT = Conduct(cut=True)

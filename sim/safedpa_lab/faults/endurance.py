@@ -62,7 +62,7 @@ class Retained:
 
 
 def retained_by(samples: Sequence[Sample]) -> list[Retained]:
-    """By name, in order of the names; of processes that live for less than half a minute nothing is said.
+    """By name, in order of the names; of processes that live for less than half a minute nothing is reported.
 
     The quarters are those of the time from the first to the last warm sample of a name. Where one of them has none,
     its neighbours stand for it.

@@ -20,7 +20,7 @@ _PAUSE = "0.3 s in every second, and then hands on what waited"
 
 
 def disconnected() -> list[Fault]:
-    """Every process without a network for three seconds; no one is told, and what was sent meanwhile waits."""
+    """Every process without a network for three seconds; no one is informed, and what was sent meanwhile waits."""
     faults = [
         _bend(f"disconnect {name}", f"{name} has no network", STALLED, _PARTITION_SECONDS, _meanwhile(name), name)
         for name in _LINKS

@@ -31,7 +31,7 @@ class Outcome:
     recovery_seconds: float | None
     """From the recovery until the loop drove again; 0 when it had never stopped, None when it did not."""
     whole_seconds: float | None
-    """From the recovery until every process had told its health again; None when one did not."""
+    """From the recovery until every process had reported its health again; None when one did not."""
     states_not_recorded: int
     verdicts_not_recorded: int
     """Of those that were heard on the bus."""

@@ -85,7 +85,7 @@ def _twin(name: str) -> Fault:
 
 
 def hung() -> list[Fault]:
-    """Loops that make no progress while their process lives: only the heartbeat tells."""
+    """Loops that make no progress while their process lives: only the heartbeat shows it."""
     faults = [
         Fault(
             f"hang {name}",
@@ -140,7 +140,7 @@ def _shows(name: str, *, alive: bool) -> Look:
     def look(world: World) -> str:
         silence = world.observer.silent_for(name, time.monotonic())
         if silence < _SILENT_SECONDS:
-            return f"{name} told its health {silence:.1f} s ago"
+            return f"{name} reported its health {silence:.1f} s ago"
         robot = ROBOT if name == "robot" else NO_ROBOT
         if world.observer.lives(robot, name) != alive:
             return f"{name} {'shows no sign of life' if alive else 'still shows a sign of life'}"

@@ -173,7 +173,7 @@ class Proxy:
         return f"tcp/127.0.0.1:{self.ports[name]}"
 
     def set(self, name: str, conduct: Conduct) -> None:
-        """Bends one link, for what is on its way already as well."""
+        """Bends one link, for what is in flight already as well."""
         self._done(self._set(self._links[name], conduct))
 
     def lost(self, name: str) -> int:

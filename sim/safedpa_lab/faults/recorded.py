@@ -1,4 +1,4 @@
-"""What the recorder kept of what was said."""
+"""What the recorder kept of what was reported."""
 
 from __future__ import annotations
 

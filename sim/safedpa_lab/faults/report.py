@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from safedpa.errors import InputError
-from safedpa_lab.provenance.record import write_result
-
-__all__ = ["markdown_of", "write_report"]
+__all__ = ["markdown_of"]
 
 _KINDS_HEAD = "| kind | faults | held | braked by robot, by filter | drives again after s | all back after s |"
 _HEAD = (
     "| fault | what happened | held | speed m/s | collisions | stale actions | periods | watchdog | fallback "
     "| drives again after s | all back after s | not recorded: states, verdicts |"
 )
-
-
-def write_report(result: Mapping[str, Any], folder: Path) -> None:
-    """Writes faults.json and faults.md. Raises InputError when the folder cannot be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_result(folder / "faults.json", result)
-        (folder / "faults.md").write_text(markdown_of(result), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from error
 
 
 def markdown_of(result: Mapping[str, Any]) -> str:

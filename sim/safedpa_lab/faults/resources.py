@@ -25,7 +25,7 @@ _GOES_ON_SECONDS = 10.0
 _FILLER, _BLOCK = "filler", bytes(4096)
 _HOUR = 3600
 _CLOCK = "clock"
-"""File by which the library is told how late it is."""
+"""File by which the library learns how late it is."""
 _JUMPS = (
     ("robot", _HOUR),
     ("safety_filter", -_HOUR),
@@ -87,7 +87,7 @@ def clocks() -> list[Fault]:
     """The wall clock of one process jumps by an hour, and back. Its monotonic clock goes on, as clocks do when set.
 
     By libfaketime (Debian: libfaketime), which reaches the network library, too; where it is not installed, and for the
-    recorder, whose sleep that library breaks, only as far as Python tells the time.
+    recorder, whose sleep that library breaks, only as far as Python reports the time.
     """
     reported = [_reported_clock_fault("recorder"), *([] if _faketime() else [_reported_clock_fault("safety_filter")])]
     return [*([_clock_fault(name, step) for name, step in _JUMPS] if _faketime() else []), *reported]
@@ -97,8 +97,8 @@ def _reported_clock_fault(name: str) -> Fault:
     def jump(world: World) -> None:
         world.members[name].send(JUMP)
 
-    sentence = f"the wall clock that Python tells {name} jumps back by {_HOUR} s, and forth after {_SECONDS:.0f} s"
-    return Fault(f"clock {name} told", sentence, jump, repair=jump, seconds=_SECONDS, meanwhile="undisturbed")
+    sentence = f"the wall clock that Python reports {name} jumps back by {_HOUR} s, and forth after {_SECONDS:.0f} s"
+    return Fault(f"clock {name} reported", sentence, jump, repair=jump, seconds=_SECONDS, meanwhile="undisturbed")
 
 
 def _clock_fault(name: str, step: int) -> Fault:

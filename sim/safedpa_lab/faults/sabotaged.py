@@ -7,7 +7,7 @@ beforehand, and served on the main thread:
   thread that brings a message turns the loop as well, so the lock of those that turn is taken: as in a step that does
   not return;
 - SIGUSR2: the loop hangs inside a C call that keeps the interpreter's lock: no thread of Python runs;
-- SIGRTMIN + 1: the wall clock, as Python tells it, jumps back by an hour, and forth again at the next such signal;
+- SIGRTMIN + 1: the wall clock, as Python reports it, jumps back by an hour, and forth again at the next such signal;
 - SIGRTMIN: what hangs goes on. (A lock that is held can only be waited for: that hang ends by itself after
   ``GRIPPED_SECONDS``.)
 """

@@ -118,7 +118,7 @@ class World:
         return self.observer.drives(_DRIVING_TICKS, within=_STEADY_SECONDS)
 
     def missing(self, since: float) -> list[str]:
-        """Processes that have not told their health, themselves and later than ``since``."""
+        """Processes that have not reported their health, themselves and later than ``since``."""
         heard = self.observer.health
         return [
             name

@@ -104,8 +104,8 @@ def _gap(table: Table) -> Table:
 _DEGREES = 180.0 / np.pi
 
 BAD: Final[Mapping[str, Bad]] = {
-    "frozen_speed": Bad("frozen", "speed is stationary", _changed(speed=_frozen)),
-    "frozen_yaw": Bad("frozen", "yaw is stationary", _changed(yaw=_frozen)),
+    "frozen_speed": Bad("frozen", "speed stays at exactly", _changed(speed=_frozen)),
+    "frozen_yaw": Bad("frozen", "yaw stays at exactly", _changed(yaw=_frozen)),
     "dead_drive": Bad("dead_command", "its recording looks dead", _drive_changed(_dead)),
     "dead_steer": Bad("dead_command", "steer stays at 0", _changed(steer=_dead)),
     "drive_flipped": Bad("opposite_sign", "speed falls as", _drive_changed(lambda v: -v)),
@@ -143,7 +143,7 @@ def write_bad_files(log: Path, folder: Path, faults: Sequence[str] = tuple(BAD))
     names = lines[0].split(",") if lines else []
     if not set(names) >= _NEEDED:
         raise InputError(f"{log}: got the columns {', '.join(names)}; wanted the native ones of a car")
-    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export tells verdicts in words next to
+    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export reports verdicts in words next to
     try:
         values = np.array([[float(line.split(",")[index]) for index in native] for line in lines[1:]])
     except (ValueError, IndexError) as error:

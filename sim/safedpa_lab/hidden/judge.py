@@ -37,7 +37,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case: what was hidden and what was said."""
+    """One case: what was hidden and what was reported."""
 
     suite: str
     case: str
@@ -64,11 +64,11 @@ class Outcome:
     processor_seconds: float = float("nan")
     """Of one core: what the clock would say on a machine that does nothing else."""
     reported: tuple[str, ...] = ()
-    """What was said about where, when or how numbers vary: ``rolling_resistance where x above``."""
+    """What was reported about where, when or how numbers vary: ``rolling_resistance where x above``."""
     laws_reported: bool = True
-    """Every hidden law was told, of its effect, in its words, with its numbers near the truth."""
+    """Every hidden law was reported, of its effect, in its words, with its numbers near the truth."""
     false_laws: tuple[str, ...] = ()
-    """Laws that were told of effects that have none."""
+    """Laws that were reported of effects that have none."""
 
     @property
     def deviations(self) -> tuple[float, ...]:
@@ -100,7 +100,7 @@ def judged(
     hidden, added = tuple(truth["effects"]), tuple(document["added"])
     groups = {name: _group(document, name) for name in added}
     absorbed = set(truth["absorbed"])
-    found = {name: _is_stationary_for(name, groups, truth) or name in absorbed for name in hidden}
+    found = {name: _is_represented(name, groups, truth) or name in absorbed for name in hidden}
     laws = truth.get("laws", {})
     reported = [(item["effect"], f"{item['kind']} {item['phrase']}") for item in document.get("conditions", ())]
     error = float(document["stages"][-1]["heldout_error"])
@@ -128,7 +128,7 @@ def judged(
 
 
 def _group(document: Document, name: str) -> set[str]:
-    """An added effect and all that its candidates are said to be indistinguishable from."""
+    """An added effect and all that its candidates are reported to be indistinguishable from."""
     own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
     return {name}.union(*(_parts(other) for item in own for other in item["indistinguishable_from"]))
 
@@ -138,8 +138,8 @@ def _parts(name: str) -> set[str]:
     return {part.strip() for part in name.split("+")}
 
 
-def _is_stationary_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
-    """Added itself; or something added is said to be indistinguishable from it, or from nothing but its equals."""
+def _is_represented(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
+    """Added itself; or something added is reported to be indistinguishable from it, or from nothing but its equals."""
     if any(name in group for group in groups.values()):
         return True
     return any(len(group) > 1 and set(truth["equals"][name]) & group for group in groups.values())

@@ -13,7 +13,7 @@ from safedpa_lab.hidden.bad_data import BAD
 from safedpa_lab.hidden.case import Case
 from safedpa_lab.hidden.laws import LAWS
 from safedpa_lab.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS
-from safedpa_sim.robots.loads import LOADS
+from safedpa_sim.robots.car.loads import LOADS
 
 __all__ = ["INSEPARABLE", "SUITES", "cases_of"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa_lab.hidden.excitation import reference
-from safedpa_sim.robots.loads import load_named
-from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.robots.car.loads import load_named
+from safedpa_sim.robots.car.world import CarWorld
 
 __all__ = ["drive_in", "drive_towing", "turning_share"]
 

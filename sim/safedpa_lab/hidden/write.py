@@ -22,7 +22,7 @@ from safedpa_lab.hidden.sensor import measured
 from safedpa_lab.hidden.strengths import LARGEST_STEER
 from safedpa_lab.hidden.towing import drive_towing
 from safedpa_lab.hidden.wheels import LIMIT, SERVO, TRACK, simulate_wheels
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
+from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 
 __all__ = ["PERIOD", "Log", "write_case", "write_cases"]
 

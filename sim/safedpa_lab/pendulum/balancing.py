@@ -20,7 +20,7 @@ TICKS = 300
 
 
 def sensors_of(episodes: Episodes) -> Callable[[FloatArray], FloatArray]:
-    """What tells states (n, 2) with the noise of the difficulty, the same for every method."""
+    """What reports states (n, 2) with the noise of the difficulty, the same for every method."""
     deviation, random = episodes.difficulty.noise, episodes.random(27)
     if not deviation:
         return np.array

@@ -1,4 +1,4 @@
-"""Pendulums with something in them that no model was told, and swings that show it."""
+"""Pendulums with something in them that no model knows, and swings that show it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
-from safedpa_sim.robots.pendulum_world import PendulumParameters, PendulumWorld
+from safedpa_sim.robots.pendulum.world import PendulumParameters, PendulumWorld
 
 __all__ = ["HIDDEN", "PERIOD", "HiddenPendulum", "oracle_model", "swing_at_random", "swings_all_around"]
 

@@ -13,7 +13,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety import split_conformal_margin
 from safedpa.safety.margins.conformal import margins_over_drives
-from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.pendulum.balancing import balanced
 from safedpa_lab.pendulum.crossing import crossed
 from safedpa_lab.pendulum.difficulty import Difficulty, Episodes
@@ -30,7 +30,7 @@ _ORACLE: Final = FILTERED[-1]
 def measured_margins(methods: Sequence[Method], folder: Path, drives: int) -> dict[str, dict[str, Any]]:
     """By method, the margin of its filter: the same rule for each.
 
-    In two rounds, since errors depend on where the filter lets the pendulum go: drives behind a filter that is told the
+    In two rounds, since errors depend on where the filter lets the pendulum go: drives behind a filter that is given the
     wind make a first margin; other drives behind the filter itself with that margin make the one that counts. Each
     round has ``drives`` of each question, in the experiment's wind towards directions drawn at random, on seeds for
     calibration; no tick is left out.
@@ -84,7 +84,7 @@ def errors_of(method: Method, folder: Path, swings: Swung, winds: FloatArray, ed
     """(ticks, n) the least h that the method's model predicts minus the least h that is measured, one period later.
 
     h = (s - low, high - s) with s = angle + AHEAD rate, of what the sensors tell; positive where the model hoped too
-    much. The latent is the encoder's of the same tick, or the wind where the filter is told it.
+    much. The latent is the encoder's of the same tick, or the wind where the filter is given it.
     """
     model = model_named(method.filter, folder)
     before, torque = swings.seen[:-1], swings.torques[..., np.newaxis]

@@ -1,4 +1,4 @@
-"""What a history tells of the wind: by the history encoder, and at best, by the true equations."""
+"""What a history reveals about the wind: by the history encoder, and at best, by the true equations."""
 
 from __future__ import annotations
 

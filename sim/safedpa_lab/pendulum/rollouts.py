@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting
 from safedpa.safety import FilterSettings
@@ -35,7 +35,7 @@ class Closed:
     model: PhysicsModel | None = None
     """Of the filter."""
     adapts: PhysicsModel | None = None
-    """Whose history encoder tells the latent, to the policy and to the filter where its model has one."""
+    """Whose history encoder reports the latent, to the policy and to the filter where its model has one."""
     reported: bool = False
     """The filter's latent is the true wind: an oracle."""
     torque: float = TORQUE
@@ -125,7 +125,7 @@ def _filter(closed: Closed) -> BatchFilter | None:
 
 
 def _known(closed: Closed, latent: FloatArray, wind: FloatArray) -> FloatArray | None:
-    """What the filter's model is told."""
+    """What the filter's model is given."""
     if closed.reported:
         return wind
     return latent if closed.model is not None and closed.model.latent_names else None

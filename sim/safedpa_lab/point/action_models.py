@@ -15,7 +15,7 @@ from safedpa.arrays import FloatArray
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa_lab.point.beliefs import PROBES, motion_of
 from safedpa_lab.point.free_model import FreeModel
-from safedpa_sim.point.belief import ACTION_SCALE, PointPrediction, SimulatedPointModel
+from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction, SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, after_one_period
 from safedpa_sim.point.simulation import PointSimulation
@@ -114,7 +114,7 @@ class SimulatedBody:
 
     def see(self, state: FloatArray) -> None:  # noqa: D102
         self._state, self._rate = state, self._simulation.velocity[2].copy()
-        reported = SimulatedPointModel(self._simulation).believed(state, np.zeros((len(state), 0)))
+        reported = SimulatedPointModel(self._simulation).predict(state, np.zeros((len(state), 0)))
         self._motion = reported.motion
         self._range = reported.scale * self._scale / ACTION_SCALE
 

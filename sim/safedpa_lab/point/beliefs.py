@@ -13,7 +13,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.safety.barriers.stopping import Motion
-from safedpa_sim.point.belief import ACTION_SCALE, TASK_TURN, PointPrediction
+from safedpa_sim.point.point_model import ACTION_SCALE, TASK_TURN, PointPrediction
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN
 
@@ -44,7 +44,7 @@ class LearnedBelief:
         self._latents = weights.description.latents
         self._alone = None if self._latents else self._motion(np.zeros((1, 0)))
 
-    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
+    def predict(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
         latent = latent if self._latents else np.zeros((len(state), 0))
         f, g = self.networks.increment(state, latent)
         motion = self._motion(latent) if self._alone is None else self._alone
@@ -64,7 +64,7 @@ class ModelBelief:
         f, g = self._increment(PROBES)
         self._motion = motion_of(f[np.newaxis], g[np.newaxis])
 
-    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
+    def predict(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
         del latent
         f, g = self._increment(state)
         return PointPrediction(state + f, g, self._motion, scale_of(self._motion))

@@ -29,7 +29,7 @@ class Driver(Protocol):
 
 
 class _Acts(Protocol):
-    """A policy: what it is told in, actions out."""
+    """A policy: what it is given, actions out."""
 
     def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Actions (robots, 2) for what is seen (robots, entries)."""

@@ -1,4 +1,4 @@
-"""A method at the wheel of all robots of a task: its policy, told what it is to be told, behind its filter."""
+"""A method at the wheel of all robots of a task: its policy, given its inputs, behind its filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
-from safedpa.robots.point.point_seeker import goal_seeking_action
+from safedpa.robots.point.goal_seeker import goal_seeking_action
 from safedpa_lab.point.baseline_set import baseline_named, seeds_of
 from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.driven import Driver, PolicyDriver
@@ -22,12 +22,12 @@ from safedpa_lab.point.inputs import inputs_of
 from safedpa_lab.point.methods import METHODS, PENALISED, SEEKER, Method
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import AbstractPointModel, to_task_action
+from safedpa_sim.point.point_model import AbstractPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import around_hazards
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import RoutePlanner
+from safedpa_sim.point.route_planner import RoutePlanner
 
 __all__ = ["ShieldedDriver", "Wheel", "digest_of", "driver_of", "penalised", "training_seeds", "with_weights"]
 
@@ -146,7 +146,7 @@ def _seeking(task: PointTask, belief: AbstractPointModel) -> NominalPolicy:
 
     def nominal_action(latent: FloatArray) -> FloatArray:
         state, layout = centre_state(task.simulation), task.layout
-        believed = belief.believed(state, latent)
+        believed = belief.predict(state, latent)
         hazards = around_hazards(layout.hazards, believed.motion).hazards
         found = []
         for robot in range(task.count):

@@ -17,11 +17,11 @@ from torch import nn
 from safedpa.networks import Description, frame_of
 from safedpa_lab.point.free_model import FreeModel
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.explained_motion import explained
-from safedpa_sim.training.networks import ENVIRONMENT, VECTORS, Dense, tensors_of
+from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.networks.explained_variance import explained
+from safedpa_sim.training.networks.modules import ENVIRONMENT, VECTORS, Dense, tensors_of
 from safedpa_sim.training.progress import ReportProgress, silent
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import Transitions, draw_transitions, scales
 
 __all__ = ["FreeNetworks", "free_hidden", "held_out_errors", "train_free"]
 
@@ -48,7 +48,7 @@ class FreeNetworks(nn.Module):
     environment_middle: Tensor
     environment_scale: Tensor
 
-    def __init__(self, cars: BatchedCars, configuration: Configuration, vectors: Mapping[str, Tensor]) -> None:
+    def __init__(self, cars: BatchedSimulator, configuration: Configuration, vectors: Mapping[str, Tensor]) -> None:
         super().__init__()
         system, latents = cars.model.system, configuration.latents
         self.frame = frame_of(system.name)
@@ -84,7 +84,7 @@ def train_free(
 
     Returns the model and loss, share of variance explained and error for each state on held-out transitions.
     """
-    cars, phase = BatchedCars(configuration), configuration.phase_1a
+    cars, phase = BatchedSimulator(configuration), configuration.phase_1a
     vectors = scales(cars, configuration.seed * 10 + _SCALES)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.seed)
@@ -122,7 +122,7 @@ def held_out_errors(networks: FreeNetworks, held_out: Transitions) -> dict[str, 
         }
 
 
-def _described(cars: BatchedCars, configuration: Configuration, summary: Mapping[str, Any]) -> Description:
+def _described(cars: BatchedSimulator, configuration: Configuration, summary: Mapping[str, Any]) -> Description:
     system = cars.model.system
     return Description(
         robot=system.name,

@@ -31,7 +31,7 @@ class PointGoalEnvironment(gymnasium.Env):  # type: ignore[misc] # gymnasium is 
 
     ``force``: of the wind [N] in the world, the same in every episode; without it one is drawn at each reset within a
     disc of ``largest_force``. ``stock``: the benchmark's own thrust, full beyond a twentieth of the action. ``info``
-    tells ``cost`` (1 in a hazard), ``reached``, ``goals`` of the episode, ``force``, ``hazard_distance`` [m]. An
+    reports ``cost`` (1 in a hazard), ``reached``, ``goals`` of the episode, ``force``, ``hazard_distance`` [m]. An
     episode ends by time alone (truncated). Raises InputError for a force that is none.
     """
 

@@ -19,7 +19,7 @@ from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.moments import Moments, drawn_moments
 from safedpa_lab.point.shield import FIXED_DIRECTIONS
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import ACTION_SCALE
+from safedpa_sim.point.point_model import ACTION_SCALE
 from safedpa_sim.point.body_steps import after_one_period
 from safedpa_sim.point.filtering import minimum_barrier
 
@@ -133,7 +133,7 @@ def predicted_changes(name: str, moments: Moments, actions: FloatArray, folder: 
     """delta h (moments, actions) by SafeDPA, with phi's latents, or by another model's name, which knows none."""
     belief = LearnedBelief(weights_named("learned" if name == "safedpa" else name, folder))
     every = moments.of(np.repeat(np.arange(len(moments.state)), len(actions)))
-    believed = belief.believed(every.state, every.latent)
+    believed = belief.predict(every.state, every.latent)
     following = believed.next_state(np.tile(actions, (len(moments.state), 1)))
     change = minimum_barrier(following, every.hazards, believed.motion) - minimum_barrier(
         every.state, every.hazards, believed.motion

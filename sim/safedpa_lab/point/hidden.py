@@ -1,4 +1,4 @@
-"""Point robots with something about them that no model was told, and logs that show it."""
+"""Point robots with something about them that no model knows, and logs that show it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from safedpa.dynamics import load_model
 from safedpa.records.run import Run, Stretch
-from safedpa_sim.point.belief import ACTION_SCALE
+from safedpa_sim.point.point_model import ACTION_SCALE
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import centre_state, controls_of
 from safedpa_sim.point.simulation import PointSimulation

@@ -1,4 +1,4 @@
-"""What a policy is told of the point robots of a task: the benchmark's sensors, or what SafeDPA's own policy gets.
+"""What a policy is given of the point robots of a task: the benchmark's sensors, or what SafeDPA's own policy gets.
 
     lidar    o = (sensors, goal, lidar) / scale                                         31 entries
     latent   o = (sensors, goal, lidar) / scale, z cos yaw, z sin yaw, z                37
@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
@@ -26,7 +26,7 @@ from safedpa_sim.point.body_steps import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.task import GOAL_REWARD, PointTask
-from safedpa_sim.point.way import RoutePlanner
+from safedpa_sim.point.route_planner import RoutePlanner
 
 __all__ = ["OBSERVATION_SCALE", "Inputs", "WayAhead", "entries_of", "inputs_of"]
 
@@ -42,7 +42,7 @@ _JUMP: Final = 0.3
 
 
 def entries_of(kind: str) -> int:
-    """How many numbers a policy of these inputs is told. Raises InputError for inputs that are none."""
+    """The number of inputs of a policy. Raises InputError for inputs that are none."""
     sizes = {
         "lidar": len(OBSERVATION_SCALE),
         "latent": len(OBSERVATION_SCALE) + 3 * _LATENTS,

@@ -17,7 +17,7 @@ from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.safety.margins.conformal import margins_over_drives, smallest_sample
-from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
 from safedpa_lab.point.methods import Method
@@ -153,7 +153,7 @@ class _Watched:
 
 def one_step_errors(weights: Weights, moments: Moments) -> FloatArray:
     """(n,) h(predicted) - h(measured) [m] one period later, least over hazards, by f, g and the latents of phi."""
-    believed = LearnedBelief(weights).believed(moments.state, moments.latent)
+    believed = LearnedBelief(weights).predict(moments.state, moments.latent)
     predicted = believed.next_state(moments.action)
     errors: FloatArray = minimum_barrier(predicted, moments.hazards, believed.motion) - minimum_barrier(
         moments.following, moments.hazards, believed.motion

@@ -1,4 +1,4 @@
-"""The methods that are compared on the point robot: each a policy with what it is told, and a filter or none."""
+"""The methods that are compared on the point robot: each a policy with its inputs, and a filter or none."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Method:
     filter: str = ""
     baseline: str = ""
     reported: str = REPORTED["equal"]
-    """What the policy is told next to its own motion and the goal."""
+    """What the policy is given next to its own motion and the goal."""
 
 
 def _alone(name: str, inputs: str = "lidar", limit: float = COST_LIMIT) -> Method:

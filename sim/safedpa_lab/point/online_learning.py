@@ -4,7 +4,7 @@
 
 PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of policy and
 filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every training with
-these inputs; nothing is taken off for a step in a hazard. No one is told the wind.
+these inputs; nothing is taken off for a step in a hazard. No one is reported the wind.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from safedpa_lab.experiments.statistics import mean_interval, wilson_interval
+from safedpa_lab.experiments.common.statistics import mean_interval, wilson_interval
 from safedpa_lab.point.baseline_set import baseline_named
 from safedpa_lab.point.baselines import algorithm_of, policy_of
 from safedpa_lab.point.driven import driven, windy_task
@@ -52,9 +52,9 @@ class Start:
 
 
 STARTS: Final = {
-    "shipped": Start("PPO-Lagrangian that ships, told lidar and z", "latent", "ppo_lagrangian_wind_latent_1", -1.0),
-    "nothing": Start("a fresh network, told z, way and hazards", "equal"),
-    "careless": Start("PPO that ships, told z, way and hazards", "equal", "ppo_wind_equal", -1.0),
+    "shipped": Start("PPO-Lagrangian that ships, given lidar and z", "latent", "ppo_lagrangian_wind_latent_1", -1.0),
+    "nothing": Start("a fresh network, given z, way and hazards", "equal"),
+    "careless": Start("PPO that ships, given z, way and hazards", "equal", "ppo_wind_equal", -1.0),
 }
 
 

@@ -14,7 +14,7 @@ BASELINES: Final = ("ppo", "trpo", "ppo_lagrangian", "trpo_lagrangian", "cpo")
 LIMITED: Final = ("ppo_lagrangian", "trpo_lagrangian", "cpo")
 """Those that heed a limit of the cost."""
 INPUTS: Final = ("lidar", "latent", "equal")
-"""The benchmark's sensors, goal and lidar; these and SafeDPA's latent; what SafeDPA's own policy is told."""
+"""The benchmark's sensors, goal and lidar; these and SafeDPA's latent; what SafeDPA's own policy is given."""
 MULTIPLIERS: Final = ("waiting", "pid", "integral")
 COST_LIMIT: Final = 25.0
 """Steps within hazards in an episode of 1000; the benchmark's limit."""

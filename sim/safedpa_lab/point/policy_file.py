@@ -33,7 +33,7 @@ class BaselinePolicy:
         self.tensors, self.reported = dict(tensors), dict(reported)
         self._layers = layers_of(self.tensors, "policy")
         self.inputs: str = self.reported.get("plan", {}).get("inputs", "lidar")
-        """Of ``INPUTS``: what it is to be told."""
+        """Of ``INPUTS``: what it is given."""
         wanted = (entries_of(self.inputs), 2)
         got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0]) if self._layers else (0, 0)
         if got != wanted:
@@ -46,7 +46,7 @@ class BaselinePolicy:
 
 
 def save_policy(policy: BaselinePolicy, path: Path) -> None:
-    """Writes tensors and what is told of them as safetensors; whole or not at all."""
+    """Writes tensors and what is reported of them as safetensors; whole or not at all."""
     from safetensors.numpy import save
 
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Point robots with the clean thrust or the benchmark's, behind filters that are told z = mu(e) of the true wind."""
+"""Point robots with the clean thrust or the benchmark's, behind filters that are given z = mu(e) of the true wind."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.free_model import FreeModel, load_free
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import ACTION_SCALE, to_task_action
+from safedpa_sim.point.point_model import ACTION_SCALE, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import RoutePlanner
+from safedpa_sim.point.route_planner import RoutePlanner
 
 __all__ = [
     "NETWORKS",
@@ -66,7 +66,7 @@ def _file(name: str, folder: Path) -> Path:
 
 
 def model_of(kind: str, thrust: str, task: PointTask, folder: Path) -> ActionModel:
-    """``affine``, ``free`` or ``truth`` for the robots of a task in their winds, told z = mu(e) of these.
+    """``affine``, ``free`` or ``truth`` for the robots of a task in their winds, given z = mu(e) of these.
 
     Raises InputError for another kind.
     """

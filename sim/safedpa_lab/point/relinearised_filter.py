@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.action_models import ActionModel
-from safedpa_sim.point.belief import PointPrediction
+from safedpa_sim.point.point_model import PointPrediction
 from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, around_hazards, minimum_barrier
 
 __all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
@@ -69,7 +69,7 @@ class RelinearisedFilter:
             found = self._filter.decide(state, nominal, hazards, believed)
             following = believed.next_state(found.action)
         around = around_hazards(hazards, believed.motion)
-        predicted, room = (around.values(one).min(axis=1) for one in (following, state))
+        predicted, room = (around.h(one).min(axis=1) for one in (following, state))
         return Decided(found.action, found.corrected, found.relaxed, predicted, room)
 
     def _settled(
@@ -113,5 +113,5 @@ class RelinearisedFilter:
         """min over hazards of h(next) - (1 - eta) h - epsilon (n,) [m], by the model itself: below 0 it falls short."""
         around = around_hazards(hazards[which], believed.motion)
         following = model.following(action, which)
-        retained: FloatArray = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
+        retained: FloatArray = (around.h(following) - (1.0 - ETA) * around.h(state[which])).min(axis=1)
         return retained - self._epsilon

@@ -14,16 +14,16 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.baseline_set import SHIPPED
 from safedpa_lab.point.beliefs import PROBES, motion_of, scale_of
-from safedpa_sim.point.belief import ACTION_SCALE, PointPrediction
+from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction
 from safedpa_sim.point.body_steps import centre_state, put_state
-from safedpa_sim.point.sensed import SENSED_FRAME, decode_state, decoding_slopes, sensed, without_goal
+from safedpa_sim.point.sensor_state import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
@@ -89,7 +89,7 @@ class TwoHistories:
 class SensedBelief:
     """f and g of what is sensed, decoded; the manoeuvre's motion as for ``LearnedBelief``, at the same probe states.
 
-    What a probe's accelerometer reads depends on the wind, which z tells: what the networks say that it reads after a
+    What a probe's accelerometer reads depends on the wind, which z encodes: what the networks say that it reads after a
     period without an action. Reading nothing, it would speak of another wind than z does.
     """
 
@@ -98,7 +98,7 @@ class SensedBelief:
         self._histories, self._task = histories, task
         self._probes, self._probe_goal = _probes()
 
-    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:
+    def predict(self, state: FloatArray, latent: FloatArray) -> PointPrediction:
         """By its own latents, not by ``latent``, which is the policy's."""
         del latent
         own, goal = self._histories.sensed_latent, self._task.layout.goal
@@ -119,7 +119,7 @@ class SensedBelief:
         following = seen + f
         change = decode_state(following, goal) - decode_state(seen, goal)
         change[..., 2] = (change[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
-        return change, decoding_slopes(following) @ (g * ACTION_SCALE)
+        return change, decoding_jacobian(following) @ (g * ACTION_SCALE)
 
 
 def _probes() -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa_lab.point.beliefs import from_task_action
-from safedpa_sim.point.belief import SimulatedPointModel, to_task_action
+from safedpa_sim.point.point_model import SimulatedPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
 from safedpa_sim.point.policy_task import EPSILON
@@ -38,7 +38,7 @@ class Shelter:
         """Safe actions (robots, 2) of ``PointTask`` for those that were chosen."""
         task = self._task
         state = centre_state(task.simulation)
-        believed = self._belief.believed(state, np.zeros((task.count, 0)))
+        believed = self._belief.predict(state, np.zeros((task.count, 0)))
         nominal = from_task_action(np.asarray(chosen, dtype=np.float64))
         return to_task_action(self._filter.decide(state, nominal, task.layout.hazards, believed).action)
 

@@ -8,13 +8,13 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
 from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import (
+from safedpa_sim.point.point_model import (
     ACTION_SCALE,
     AbstractPointModel,
     PointPrediction,
@@ -102,7 +102,7 @@ class Shield:
         self.see(task)
         if self._believed is None:
             state = centre_state(task.simulation) if self._state is None else self._state
-            self._believed = self._belief.believed(state, self.latent)
+            self._believed = self._belief.predict(state, self.latent)
         return self._believed
 
     def act(self, task: PointTask, nominal: NDArray[np.floating]) -> FilteredActions:

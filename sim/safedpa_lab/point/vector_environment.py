@@ -19,7 +19,7 @@ __all__ = ["PointEnvironment"]
 
 
 _RETAINED = 200
-"""Episodes over which their means are told."""
+"""Episodes over which their means are reported."""
 
 
 @final

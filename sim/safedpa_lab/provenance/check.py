@@ -1,4 +1,4 @@
-"""Which results are older than the code that they speak of."""
+"""Which results are older than the code that made them."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ __all__ = ["Standing", "standings"]
 
 @dataclass(frozen=True)
 class Standing:
-    """A file of results, or a row of a benchmark's, next to the code of today."""
+    """A file of results, or a row of a benchmark, compared with the current code."""
 
     name: str
     command: str | None
     date: str | None
     commit: str | None
     changed: tuple[str, ...]
-    """Rooms whose code, or data, is another one by now."""
+    """Packages whose code or data has changed since."""
     rooms: int
-    """Through which its code passes; 0 where no one wrote that down."""
+    """Number of packages that its code uses; 0 if it was not recorded."""
 
     @property
     def reported(self) -> str:
-        """In words: of today, older in so many rooms, or unknown."""
+        """As text: current, older in a number of packages, or unknown."""
         if not self.rooms:
-            return "made before its code was written down"
+            return "made before provenance was recorded"
         if not self.changed:
-            return "made by the code of today"
-        return f"older than its code in {len(self.changed)} of {self.rooms} rooms"
+            return "made by the current code"
+        return f"older than its code in {len(self.changed)} of {self.rooms} packages"
 
 
 def standings(folder: Path) -> Iterator[Standing]:
-    """Every ``*.json`` of the folder, by name. Raises InputError for a folder without any, or for what is no JSON."""
+    """Every ``*.json`` of the folder, by name. Raises InputError for a folder without any, or for invalid JSON."""
     files = sorted(folder.glob("*.json")) if folder.is_dir() else []
     if not files:
         raise InputError(f"{folder}: got no file of results (*.json) there; name the folder that holds them")
@@ -56,7 +56,7 @@ def standings(folder: Path) -> Iterator[Standing]:
 
 
 def _standing(name: str, document: Any) -> Standing:
-    """Of what is no such record, or names no module, nothing is known; of a module that is gone every room differs."""
+    """Without a record nothing is known; every package of a module that no longer exists counts as changed."""
     document = _table(document)
     retained = _table(document.get(KEY))
     module, then = retained.get("module"), _table(retained.get("code"))

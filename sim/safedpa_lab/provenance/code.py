@@ -30,10 +30,10 @@ DATA = {"shipped models": (("safedpa", "*.toml"), ("safedpa", "*.safetensors"), 
 
 
 def digests(module: str) -> dict[str, str]:
-    """For each room that the module's code passes through, twelve digits that change with what its files do.
+    """For each package that the module uses, twelve digits that change with the behaviour of its files.
 
-    A room is a folder of a package, such as "safedpa.safety". Lines of comments, docstrings and empty lines do not
-    count. Data that is shipped counts byte for byte.
+    Packages are those of one folder, such as "safedpa.safety". Comments, docstrings and empty lines do not count.
+    Shipped data counts byte for byte.
     """
     rooms: dict[str, list[str]] = {}
     for name in code_behind(module):

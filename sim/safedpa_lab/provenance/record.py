@@ -1,4 +1,4 @@
-"""What is written next to a figure: how to make it again, and what it was made with."""
+"""The provenance of a result: how to make it again, and with which code and machine it was made."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ELSEWHERE = (
     "out", "page", "record", "keep", "recordings", "models", "baselines", "data", "file", "markdown", "picture",
     "pictures", "peers",
 )  # fmt: skip
-"""Options that name a place on a machine, where they do: they change nothing of a result but where it stands."""
+"""Options that name a path on a machine: they do not change a result."""
 _NO_RESULT = ("as_json", "processes", "workers", "jobs", "listed", "resume")
 """Options on which no result depends."""
 
@@ -38,7 +38,7 @@ _NO_RESULT = ("as_json", "processes", "workers", "jobs", "listed", "resume")
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
     """Writes a result as JSON, whole or not at all, with its provenance, where the command of this context made it.
 
-    What is not finite becomes null: JSON has no word for it, and hours of work are not lost for one number.
+    Values that are not finite become null, which JSON lacks: hours of work are not lost for one number.
     """
     document = _plain({**result, KEY: provenance()})
     with atomic_path(path) as unfinished:
@@ -59,7 +59,7 @@ def _plain(value: Any) -> Any:
 def provenance() -> dict[str, Any]:
     """Command and what was chosen for it, date, commit, machine and load, versions, digests of the code behind it."""
     context = click.get_current_context(silent=True)
-    module = None if context is None or context.command.callback is None else context.command.callback.__module__
+    module = None if context is None else _module(context.command)
     return {
         "command": None if context is None else command_line(context),
         "module": module,
@@ -75,8 +75,16 @@ def provenance() -> dict[str, Any]:
     }
 
 
+def _module(command: click.Command) -> str | None:
+    """The module whose code the command's results depend on."""
+    experiment = getattr(command, "experiment", None)  # commands generated from a record share one callback
+    if experiment is not None:
+        return str(experiment.module)
+    return None if command.callback is None else command.callback.__module__
+
+
 def command_line(context: click.Context) -> str:
-    """The command with every option that was given and that its result depends on, as one types it."""
+    """The command line with every given option that changes the result."""
     phrase: list[str] = []
     for item in context.command.params:
         value = context.params.get(item.name or "")
@@ -90,7 +98,7 @@ def command_line(context: click.Context) -> str:
 
 
 def _text(item: click.Parameter, value: Any) -> Sequence[str]:
-    """As it is typed; of a place on this machine the last part alone."""
+    """As typed on the command line; of a path only the last part."""
     reported = [str(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
     reported = [
         PurePath(one).name if isinstance(value, Path) or PurePath(one).is_absolute() else one for one in reported

@@ -23,8 +23,8 @@ from zenoh_ros2_sdk.publisher import ROS2Publisher
 from zenoh_ros2_sdk.subscriber import ROS2Subscriber
 
 from safedpa_lab.ros.foreign import DIAGNOSTICS, DRIVE, ODOMETRY, address, hash_of, session
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.world import CarWorld
 
 __all__ = ["Car", "Reported", "blind_policy"]
 
@@ -51,7 +51,7 @@ class Reported:
         self.sense_to_act: list[tuple[float, float]] = []
         """s from sending an odometry to the arrival of the command made of it; and how long that waited its turn."""
         self.notice: list[tuple[float, str]] = []
-        """When something that is not well was said, and what; once while it stays the same."""
+        """When something that is not well was reported, and what; once while it stays the same."""
         self._saying: dict[str, str] = {}
         self.braked_by_gateway = 0
 
@@ -64,7 +64,7 @@ class Reported:
         self._arrived[stamp.sec * 10**9 + stamp.nanosec] = self.commanded
 
     def diagnose(self, message: Any) -> None:
-        """What was said of gateway or filter."""
+        """What was reported of gateway or filter."""
         now = time.monotonic()
         for status in message.status:
             level = status.level if isinstance(status.level, int) else int.from_bytes(bytes(status.level), "little")

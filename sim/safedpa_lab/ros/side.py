@@ -16,7 +16,7 @@ from typing import Any
 
 from safedpa.bus.transport import ports
 from safedpa.errors import SafedpaError
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.scene import Scene
 
 __all__ = ["Loop", "Node", "Side", "robot_file", "services", "side"]
 
@@ -159,7 +159,7 @@ class Loop:
         return (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, name: str, phrase: str, seconds: float = _START_SECONDS) -> str:
-        """Until it said so. Raises SafedpaError with its log where it does not."""
+        """Until it reports so. Raises SafedpaError with its log where it does not."""
         end = time.monotonic() + seconds
         while phrase not in (text := self.log(name)):
             if time.monotonic() > end:

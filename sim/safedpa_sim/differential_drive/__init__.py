@@ -1,1 +1,1 @@
-"""The stand-in of the differential drive."""
+"""The simulated stand-in of the differential drive."""

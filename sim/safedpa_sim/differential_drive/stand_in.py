@@ -1,13 +1,14 @@
-"""Two wheels with motors, tyres that slip, a body with mass: among obstacles and walls, with goals.
+"""A simulated differential drive with motor lag, slipping tyres and mass, among obstacles and walls, with goals.
 
 Per step of 2.5 ms, with wheel radius factors k_left, k_right and the true track b:
 
-    motor:   d(wheel)/dt = clip((target - wheel) / lag, +-limit / (1 + payload)),  target = k (speed -+ turn b_told / 2)
+    motor:   d(wheel)/dt = clip((target - wheel) / lag, +-limit / (1 + payload)),  target = k (speed -+ turn b_nom / 2)
     tyre:    forward force = clip(stiffness (wheel - ground), +-grip weight / 2), sideways = clip(-stiffness slide, ...)
     castor:  force = -carpet mass sign(speed)
     body:    Newton and Euler, semi-implicit
 
-None of its equations is in the model library. What touches something stands there until it is driven away.
+b_nom is the track that the driver assumes. None of the equations is in the model library. A robot that touches an
+object stays there until it is driven away.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ WORLDS: dict[str, dict[str, float]] = {
     "worn": {"radius": 0.94, "difference": 0.03, "track": 1.05},
     "slippery": {"grip": 0.25, "lag": 0.14},
 }
-"""What may be asked of the world, four times."""
+"""Named sets of world parameters."""
 _SUBSTEP = 0.0025
 _LIMIT = 1.2
 """m/s2 of a wheel without load."""
@@ -47,10 +48,11 @@ _LIMITS = {
 
 
 class WheeledStandIn(AbstractStandIn):
-    """The truth. ``payload``: mass on board over its own; ``radius``, ``track``: over what the driver believes;
-    ``difference``: of the radii over their mean; ``grip``: of the tyres; ``lag`` [s] of the motors; ``carpet`` [m/s2].
+    """The simulated robot.
 
-    Raises InputError for a number that no such robot has.
+    World parameters: ``payload`` (mass over own mass), ``radius`` and ``track`` (true over assumed value),
+    ``difference`` (of the wheel radii over their mean), ``grip`` of the tyres, ``lag`` [s] of the motors, and
+    ``carpet`` [m/s2]. Raises InputError for an unknown parameter or a value out of range.
     """
 
     field = (-_FIELD, _FIELD, -_FIELD, _FIELD)
@@ -100,11 +102,11 @@ class WheeledStandIn(AbstractStandIn):
 
     @property
     def footprint(self) -> Numbers:
-        """A disc around the middle of the axle."""
+        """A disc around the centre of the axle."""
         return (0.0, 0.0, RADIUS)
 
     def advance(self, action: Numbers, seconds: float) -> None:
-        """In equal steps of at most 2.5 ms."""
+        """Simulates ``seconds`` in equal steps of about 2.5 ms."""
         count = max(1, round(seconds / _SUBSTEP))
         for _ in range(count):
             self._substep(action, seconds / count)
@@ -148,7 +150,7 @@ class WheeledStandIn(AbstractStandIn):
         self._x, self._y = x, y
 
     def _room(self, x: float, y: float) -> tuple[float, str]:
-        """m to the nearest thing, and its name."""
+        """Returns the distance [m] to the nearest object and its name."""
         near = [
             (hypot(x - ox, y - oy) - size - RADIUS, f"obstacle {k}") for k, (ox, oy, size) in enumerate(self._obstacles)
         ]
@@ -156,11 +158,11 @@ class WheeledStandIn(AbstractStandIn):
         return min([*near, *walls])
 
     def contact(self) -> str:
-        """The obstacle or wall into which it would move."""
+        """Returns the obstacle or wall that the robot touches; empty if none."""
         return self._touched
 
     def watchdog_action(self) -> Numbers:
-        """It stands."""
+        """Returns the action to stop."""
         return (0.0, 0.0)
 
     def _placed(self) -> tuple[tuple[float, float, float], ...]:
@@ -176,7 +178,7 @@ class WheeledStandIn(AbstractStandIn):
         return tuple(found)
 
     def _next_goal(self) -> tuple[float, float]:
-        """Free, at least 1.5 m away; behind an obstacle where one of some tries is."""
+        """Draws a free goal at least 1.5 m away, behind an obstacle if possible."""
         free: list[tuple[float, float]] = []
         while len(free) < 12:
             x, y = self._random.uniform(-_FIELD + 0.6, _FIELD - 0.6, 2).tolist()

@@ -1,1 +1,1 @@
-"""The paper's inverted pendulum in the wind: what is asked of it, and its barrier."""
+"""The paper's inverted pendulum in the wind; read ``task`` (constants, barrier), then ``policy_task`` (training)."""

@@ -1,7 +1,7 @@
-"""What a pendulum's policy learns: to get upright the long way round, in winds that it does not know.
+"""The policy task of the pendulum: swinging up the long way round in unknown wind.
 
-Pendulums start beneath the hazard. Between policy and motor stands the safety filter, which keeps them within a
-corridor by the simulator's own physics: what training is sheltered by.
+Pendulums start just below the hazard. A batched safety filter with the simulator's own physics keeps them in a
+corridor.
 """
 
 from __future__ import annotations
@@ -34,36 +34,45 @@ from safedpa_sim.pendulum.task import (
     is_upright,
 )
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.drives import random_drives as random_drives_around
-from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
-from safedpa_sim.training.networks import AffineNetworks
-from safedpa_sim.training.one_period import PeriodResult
-from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.data.drives import random_drives as random_drives_around
+from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.environments.period_result import PeriodResult
+from safedpa_sim.training.networks.modules import AffineNetworks
 
-__all__ = ["EPISODE_TICKS", "CorridorShelter", "SwingTask", "evaluate", "practice", "random_drives", "starts_beneath"]
+__all__ = [
+    "EPISODE_TICKS",
+    "CorridorFilter",
+    "SwingTask",
+    "evaluate",
+    "make_environment",
+    "random_drives",
+    "starts_beneath",
+]
 
 Tensor = torch.Tensor
 _EPSILON: Final = 0.018
-"""rad; about the filter's margin. Who leans on the filter comes to rest epsilon / eta inside the edge."""
+"""rad; close to the filter's margin. A pendulum that is pushed against the filter rests epsilon / eta inside the
+edge."""
 _FIRST: Final = 0.6
-"""rad; largest angle at the start, at rest."""
+"""rad; largest initial angle, at rest."""
 _DRAWN_AGAIN: Final = (1.0, 0.1, 0.03)
-"""Probability per period that a torque is redrawn, for a third of the pendulums each."""
+"""Probability per period that a torque is redrawn, for one third of the pendulums each."""
 
 
 @final
-class CorridorShelter:
-    """``BatchFilter`` before ``count`` pendulums that are to stay between two angles [rad]."""
+class CorridorFilter:
+    """A batched safety filter that keeps ``count`` pendulums between two angles [rad]."""
 
     def __init__(self, count: int, edges: tuple[float, float]) -> None:
         self._filter = BatchFilter(PENDULUM, filter_settings(_EPSILON))
         self._barriers = CompiledBatchBarriers.of([[corridor(edges)]] * count, 2)
 
     def decide(self, after: Callable[[Tensor], Tensor], state: Tensor, torque: Tensor) -> Tensor:
-        """The torques (count, 1) nearest to ``torque`` that keep the corridor, for states (count, 2).
+        """Returns the torques (count, 1) closest to ``torque`` that satisfy the barrier, for states (count, 2).
 
-        ``after`` tells the states one period later under torques (count, 1): they change with them as good as linearly,
-        so f and g are those of the chord from the strongest torque to the other.
+        ``after`` returns the states one period later under torques (count, 1). They depend almost linearly on the
+        torque, so f and g are those of the secant between the extreme torques.
         """
         lowest, highest = (after(torch.full_like(torque, bound)).numpy() for bound in (-TORQUE, TORQUE))
         f, g = 0.5 * (lowest + highest), (highest - lowest) / (2.0 * TORQUE)
@@ -73,17 +82,17 @@ class CorridorShelter:
 
 
 def _retained_drives(
-    cars: BatchedCars, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
+    cars: BatchedSimulator, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
 ) -> TransitionSequence:
-    """``count`` pendulums for ``steps`` periods; the wind becomes another with probability ``change`` a period.
+    """Simulates ``count`` pendulums under random torques, filtered to stay within 45 degrees.
 
-    Torques at random within 45 degrees: what the history encoder meets while balancing.
+    The history encoder sees such histories while balancing. The wind changes with probability ``change`` per period.
     """
     environment, state = _winds(cars, count, generator), torch.zeros(count, 2)
     state[:, 0] = _FIRST * (2.0 * torch.rand(count, generator=generator) - 1.0)
     again = torch.tensor(_DRAWN_AGAIN)[torch.arange(count) % len(_DRAWN_AGAIN)].unsqueeze(1)
     nominal, states, actions, environments = cars.draw_actions(count, generator), [state], [], []
-    shelter = CorridorShelter(count, BALANCING)
+    corridor_filter = CorridorFilter(count, BALANCING)
     with torch.no_grad():
         for _ in range(steps):
             drawn = torch.rand(count, 2, generator=generator)
@@ -92,7 +101,7 @@ def _retained_drives(
             def after(torque: Tensor, state: Tensor = state, wind: Tensor = environment) -> Tensor:
                 return cars.advance(state, torque, wind)[0]
 
-            torque = shelter.decide(after, state, nominal)
+            torque = corridor_filter.decide(after, state, nominal)
             state = after(torque)
             states.append(state)
             actions.append(torque)
@@ -103,43 +112,43 @@ def _retained_drives(
         )
 
 
-def _winds(cars: BatchedCars, count: int, generator: torch.Generator) -> Tensor:
+def _winds(cars: BatchedSimulator, count: int, generator: torch.Generator) -> Tensor:
     drawn = cars.draw_environments(count, generator)
     limited: Tensor = drawn * (_STRONGEST / drawn.norm(dim=1, keepdim=True)).clamp_max(1.0)
     return limited
 
 
 _EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed: no swing of the evaluation is trained on."""
+"""Added to the configuration's seed, so that no evaluation swing is trained on."""
 
 
-def practice(
-    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
+def make_environment(
+    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
 ) -> SwingTask:
-    """Pendulums to train on; ``penalty`` is for entering the hazard, ``sheltered`` by a stand-in for the filter."""
-    return SwingTask(configuration, weights, count, seed, sheltered=sheltered, penalty=penalty)
+    """Returns pendulums to train on; entering the hazard costs ``penalty``; ``with_filter``, the filter acts."""
+    return SwingTask(configuration, weights, count, seed, with_filter=with_filter, penalty=penalty)
 
 
 def random_drives(
-    cars: BatchedCars,
+    cars: BatchedSimulator,
     networks: AffineNetworks,
     count: int,
     steps: int,
     change: float,
     generator: torch.Generator,
 ) -> TransitionSequence:
-    """Half the pendulums swing all around, half are kept within 45 degrees by an exact stand-in for the filter."""
+    """Simulates drives: half of the pendulums swing freely, half are filtered to stay within 45 degrees."""
     around = random_drives_around(cars, networks, count - count // 2, steps, change, generator)
     if count < 2:
         return around
-    return joined([around, _retained_drives(cars, networks, count // 2, steps, change, generator)])
+    return concatenate([around, _retained_drives(cars, networks, count // 2, steps, change, generator)])
 
 
 def evaluate(
-    configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, sheltered: bool = True
+    configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, with_filter: bool = True
 ) -> dict[str, Any]:
-    """One swing of each pendulum under the policy without noise: the share upright at its end, and hazards entered."""
-    swings = SwingTask(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    """Evaluates one noise-free swing of each pendulum: the share upright at the end, hazard entries and more."""
+    swings = SwingTask(configuration, weights, cars, seed + _EVALUATION_SEED, with_filter=with_filter, calm=True)
     policy = LearnedPolicy(weights)
     middle, scale = weights["action_middle"], weights["action_scale"]
     gained, contacts = np.zeros(cars), np.zeros(cars)
@@ -163,22 +172,22 @@ EPISODE_TICKS: Final = 400
 _START: Final = (0.05, 0.2)
 """rad below the hazard's lower edge."""
 _ELSEWHERE = 0.5
-"""Share of the swings that begin anywhere in the safe set, in training: the policy gets to know the whole circle."""
+"""Share of the training swings that begin anywhere in the safe set, so that the policy explores the whole circle."""
 _EARLIER = 200
-"""Ticks of which up to so many are over already where a swing begins elsewhere."""
+"""Such a swing starts with up to this many ticks already elapsed."""
 _FAST = 8.0
-"""rad/s; largest rate there."""
+"""rad/s; largest initial rate of such a swing."""
 _TURNS = 0.003
-"""Probability per tick that the wind becomes another."""
+"""Probability per tick that the wind changes."""
 _STRONGEST = 4.4
-"""m/s; against stronger winds the motor does not lift the pendulum."""
+"""m/s; in stronger wind the motor cannot lift the pendulum."""
 _TICK, _UPRIGHT = 0.005, 0.02
-"""Rewards, next to the way to upright in rad that was gained: for each tick, each tick upright. Who arrives early gets
-more; nothing is said of the hazard, and effort costs nothing."""
+"""Reward terms besides the progress to upright [rad]: cost of a tick, and reward of a tick upright, which favours early
+arrival. Neither the hazard nor effort is in the reward."""
 
 
 def starts_beneath(count: int, random: np.random.Generator) -> NDArray[np.float64]:
-    """States (count, 2) just beneath the hazard, moving towards it, within {h >= 0}: s uniform from the edge on."""
+    """Draws states (count, 2) just below the hazard, moving towards it, within {h >= 0}."""
     low = LONG_WAY_ROUND[0]
     below = random.uniform(*_START, count)
     ahead = below * random.uniform(0.0, 1.0, count)
@@ -186,7 +195,7 @@ def starts_beneath(count: int, random: np.random.Generator) -> NDArray[np.float6
 
 
 def _way(angle: Float32Array) -> Float32Array:
-    """The shorter way to upright [rad]: past the hazard or through it."""
+    """Returns the angular distance to upright [rad], the shorter way, even if that leads through the hazard."""
     way: Float32Array = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
     return way
 
@@ -194,26 +203,27 @@ def _way(angle: Float32Array) -> Float32Array:
 @final
 @dataclass
 class SwingTask:
-    """``count`` pendulums; the same seed gives the same swings. ``sheltered`` puts the filter before each.
+    """A batch of ``count`` swinging pendulums; the same seed gives the same swings.
 
-    ``penalty`` is taken off the reward when one enters the hazard; ``calm``: the wind of a swing stays.
+    ``with_filter``, the safety filter corrects each torque. Entering the hazard costs ``penalty``. With ``calm`` the
+    wind is constant during a swing.
     """
 
     configuration: Configuration
     weights: Weights
     count: int
     seed: int
-    sheltered: bool = True
+    with_filter: bool = True
     penalty: float = 0.0
     calm: bool = False
 
     def __post_init__(self) -> None:
-        self._pendulums = BatchedCars(self.configuration)
+        self._pendulums = BatchedSimulator(self.configuration)
         self.period = self._pendulums.model.period
         self._networks = LearnedNetworks(self.weights)
         self._generator = self._pendulums.generator(self.seed)
         self._random = np.random.default_rng([self.seed, 12])
-        self._shelter = CorridorShelter(self.count, LONG_WAY_ROUND)
+        self._filter = CorridorFilter(self.count, LONG_WAY_ROUND)
         count, latents = self.count, self.weights.description.latents
         self.state: Float32Array = np.zeros((count, 2), dtype=np.float32)
         self.applied: Float32Array = np.zeros((count, 1), dtype=np.float32)
@@ -225,7 +235,7 @@ class SwingTask:
         self.restart(np.arange(count))
 
     def restart(self, which: NDArray[np.intp]) -> None:
-        """New swings for the pendulums of those indices."""
+        """Starts new swings for the pendulums with the given indices."""
         count = len(which)
         elsewhere = (self._random.random(count) < _ELSEWHERE) & (not self.calm)
         beneath = starts_beneath(count, self._random)
@@ -236,25 +246,25 @@ class SwingTask:
         self._change_wind(which)
 
     def _anywhere(self, count: int) -> NDArray[np.float64]:
-        """States (count, 2) of the safe set: angles all around, and rates with which s stays inside."""
+        """Draws states (count, 2) of the safe set: any permitted angle, with a rate that keeps h >= 0."""
         angle = self._random.uniform(*LONG_WAY_ROUND, count)
         ahead = np.clip(angle + AHEAD * self._random.uniform(-_FAST, _FAST, count), *LONG_WAY_ROUND)
         return np.stack((angle, (ahead - angle) / AHEAD), axis=1)
 
     def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Float32Array:
-        """What the policy sees of the pendulums of those indices."""
+        """Returns the observations of the pendulums with the given indices."""
         goal = np.full(len(self.state[which]), UPRIGHT)
         return observe_pendulum(self.state[which], goal, self.latent[which]).astype(np.float32)
 
     def exploring(self, random: np.random.Generator) -> Float32Array:
-        """Actions at random, for the scales of what is observed."""
+        """Returns random actions, from which the scales of the observations are computed."""
         return random.uniform(-1.0, 1.0, (self.count, 1)).astype(np.float32)
 
     def advance(self, chosen: Float32Array) -> PeriodResult:
-        """One period under ``chosen`` (count, 1), each entry in [-1, 1] over the range of torques."""
+        """Simulates one period under ``chosen`` (count, 1), each entry in [-1, 1] over the range of torques."""
         torque = (TORQUE * np.clip(chosen, -1.0, 1.0)).astype(np.float32)
         before = _way(self.state[:, 0])
-        self.applied = self._retained(torque) if self.sheltered else torque
+        self.applied = self._retained(torque) if self.with_filter else torque
         self.state = self._after(self.applied)
         self.tick += 1
         unsafe = in_hazard(self.state[:, 0])
@@ -270,14 +280,14 @@ class SwingTask:
         return PeriodResult(np.asarray(reward, dtype=np.float32), reached & over, over & ~reached, unsafe, began)
 
     def _retained(self, torque: Float32Array) -> Float32Array:
-        """The torque within what keeps the corridor."""
+        """Returns the filtered torque."""
         state, environment = torch.from_numpy(self.state), torch.from_numpy(self.environment)
 
         def after(bounds: torch.Tensor) -> torch.Tensor:
             return self._pendulums.advance(state, bounds, environment)[0]
 
         with torch.no_grad():
-            retained: Float32Array = self._shelter.decide(after, state, torch.from_numpy(torque)).numpy()
+            retained: Float32Array = self._filter.decide(after, state, torch.from_numpy(torque)).numpy()
         return retained
 
     def _after(self, torque: Float32Array) -> Float32Array:

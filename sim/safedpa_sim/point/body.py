@@ -1,4 +1,4 @@
-"""Numbers of the point robot's body and motors."""
+"""Constants of the point robot's body and motors."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Final
 __all__ = ["CONTROL_SECONDS", "POINT_BODY", "SUBSTEPS", "PointBody"]
 
 SUBSTEPS: Final = 10
-"""Physics steps in one step of the task."""
+"""Physics steps per step of the task."""
 CONTROL_SECONDS: Final = 0.02
 """s between two actions: ten steps of 2 ms."""
 
 
 @dataclass(frozen=True)
 class PointBody:
-    """A ball with a box for a nose, on two slides and a hinge through the ball's middle.
+    """A ball with a box as nose, on two slides and a hinge through the ball's centre.
 
     Source: the published constants of the benchmark's point robot (Ray, Achiam, Amodei, Benchmarking Safe Exploration
     in Deep Reinforcement Learning, 2019, and its successor): shapes, density, dampings, motors, force limits.
@@ -27,19 +27,19 @@ class PointBody:
     nose_half_edge: float = 0.05
     """m; half an edge of the box."""
     nose_ahead: float = 0.1
-    """m from the ball's middle to the box's."""
+    """m from the ball's centre to the box's."""
     density: float = 1.0
-    """kg/m3 of both."""
+    """kg/m3 of ball and box."""
     slide_damping: float = 0.01
     """N s/m."""
     hinge_damping: float = 0.005
     """N m s/rad."""
     gear: float = 0.3
-    """Force [N] over the motor's control, and turn over the servo's."""
+    """Thrust [N] per motor control, and torque per servo force."""
     force_limit: float = 0.05
-    """Of both motors before the gear: the thrust saturates at a control of 0.05, the turning torque at 0.015 N m."""
+    """Limit of both motors before the gear: the thrust saturates at a control of 0.05, the torque at 0.015 N m."""
     servo_gain: float = 1.0
-    """Of the turning servo: torque = gear clip(gain (control - gear rate), +-force limit)."""
+    """Gain of the turning servo: torque = gear clip(gain (control - gear rate), +-force limit)."""
 
     @property
     def ball_mass(self) -> float:
@@ -74,7 +74,7 @@ class PointBody:
 
     @property
     def largest_turn(self) -> float:
-        """rad/s that the turning motor's torque holds against the hinge's damping."""
+        """rad/s at which the largest torque balances the hinge's damping."""
         return self.gear * self.force_limit / self.hinge_damping
 
 

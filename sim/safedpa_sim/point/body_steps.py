@@ -1,10 +1,11 @@
-"""Single periods of the body itself, for the state that filter and networks know: centre of mass, yaw, velocity.
+"""Single periods of the simulated body in terms of the filter's state: centre of mass, yaw, velocity.
 
-The centre of mass lies ``centre_ahead`` before the hinge. With c that distance, r the yaw rate, n = (-sin, cos):
+The centre of mass is ``centre_ahead`` in front of the hinge. With c this distance, r the yaw rate, n = (-sin, cos):
 
     x_centre = x_hinge + c (cos, sin),    v_centre = v_hinge + c r n
 
-The rate is no part of the state: the servo follows the command within a few milliseconds. What it was is a memory.
+The yaw rate is not part of the state, because the servo follows its command within a few milliseconds; functions that
+need it take it separately.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ __all__ = ["LARGEST_TURN", "actions_of", "after_one_period", "centre_state", "co
 
 
 LARGEST_TURN: Final = POINT_BODY.largest_turn
-"""rad/s; faster commands turn no faster."""
+"""rad/s; commands above saturate."""
 _TURN_OF_CONTROL: Final = (
     POINT_BODY.servo_gain * POINT_BODY.gear / (POINT_BODY.servo_gain * POINT_BODY.gear**2 + POINT_BODY.hinge_damping)
 )
-"""rad/s that the servo settles at for the control 1."""
+"""Steady-state yaw rate [rad/s] per unit of servo control."""
 
 
 def centre_state(simulation: PointSimulation) -> FloatArray:
-    """(robots, 5): x, y of the centre of mass, yaw, and its velocity in the world, of the robots as they are."""
+    """Returns the current states (robots, 5): x, y of the centre of mass, yaw, and its velocity in the world."""
     ahead = simulation.body.centre_ahead
     x, y, yaw = simulation.pose
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -56,14 +57,13 @@ def put_state(simulation: PointSimulation, state: FloatArray, rate: FloatArray) 
 
 
 def controls_of(action: FloatArray) -> FloatArray:
-    """Controls (2, robots) of the body's motors for actions (robots, 2): thrust [N], turn [rad/s]."""
+    """Converts actions (robots, 2), thrust [N] and turn rate [rad/s], to motor controls (2, robots)."""
     controls: FloatArray = np.stack((action[:, 0] / POINT_BODY.gear, action[:, 1] / _TURN_OF_CONTROL))
     return controls
 
 
 def actions_of(controls: FloatArray) -> FloatArray:
-    """Actions (robots, 2), thrust [N] and turn [rad/s], that controls (2, robots) of the motors come to: what lies
-    beyond their limits pushes no harder and turns no faster."""
+    """Converts motor controls (2, robots) to actions (robots, 2), thrust [N] and turn rate [rad/s], with saturation."""
     limit = POINT_BODY.force_limit
     thrust = POINT_BODY.gear * np.clip(controls[0], -limit, limit)
     turn = np.clip(_TURN_OF_CONTROL * np.clip(controls[1], -1.0, 1.0), -LARGEST_TURN, LARGEST_TURN)
@@ -78,10 +78,10 @@ def after_one_period(
     drag: FloatArray | float = 0.0,
     gain: FloatArray | float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """States (robots, 5) and yaw rates (robots,) one period later, under actions thrust [N] and turn [rad/s].
+    """Returns states (robots, 5) and yaw rates (robots,) one period later, under thrust [N] and turn rate [rad/s].
 
-    ``wind`` (robots, 2): its force over the mass [m/s2]; ``drag``: deceleration over velocity [1/s] on top of the
-    body's own; ``gain``: factor on the thrust.
+    ``wind`` (robots, 2) is force over mass [m/s2], ``drag`` deceleration over velocity [1/s] in addition to the body's
+    own, and ``gain`` a factor on the thrust.
     """
     simulation = PointSimulation(len(state))
     put_state(simulation, state, rate)

@@ -1,4 +1,4 @@
-"""The safety filter before many simulated point robots: ``BatchFilter`` with the stopping manoeuvre's barriers."""
+"""The safety filter for batches of point robots: ``BatchFilter`` with the barriers of the stopping manoeuvre."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from safedpa.safety.batch.barriers import BatchStopping
 from safedpa.safety.batch.filter import STATUSES, BatchFilter
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.verdict import Status
-from safedpa_sim.point.belief import PointPrediction
 from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.point_model import PointPrediction
 
 __all__ = ["ETA", "FilteredActions", "PointFilter", "around_hazards", "minimum_barrier"]
 
 
 ETA: Final = 0.5
-"""Of the simulated robots' filter; that of the robot on the bus keeps more room: it has more to allow for."""
+"""eta of the filter in simulation; the robot on the bus uses a more conservative value."""
 _PLAIN: Final = [STATUSES.index(status) for status in (Status.passed, Status.corrected)]
 
 
 @final
 @dataclass(frozen=True)
 class FilteredActions:
-    """Actions (robots, 2) in [-1, 1], where they are not the nominal action, and where not every condition could be kept."""
+    """Filtered actions (robots, 2) in [-1, 1], and for each robot whether the action was corrected, and whether a
+    constraint was relaxed because not all could be satisfied."""
 
     action: FloatArray
     corrected: BoolArray
@@ -37,7 +38,7 @@ class FilteredActions:
 
 @final
 class PointFilter:
-    """``epsilon`` [m] is the margin. Actions lie in [-1, 1], as ``PointPrediction`` has them."""
+    """The batched filter with margin ``epsilon`` [m]; actions are in [-1, 1], as in ``PointPrediction``."""
 
     def __init__(self, epsilon: float) -> None:
         settings = settings_named("point")
@@ -47,7 +48,7 @@ class PointFilter:
     def decide(
         self, state: FloatArray, nominal: FloatArray, hazards: FloatArray, believed: PointPrediction
     ) -> FilteredActions:
-        """Safe actions for states (robots, 5) and nominal actions (robots, 2) among hazards (robots, m, 2)."""
+        """Returns safe actions for states (robots, 5) and nominal actions (robots, 2) among hazards (robots, m, 2)."""
         around = around_hazards(hazards, believed.motion)
 
         def stopping(robot: int) -> FloatArray:
@@ -63,12 +64,12 @@ class PointFilter:
 
 
 def around_hazards(hazards: FloatArray, motion: Motion) -> BatchStopping:
-    """The barriers of robots among hazards (robots, m, 2)."""
+    """Returns the barriers of robots among hazards (robots, m, 2)."""
     radii = np.full((*hazards.shape[:2], 1), HAZARD_RADIUS)
     return BatchStopping(np.concatenate((hazards, radii), axis=2), motion)
 
 
 def minimum_barrier(state: FloatArray, hazards: FloatArray, motion: Motion) -> FloatArray:
-    """min over hazards (n, m, 2) of h (n,) [m] at states (n, 5) by what ``motion`` believes."""
-    least: FloatArray = around_hazards(hazards, motion).values(state).min(axis=1)
+    """Returns the minimum of h over hazards (n, m, 2), shape (n,) [m], at states (n, 5) for the modelled ``motion``."""
+    least: FloatArray = around_hazards(hazards, motion).h(state).min(axis=1)
     return least

@@ -1,21 +1,19 @@
-"""What policies see of the point robot.
+"""Observations of the point robot.
 
-The task's: the benchmark's sensors, where the goal lies, a lidar of the hazards. The robot's own policy pi(x, z): its
-motion, the goal, hazards, the first turn of the way, z.
+The task's observation has the benchmark's sensors, the goal and a lidar of the hazards. The observation of the policy
+pi(x, z) has motion, z, goal, hazards, lidar and the first turn of the route.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS
-
-if TYPE_CHECKING:
-    from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, Layout
+from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = [
     "GOAL_ENTRIES",
@@ -30,26 +28,33 @@ __all__ = [
 
 
 _NEAREST: Final = 4
-"""Hazards that are told one by one."""
+"""Number of nearest hazards that are observed individually."""
 _FADING: Final = 0.3
-"""m from a hazard's edge at which it counts a third."""
+"""m; decay length of a hazard's entry with the distance from its edge."""
 _FARTHEST: Final = 1.0
-"""m beyond which a distance makes no difference."""
+"""m; larger distances are clipped."""
+
+
+class ObservedTask(Protocol):
+    """The part of a task that an observation reads."""
+
+    simulation: PointSimulation
+    layout: Layout
 
 
 def entries_seen(latents: int) -> int:
-    """How many numbers ``policy_seen`` gives."""
+    """Returns the number of entries of ``policy_seen``."""
     return 3 + 3 * latents + 3 + 3 * _NEAREST + LIDAR_BINS + 3
 
 
-def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: FloatArray) -> FloatArray:
-    """(robots, entries), all as seen from the robot, directions as unit vectors ahead and left:
+def policy_seen(task: ObservedTask, latent: NDArray[np.floating[Any]], turn: FloatArray) -> FloatArray:
+    """Returns the policy's observation (robots, entries) in the robot frame, with directions as unit vectors:
 
-        velocity and yaw rate; z cos yaw, z sin yaw, z; goal: direction and distance; the four nearest hazards:
-        direction and exp(-distance to the edge / 0.3 m); the lidar; the way's first ``turn`` (robots, 2): direction and
-        distance.
+        velocity and yaw rate; z cos yaw, z sin yaw, z; direction and distance of the goal; direction and
+        exp(-distance to the edge / 0.3 m) of the four nearest hazards; lidar; direction and distance of the route's
+        first ``turn`` (robots, 2).
 
-    z turned by the yaw is there because a wind acts in the world and the robot pushes along its heading.
+    z is included rotated by the yaw because a wind acts in the world frame, while the robot pushes along its heading.
     """
     pose, velocity = task.simulation.pose, task.simulation.velocity
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
@@ -67,8 +72,8 @@ def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: FloatA
     return np.concatenate(parts, axis=1)
 
 
-def _towards(place: FloatArray, pose: FloatArray) -> FloatArray:
-    seen = _own_frame(place[:, np.newaxis], pose)[:, 0]
+def _towards(position: FloatArray, pose: FloatArray) -> FloatArray:
+    seen = _own_frame(position[:, np.newaxis], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
     parts = (seen / (distance + GOAL_OFFSET), np.minimum(distance, _FARTHEST))
     return np.concatenate(parts, axis=1)
@@ -88,13 +93,13 @@ SENSOR_ENTRIES: Final = 12
 GOAL_ENTRIES: Final = 3
 LIDAR_BINS: Final = 16
 _LIDAR_REACH = 2.0 * FIELD
-"""m; further hazards read 0."""
+"""m; range of the lidar, beyond which hazards read 0."""
 GOAL_OFFSET: Final = 0.001
-"""m on top of a distance, not to divide by zero."""
+"""m added to a distance to avoid a division by zero."""
 
 
 def _own_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
-    """Points (robots, points, 2) of the world as seen by robots of pose (3, robots): ahead, left."""
+    """Converts world points (robots, points, 2) to the frames of robots with pose (3, robots): ahead, left."""
     apart = points - pose[:2].T[:, None]
     cosine, sine = np.cos(pose[2])[:, None], np.sin(pose[2])[:, None]
     ahead = cosine * apart[..., 0] + sine * apart[..., 1]
@@ -103,22 +108,22 @@ def _own_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def goal_seen(pose: FloatArray, goal: FloatArray) -> FloatArray:
-    """(robots, 3): direction of the goal in the own frame (2 entries of a unit vector), distance [m]."""
+    """Returns (robots, 3): direction of the goal in the robot frame (unit vector) and distance [m]."""
     seen = _own_frame(goal[:, None], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
     return np.concatenate((seen / (distance + GOAL_OFFSET), distance), axis=1)
 
 
 def hazard_lidar(pose: FloatArray, hazards: FloatArray) -> FloatArray:
-    """(robots, 16): closeness 1 - distance / 3 m of the nearest hazard in each sixteenth of the circle, 0: none.
+    """Returns (robots, 16): closeness 1 - distance / 3 m of the nearest hazard in each angular bin, 0 if none.
 
-    A hazard also shows in the bins next to its own, by how far it lies towards them, so the reading turns smoothly.
+    A hazard also contributes to the two neighbouring bins by linear interpolation, so that readings vary smoothly.
     """
     seen = _own_frame(hazards, pose)
     closeness = np.clip(1.0 - np.linalg.norm(seen, axis=2) / _LIDAR_REACH, 0.0, None)
-    place = np.arctan2(seen[..., 1], seen[..., 0]) % (2.0 * np.pi) / (2.0 * np.pi / LIDAR_BINS)
-    index = place.astype(int) % LIDAR_BINS
-    share = place - np.floor(place)
+    bins = np.arctan2(seen[..., 1], seen[..., 0]) % (2.0 * np.pi) / (2.0 * np.pi / LIDAR_BINS)
+    index = bins.astype(int) % LIDAR_BINS
+    share = bins - np.floor(bins)
     lidar = np.zeros((len(hazards), LIDAR_BINS))
     robots = np.arange(len(hazards))[:, None]
     for offset, weight in ((0, 1.0), (1, share), (-1, 1.0 - share)):

@@ -1,7 +1,7 @@
-"""What a point robot's policy pi(x, z) learns: to drive from goal to goal among hazards, the wind's latent in view.
+"""The policy task of the point robot: driving from goal to goal among hazards, with the wind's latent as an input.
 
-Reward: metres gained along the shortest way around the hazards, 1 for each goal. The robots are sheltered by the filter
-with the simulated physics itself, so that hazards need not be in the reward.
+Reward: progress in m along the shortest route around the hazards, and 1 for each goal. The safety filter, with the
+simulated physics as its model, corrects the actions, so that hazards need not be in the reward.
 """
 
 from __future__ import annotations
@@ -13,39 +13,40 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import Float32Array
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa_sim.point.belief import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import policy_seen
+from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel, to_task_action
+from safedpa_sim.point.route_planner import RoutePlanner, teacher_actions
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
-from safedpa_sim.point.way import RoutePlanner, teacher_actions
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.one_period import PeriodResult
+from safedpa_sim.training.data.drives import random_drives
+from safedpa_sim.training.environments.period_result import PeriodResult
 
-__all__ = ["EPSILON", "LARGEST_FORCE", "PointPractice", "evaluate", "practice", "random_drives"]
+__all__ = ["EPSILON", "LARGEST_FORCE", "PointEnvironment", "evaluate", "make_environment", "random_drives"]
 
 
 LARGEST_FORCE: Final = 0.008
-"""N."""
+"""N; strongest wind."""
 EPSILON: Final = 0.003
 """m; the filter's margin in training."""
 _EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed: no layout of the evaluation is trained on."""
+"""Added to the configuration's seed, so that no evaluation layout is trained on."""
 _EVALUATION_TICKS = 500
 _TURNS = 0.001
-"""Probability per tick that the wind becomes another."""
+"""Probability per tick that the wind changes."""
 _JUMP = 0.3
-"""m; a way past the other side of a hazard may be longer at once, by no more than this in the reward."""
+"""m; limit of the progress per step: the route length jumps when the route switches to the other side of a hazard."""
 
 
 @final
-class PointPractice:
-    """Robots that practise in winds within a disc; ``sheltered`` by the filter with the simulated physics itself.
+class PointEnvironment:
+    """A batch of point robots in random winds.
 
-    ``penalty`` is taken off the reward for each step in a hazard. No wind turns while ``calm``.
+    ``with_filter``, the safety filter corrects each action. Each step in a hazard costs ``penalty``. With ``calm`` the
+    winds are constant.
     """
 
     def __init__(
@@ -56,13 +57,13 @@ class PointPractice:
         seed: int,
         *,
         penalty: float = 0.0,
-        sheltered: bool = True,
+        with_filter: bool = True,
         calm: bool = False,
     ) -> None:
         self.count = count
         self.task = PointTask(count, seed, largest_force=LARGEST_FORCE)
         self.period = configuration.simulator.period
-        self._penalty, self._sheltered, self._calm = penalty, sheltered, calm
+        self._penalty, self._with_filter, self._calm = penalty, with_filter, calm
         self._networks = LearnedNetworks(weights) if weights.description.latents else None
         self._paths = [entry.path for entry in weights.description.environment]
         self._random = np.random.default_rng([seed, 17])
@@ -71,51 +72,51 @@ class PointPractice:
         if not calm:
             self.task.steps[:] = self._random.integers(0, EPISODE_STEPS, count)
         self.latent: Float32Array = np.zeros((count, weights.description.latents), np.float32)
-        self._know_wind()
+        self._update_latent()
         self.applied: Float32Array = np.zeros((count, 2), np.float32)
         self._within = np.zeros(count, bool)
         self._ways = RoutePlanner(count)
         self._turn, self._left = self._way()
 
     def _way(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the ways turn first, and how long they are [m]."""
+        """Returns the first turns of the routes and their lengths [m]."""
         layout = self.task.layout
         return self._ways.first_turns(self.task.simulation.pose[:2].T, layout.hazards, layout.goal)
 
     @property
     def state(self) -> Float32Array:
-        """(robots, 5), centre of mass."""
+        """States (robots, 5) of the centres of mass."""
         return centre_state(self.task.simulation).astype(np.float32)
 
     def restart(self, which: NDArray[np.intp]) -> None:
-        """New layouts and winds for the robots of those indices."""
+        """Starts new episodes with new layouts and winds for the robots with the given indices."""
         if len(which):
             self.task.restart(which)
             self._within[which] = False
-            self._know_wind()
+            self._update_latent()
             self._turn, self._left = self._way()
 
     def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Float32Array:
-        """``policy_seen`` (robots, entries)."""
+        """Returns ``policy_seen`` (robots, entries) of the robots with the given indices."""
         return policy_seen(self.task, self.latent, self._turn)[which].astype(np.float32)
 
     def teacher(self) -> Float32Array:
-        """Actions (robots, 2) in [-1, 1] of a driver that knows the wind: what a policy may be taught by."""
+        """Returns actions (robots, 2) in [-1, 1] of a teacher that knows the wind."""
         state = centre_state(self.task.simulation)
-        motion = self._belief.believed(state, np.zeros((self.count, 0))).motion
+        motion = self._belief.predict(state, np.zeros((self.count, 0))).motion
         return teacher_actions(state, self._turn, motion).astype(np.float32)
 
     def exploring(self, random: np.random.Generator) -> Float32Array:
-        """Actions at random, for the scales of what is observed."""
+        """Returns random actions, from which the scales of the observations are computed."""
         return random.uniform(-1.0, 1.0, (self.count, 2)).astype(np.float32)
 
     def advance(self, chosen: Float32Array) -> PeriodResult:
-        """One period under ``chosen`` (robots, 2), each entry in [-1, 1] over the range of commands."""
+        """Simulates one period under ``chosen`` (robots, 2), each entry in [-1, 1] over the range of commands."""
         task = self.task
         action = np.clip(np.asarray(chosen, dtype=np.float64), -1.0, 1.0)
-        if self._sheltered:
+        if self._with_filter:
             state = centre_state(task.simulation)
-            believed = self._belief.believed(state, np.zeros((self.count, 0)))
+            believed = self._belief.predict(state, np.zeros((self.count, 0)))
             action = self._filter.decide(state, action, task.layout.hazards, believed).action
         self.applied = (action * ACTION_SCALE).astype(np.float32)
         stepped = task.advance(to_task_action(action))
@@ -129,7 +130,7 @@ class PointPractice:
         return PeriodResult(reward.astype(np.float32), never, stepped.timed_out, never, began)
 
     def _gained(self) -> NDArray[np.float64]:
-        """m along the way; where a goal was reached, what had been left to its edge, and 1."""
+        """Returns the progress [m] along the route; at a goal, the remaining distance to its edge plus 1."""
         before = self._left
         self._turn, self._left = self._way()
         gained = np.clip(before - self._left, -_JUMP, _JUMP)
@@ -141,10 +142,10 @@ class PointPractice:
             direction = self._random.uniform(0.0, 2.0 * np.pi, len(which))
             strength = LARGEST_FORCE * np.sqrt(self._random.random(len(which)))
             self.task.simulation.force[:, which] = strength * np.stack((np.cos(direction), np.sin(direction)))
-            self._know_wind()
+            self._update_latent()
 
-    def _know_wind(self) -> None:
-        """z = mu(e) of the winds as they are."""
+    def _update_latent(self) -> None:
+        """Sets z = mu(e) for the current winds."""
         if self._networks is None:
             return
         simulation = self.task.simulation
@@ -155,21 +156,21 @@ class PointPractice:
         self.latent = self._networks.encode(environment).astype(np.float32)
 
 
-def practice(
-    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
-) -> PointPractice:
-    """Robots to train on; ``penalty`` is for each step in a hazard, ``sheltered`` by a stand-in for the filter."""
-    return PointPractice(configuration, weights, count, seed, penalty=penalty, sheltered=sheltered)
+def make_environment(
+    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
+) -> PointEnvironment:
+    """Returns robots to train on; each step in a hazard costs ``penalty``; ``with_filter``, the filter acts."""
+    return PointEnvironment(configuration, weights, count, seed, penalty=penalty, with_filter=with_filter)
 
 
 def evaluate(
-    configuration: Configuration, weights: Weights, *, cars: int = 128, seed: int = 0, sheltered: bool = True
+    configuration: Configuration, weights: Weights, *, cars: int = 128, seed: int = 0, with_filter: bool = True
 ) -> dict[str, Any]:
-    """Ten seconds of each robot under the policy without noise: the share that reach a goal, and what it cost.
+    """Evaluates ten noise-free seconds of each robot: the share that reach a goal, and means over the robots.
 
-    ``goals``: reached by each; ``contacts``: hazards entered; ``nearest``: mean of the least room to a hazard [m].
+    ``goals`` reached, ``contacts`` (hazards entered), ``nearest`` (least distance to a hazard [m]) and ``reward``.
     """
-    robots = PointPractice(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    robots = PointEnvironment(configuration, weights, cars, seed + _EVALUATION_SEED, with_filter=with_filter, calm=True)
     policy = LatentPolicy(weights)
     goals, contacts, gained = np.zeros(cars), np.zeros(cars), np.zeros(cars)
     nearest = np.full(cars, np.inf)

@@ -1,4 +1,4 @@
-"""Many point robots at once, in numpy: MuJoCo's own arithmetic for this one body, for training.
+"""Batched simulation of point robots in NumPy, with MuJoCo's equations for this body.
 
 With q = (x, y, yaw), centre of mass c ahead of the hinge, mass m, inertia I about the hinge:
 
@@ -6,8 +6,8 @@ With q = (x, y, yaw), centre of mass c ahead of the hinge, mass m, inertia I abo
     force = thrust (cos, sin, 0) + wind at the centre of mass + torque - damping v + m c rate^2 (cos, sin, 0)
     (M - dt dforce/dv) a = force,  v += dt a,  q += dt v
 
-which is the integrator ``implicitfast``: dforce/dv is diagonal, the dampings and, while it is not at its limit, the
-turning servo. Tests hold it against MuJoCo.
+This is MuJoCo's integrator ``implicitfast``: dforce/dv is diagonal, with the dampings and the turning servo unless it
+saturates. Tests compare the result with MuJoCo.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _MAGNETIC = -0.5
 
 
 class PointSimulation:
-    """``count`` bodies, each in a wind of its own; all arrays have the robot as last axis."""
+    """``count`` bodies, each in its own wind; in all arrays the robot is the last axis."""
 
     def __init__(self, count: int, body: PointBody = POINT_BODY) -> None:
         self.body = body
         self.pose = np.zeros((3, count))
-        """x, y [m], yaw [rad], turns counted."""
+        """x, y [m], yaw [rad], not wrapped."""
         self.velocity = np.zeros((3, count))
         """vx, vy [m/s] in the world, yaw rate [rad/s]."""
         self.force = np.zeros((2, count))
-        """N, of the wind in the world."""
+        """Force of the wind in the world frame [N]."""
         self.extra_damping = np.zeros(count)
-        """N s/m on top of the slides': a drag that no one told of."""
+        """Additional damping of the slides [N s/m], unknown to the models."""
         self.strength = np.ones(count)
-        """Factor on the thrust: a motor that weakens."""
+        """Factor on the thrust, for weakened motors."""
 
     def advance(self, control: FloatArray) -> None:
-        """Holds (thrust, turn) controls (2, count), each cut to [-1, 1], for one step of the task."""
+        """Simulates one step of the task under (thrust, turn) controls (2, count), clipped to [-1, 1]."""
         control = np.clip(control, -1.0, 1.0)
         limit = self.body.force_limit
         thrust = self.strength * self.body.gear * np.clip(control[0], -limit, limit)
@@ -54,7 +54,7 @@ class PointSimulation:
     def acceleration(
         self, thrust: FloatArray, turn: FloatArray, seconds: float = CONTROL_SECONDS / SUBSTEPS
     ) -> FloatArray:
-        """(3, count) mean acceleration over an implicit step of ``seconds``; 0: of this moment."""
+        """Returns the mean acceleration (3, count) over an implicit step of ``seconds``; with 0 the current one."""
         body = self.body
         cosine, sine = np.cos(self.pose[2]), np.sin(self.pose[2])
         rate = self.velocity[2]
@@ -76,7 +76,7 @@ class PointSimulation:
         )
 
     def sensors(self, control: FloatArray) -> FloatArray:
-        """(12, count): accelerometer, velocimeter, gyro, magnetometer, of this moment under (thrust, turn) controls."""
+        """Returns the current accelerometer, velocimeter, gyro and magnetometer (12, count) under the controls."""
         limit = self.body.force_limit
         control = np.clip(control, -1.0, 1.0)
         thrust = self.strength * self.body.gear * np.clip(control[0], -limit, limit)
@@ -100,5 +100,5 @@ class PointSimulation:
 
 
 def _turned(vector: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """World to body."""
+    """Rotates a vector from the world to the body frame."""
     return cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0]

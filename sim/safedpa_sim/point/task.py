@@ -1,4 +1,4 @@
-"""The task: reach the goal, then the next one, for 1000 steps; every step within a hazard costs 1."""
+"""The task of the point robot: reach one goal after another for 1000 steps; each step inside a hazard costs 1."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safedpa.arrays import BoolArray, FloatArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, draw_layouts
 from safedpa_sim.point.observation import hazard_lidar
-from safedpa_sim.point.sensed import sensed
+from safedpa_sim.point.sensor_state import sensed
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "StepResult", "control_of"]
@@ -20,27 +20,27 @@ __all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "StepResult", "control_o
 
 EPISODE_STEPS: Final = 1000
 GOAL_REWARD: Final = 1.0
-"""For each goal."""
+"""Reward of each goal."""
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """What one step brought, one entry a robot."""
+    """The result of one step, one entry per robot."""
 
     reward: FloatArray
-    """m by which the goal came nearer, and 1 where it was reached."""
+    """Progress towards the goal [m], plus 1 when it is reached."""
     cost: FloatArray
-    """1 where the hinge, the robot's middle, lies within a hazard."""
+    """1 if the hinge, the robot's geometric centre, is inside a hazard."""
     reached: BoolArray
     timed_out: BoolArray
-    """The episode's last step."""
+    """Whether this was the last step of the episode."""
 
 
 def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> FloatArray:
-    """Controls (2, count) of actions (count, 2) in [-1, 1].
+    """Converts actions (count, 2) in [-1, 1] to motor controls (2, count).
 
-    The thrust's control is a twentieth of the action, so that it never saturates and the body is affine in it; with
-    ``stock`` the action itself, as in the benchmark: beyond a twentieth of its range the thrust is full.
+    The thrust control is a twentieth of the action, so that it never saturates and the body is affine in the action.
+    With ``stock`` it is the action itself, as in the benchmark, where the thrust saturates at a twentieth of the range.
     """
     scale = np.array([1.0 if stock else POINT_BODY.force_limit, 1.0])
     control: FloatArray = (np.clip(action, -1.0, 1.0) * scale).T
@@ -48,10 +48,10 @@ def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> FloatA
 
 
 class PointTask:
-    """``count`` robots, each in a layout and a wind of its own; the same seed gives the same episodes.
+    """A batch of ``count`` robots, each with its own layout and wind; the same seed gives the same episodes.
 
-    ``paired``: each robot's goals come from a sequence of its own, whatever the others reach and when, so that several
-    methods meet the same.
+    With ``paired``, each robot has its own random stream for goals, so that different methods face the same goals
+    regardless of when other robots reach theirs.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class PointTask:
         self.count = count
         self.simulation = PointSimulation(count)
         self.largest_force = largest_force
-        """N; winds are drawn within that disc at each restart."""
+        """N; at each restart, winds are drawn from the disc of this radius."""
         self._stock = stock
         self._random = np.random.default_rng(seed)
         self._own = np.random.default_rng([seed, 1]).spawn(count) if paired else []
@@ -71,7 +71,7 @@ class PointTask:
         self.restart(np.arange(count))
 
     def restart(self, which: NDArray[np.intp]) -> None:
-        """New layouts, headings and winds for the robots of those indices, at rest."""
+        """Starts new episodes at rest, with new layouts, headings and winds, for the robots with the given indices."""
         drawn = draw_layouts(len(which), self._random)
         self.layout.robot[which], self.layout.goal[which] = drawn.robot, drawn.goal
         self.layout.hazards[which] = drawn.hazards
@@ -87,11 +87,11 @@ class PointTask:
         self._distance[which] = self._goal_distance()[which]
 
     def advance(self, action: NDArray[np.floating[Any]]) -> StepResult:
-        """One step under actions (count, 2) in [-1, 1]; a goal that is reached is put elsewhere."""
+        """Simulates one step under actions (count, 2) in [-1, 1]; a goal that is reached is replaced by a new one."""
         return self.advance_under(control_of(action, self._stock))
 
     def advance_under(self, control: FloatArray) -> StepResult:
-        """The same under controls (2, count) of the body's motors."""
+        """Simulates one step under motor controls (2, count)."""
         self.control = control
         self.simulation.advance(self.control)
         self.steps += 1
@@ -110,17 +110,17 @@ class PointTask:
     def _put_goals(self, which: NDArray[np.intp]) -> None:
         groups = [(np.array([index]), self._own[index]) for index in which] if self._own else [(which, self._random)]
         for some, random in groups:
-            place = self.simulation.pose[:2, some].T
-            self.layout.goal[some] = draw_goals(place, self.layout.hazards[some], random)
+            position = self.simulation.pose[:2, some].T
+            self.layout.goal[some] = draw_goals(position, self.layout.hazards[some], random)
 
     def hazard_distance(self) -> FloatArray:
-        """(count,) m from the robot's middle to the edge of the nearest hazard, negative within."""
+        """Returns the distance (count,) [m] from the robot's centre to the nearest hazard's edge, negative inside."""
         apart = self.layout.hazards - self.simulation.pose[:2].T[:, None]
         nearest: FloatArray = np.linalg.norm(apart, axis=2).min(axis=1) - HAZARD_RADIUS
         return nearest
 
     def observation(self) -> FloatArray:
-        """(count, 31): 12 of the sensors, 3 of the goal, 16 of the lidar; the wind or a latent is not among them."""
+        """Returns observations (count, 31): 12 sensor, 3 goal and 16 lidar entries, without wind or latent."""
         seen = sensed(self.simulation, self.control, self.layout.goal)
         return np.concatenate((seen, hazard_lidar(self.simulation.pose, self.layout.hazards)), axis=1)
 

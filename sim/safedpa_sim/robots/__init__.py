@@ -1,19 +1,24 @@
-"""Simulated robots: the reality that the services face."""
+"""Simulated robots, which stand in for hardware; read ``robot`` first, then ``loop``.
 
+``robot`` is the base class of every simulated robot, ``guard`` its check of actions and its watchdog. ``car``,
+``pendulum`` and ``point_robot`` are the robots; ``stand_in_robot`` simulates any robot package from its own equations.
+``loop`` runs one robot on the bus, ``fleet`` many. ``python -m safedpa_sim.robots`` is the command.
+"""
+
+from safedpa_sim.robots.car.contacts import Collision
+from safedpa_sim.robots.car.footprint import footprint
+from safedpa_sim.robots.car.loads import LOADS, Load, load_named
+from safedpa_sim.robots.car.robot import BRAKE, CarRobot
+from safedpa_sim.robots.car.scene import GOAL_RADIUS, Scene
+from safedpa_sim.robots.car.shared_field import CarContact, SharedField
+from safedpa_sim.robots.car.world import CarWorld
 from safedpa_sim.robots.changes import CHANGES, PlannedChange
-from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.core import BRAKE, CarRobot
-from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.guard import ActionGuard
-from safedpa_sim.robots.loads import LOADS, Load, load_named
-from safedpa_sim.robots.pendulum_robot import PendulumRobot, Violation
-from safedpa_sim.robots.pendulum_task import TASKS, PendulumTask, task_named
-from safedpa_sim.robots.pendulum_world import PendulumWorld, wind_towards
+from safedpa_sim.robots.pendulum.robot import PendulumRobot, Violation
+from safedpa_sim.robots.pendulum.task import TASKS, PendulumTask, task_named
+from safedpa_sim.robots.pendulum.world import PendulumWorld, wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
-from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
-from safedpa_sim.robots.shared_field import CarContact, SharedField
 from safedpa_sim.robots.trace import TracedPeriod, TraceWriter, read_trace
-from safedpa_sim.robots.world import CarWorld
 
 __all__ = [
     "BRAKE",

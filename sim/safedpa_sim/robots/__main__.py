@@ -1,4 +1,4 @@
-"""``python -m safedpa_sim.robots``: one simulated robot as a process of its own that speaks only the bus."""
+"""``python -m safedpa_sim.robots``: one simulated robot as a process on the bus."""
 
 from __future__ import annotations
 
@@ -17,68 +17,81 @@ from safedpa.bus.service.process import (
     log_lifetime,
     run_process,
 )
-from safedpa.dynamics.own import load_own_of_environment
-from safedpa.robot import DEFAULT_ROBOT, robot_named
-from safedpa_sim.robots.account import account_of, check_writable, write_account
+from safedpa.dynamics.user_files import load_user_files
+from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
+from safedpa_sim.robots.car.loads import LOADS
 from safedpa_sim.robots.changes import CHANGES
 from safedpa_sim.robots.claim import claim_name
-from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
-from safedpa_sim.robots.pendulum_task import TASKS
-from safedpa_sim.robots.stand_ins import robot_of
+from safedpa_sim.robots.pendulum.task import TASKS
+from safedpa_sim.robots.robot_factory import make_robot
+from safedpa_sim.robots.run_summary import check_writable, summarise_run, write_summary
 from safedpa_sim.robots.trace import TraceWriter
 
 
 def robot_parser() -> argparse.ArgumentParser:
-    """The options of a simulated robot."""
+    """Returns the parser of the options of a simulated robot."""
     parser = argparse.ArgumentParser(prog="safedpa-robot", description="a simulated robot on the bus")
     add_bus_options(parser)
     parser.add_argument("--robot", default=DEFAULT_ROBOT, help="kind of robot")
     parser.add_argument(
-        "--world", action="append", default=[], metavar="NAME=NUMBER", help="of a stand-in of one's own"
+        "--world",
+        action="append",
+        default=[],
+        metavar="NAME=NUMBER",
+        help="parameter of the stand-in of a robot package",
     )
-    parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
+    parser.add_argument("--name", default="r1", help="unique name on the bus")
     parser.add_argument(
-        "--drive", choices=("speed_servo", "throttle"), default="speed_servo", help="what commands the car's motor"
+        "--drive",
+        choices=("speed_servo", "throttle"),
+        default="speed_servo",
+        help="command interface of the car's motor",
     )
-    parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
-    parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
-    parser.add_argument("--change-after", type=float, default=30.0, metavar="SECONDS", help="when, by its clock")
-    parser.add_argument("--laser", action="store_true", help="the car is told no obstacles, and has a laser scanner")
-    parser.add_argument("--people", type=int, default=0, help="who walk about where the car drives; needs --laser")
-    parser.add_argument("--task", choices=tuple(TASKS), default="balance", help="what the pendulum has to do")
-    parser.add_argument("--wind", type=float, default=0.0, metavar="SPEED", help="m/s, on the pendulum")
+    parser.add_argument("--load", choices=("none", *LOADS), default="none", help="towed load")
+    parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="change during the drive")
     parser.add_argument(
-        "--wind-direction", type=float, default=0.0, metavar="DEGREES", help="where it blows to: 0 aside, 90 up"
+        "--change-after", type=float, default=30.0, metavar="SECONDS", help="earliest robot time of the change"
     )
-    parser.add_argument("--force", type=float, default=0.0, metavar="NEWTON", help="of the wind, on the point robot")
-    parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="hung on the pendulum's mass")
+    parser.add_argument("--laser", action="store_true", help="a car with a laser scanner and without known obstacles")
+    parser.add_argument("--people", type=int, default=0, help="number of people walking on the field; needs --laser")
+    parser.add_argument("--task", choices=tuple(TASKS), default="balance", help="task of the pendulum")
+    parser.add_argument("--wind", type=float, default=0.0, metavar="SPEED", help="wind speed on the pendulum in m/s")
     parser.add_argument(
-        "--dry-friction", type=float, default=0.0, metavar="TORQUE", help="N m in the pendulum's hinge, at any rate"
+        "--wind-direction",
+        type=float,
+        default=0.0,
+        metavar="DEGREES",
+        help="direction that the wind blows towards: 0 sideways, 90 up",
     )
-    parser.add_argument("--seed", type=int, default=0, help="scene: obstacles, start, goals")
+    parser.add_argument("--force", type=float, default=0.0, metavar="NEWTON", help="wind force on the point robot")
+    parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="additional mass of the pendulum")
     parser.add_argument(
-        "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
+        "--dry-friction", type=float, default=0.0, metavar="TORQUE", help="dry friction of the pendulum's hinge in N m"
     )
-    parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
+    parser.add_argument("--seed", type=int, default=0, help="seed of obstacles, start and goals")
+    parser.add_argument("--seconds", type=float, default=0.0, help="duration in robot time; 0: no limit")
+    parser.add_argument(
+        "--lockstep", action="store_true", help="wait for each action, which makes a run reproducible bit for bit"
+    )
     parser.add_argument("--rate", type=float, help="ticks per second; default: the robot's own")
-    parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
-    parser.add_argument("--await-word", action="store_true", help="drive when the supervisor says so")
-    parser.add_argument("--trace", type=Path, default=None, help="append what was done in every period here")
+    parser.add_argument("--summary", type=Path, default=None, help="file for the summary of the run")
+    parser.add_argument("--await-word", action="store_true", help="wait for the supervisor's start signal")
+    parser.add_argument("--trace", type=Path, default=None, help="file for a trace of every period")
     return parser
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
-    """Drives until the time is over or ``stop``; 0, or 1 when in lockstep no one answered."""
-    load_own_of_environment()
+    """Runs until the time is over or ``stop``; returns 0, or 1 if no action arrived in lockstep."""
+    load_user_files()
     options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
-    robot = robot_of(options)
+    robot = make_robot(options)
     if options.summary is not None:
         check_writable(options.summary)
     with bus_from_options(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
         if options.await_word:
-            stop.await_word()
+            stop.wait_for_start()
             if stop():
                 return 0
         files.enter_context(log_lifetime("robot", stop))
@@ -94,12 +107,12 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         end = stop.reason or ("time is over" if code == 0 else "no action")
         if stop():
             loop.brake(publish=True)
-        account = account_of(robot, loop.latencies, loop.overruns, end)
+        summary = summarise_run(robot, loop.latencies, loop.overruns, end)
         if not stop():
-            loop.brake(publish=False)  # after the account: a run of N seconds has N seconds' ticks
+            loop.brake(publish=False)  # after the summary: a run of N seconds reports the ticks of N seconds
         if options.summary is not None:
-            write_account(account, options.summary)
-        sys.stdout.write(json.dumps(account) + "\n")
+            write_summary(summary, options.summary)
+        sys.stdout.write(json.dumps(summary) + "\n")
     return code
 
 

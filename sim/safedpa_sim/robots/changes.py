@@ -1,39 +1,54 @@
-"""What may change about the car while it drives, without anybody telling its model."""
+"""Changes of the car during a drive that its model is not informed of."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, hypot, sin
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_sim.robots.footprint import footprint
-from safedpa_sim.robots.loads import LOADS
-
-if TYPE_CHECKING:
-    from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.car.footprint import footprint
+from safedpa_sim.robots.car.loads import LOADS, Load
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.world import CarWorld
 
 __all__ = ["CHANGES", "PlannedChange"]
 
 _WIND = 1.0
-"""m/s2; a push of a tenth of the car's weight."""
+"""m/s2; a force of a tenth of the car's weight."""
 _OFFSET = 0.08
-"""rad; a linkage bent by a knock."""
+"""rad; a linkage bent by an impact."""
 _DRIVING = 0.8
-"""m/s; slower than this nothing is hitched, and there is no head to the wind."""
+"""m/s; changes wait until the car is at least this fast, so that a headwind has a direction."""
 _AHEAD_SECONDS = 1.0
-"""Way that the speed covers in this time must be free ahead of the nose: the load makes the car wider and slower at
-once, and it shall drive on."""
+"""The distance covered in this time must be free ahead of the nose: the load widens and slows the car at once, and the
+car should be able to continue."""
 _ROOM = 0.1
-"""m beyond the load's footprint that must be free around the car where it is hitched."""
+"""m around the footprint with load that must be free when it is hitched."""
 
 CHANGES = ("hitch", "headwind", "steering_offset")
-"""A chair hitched; a steady wind against the direction in which the car drives then; a bent steering linkage."""
+"""A chair is hitched; a steady wind starts against the current heading; the steering linkage is bent."""
+
+
+class ChangeableCar(Protocol):
+    """The part of a car that a change uses."""
+
+    scene: Scene
+    world: CarWorld
+    tick: int
+    period: float
+
+    @property
+    def values(self) -> tuple[float, float, float, float]:
+        """x, y, yaw, speed."""
+
+    def hitch(self, load: Load) -> None:
+        """Hitches ``load``."""
 
 
 @dataclass(frozen=True)
 class PlannedChange:
-    """One of ``CHANGES``, made at the first tick from ``after`` [s] on at which the car drives and there is room.
+    """One of ``CHANGES``, applied at the first tick from ``after`` [s] on at which the car drives and has room.
 
     Raises InputError for another name.
     """
@@ -45,13 +60,13 @@ class PlannedChange:
         if self.name not in CHANGES:
             raise InputError(f"change '{self.name}': {did_you_mean(self.name, CHANGES)}")
 
-    def made(self, robot: CarRobot) -> bool:
-        """Makes the change if it is due; False while it has to wait."""
+    def try_apply(self, robot: ChangeableCar) -> bool:
+        """Applies the change if it is due and possible; returns whether it did."""
         _, _, yaw, speed = robot.values
         if robot.tick * robot.period < self.after - 1e-9 or speed < _DRIVING:
             return False
         if self.name == "hitch":
-            return _hitched(robot)
+            return _try_hitch(robot)
         if self.name == "headwind":
             robot.world.wind = (-_WIND * cos(yaw), -_WIND * sin(yaw))
         else:
@@ -59,7 +74,7 @@ class PlannedChange:
         return True
 
 
-def _hitched(robot: CarRobot) -> bool:
+def _try_hitch(robot: ChangeableCar) -> bool:
     load = LOADS["chair"]
     x, y, yaw, speed = robot.values
     rear, front, radius = footprint(load)

@@ -1,4 +1,4 @@
-"""Making sure that no other robot lives under a name before driving under it."""
+"""Claims a robot name on the bus and checks that no other robot uses it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from safedpa.errors import BusError
 __all__ = ["claim_name", "claim_names"]
 
 _SETTLE_SECONDS = 0.5
-"""Two peers that joined through a third one hear of each other a few tens of milliseconds later, seldom 200."""
+"""Time for discovery: two peers that joined through a third one see each other after some 10 ms, seldom after 200
+ms."""
 _LOOK_SECONDS = 0.1
-"""A robot repeats its state at least so often in lockstep, and ticks faster in real time."""
+"""A robot publishes its state at least this often in lockstep, and more often in real time."""
 
 
 def claim_name(bus: Bus, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-    """Announces the robot ``name``; returns when it is the only one of that name.
+    """Claims the robot ``name`` and returns when no other robot has it.
 
-    Raises BusError when another one is announced that started earlier, or when one is heard to speak.
+    Raises BusError when another robot claimed the name earlier, or publishes states under it.
     """
     claim_names(bus, (name,), clock)
 
@@ -28,9 +29,9 @@ def claim_name(bus: Bus, name: str, clock: Callable[[], float] = time.monotonic)
 def claim_names(
     bus: Bus, names: Sequence[str], clock: Callable[[], float] = time.monotonic, listener: Bus | None = None
 ) -> None:
-    """Announces several robots of one process at once; as ``claim_name`` for each, in the time that one takes.
+    """Claims several names of one process at once, as ``claim_name`` does for each, in the time of one.
 
-    ``listener`` hears whether another one speaks, the bus itself where it is None: what it subscribed to stays.
+    ``listener`` receives the states of other robots; by default it is ``bus``, which then stays subscribed to them.
     """
     instance = f"{time.time_ns():016x}-{uuid.uuid4().hex[:8]}"
     inbox = (listener or bus).inbox((STATE,), names[0] if len(names) == 1 else "*", alone=True)
@@ -43,14 +44,14 @@ def claim_names(
             earlier = [other for other in bus.instances(name, "robot") if other < instance]
             if name in speaking or earlier:
                 raise BusError(
-                    f"robot '{name}' of fleet '{bus.fleet}' lives already"
+                    f"robot '{name}' of fleet '{bus.fleet}' is already running"
                     f"{f' (instance {earlier[0]})' if earlier else ''}; choose another --name, or end the other one "
                     "first"
                 )
 
 
 def _perhaps_taken(bus: Bus, names: Sequence[str], instance: str, speaking: set[str]) -> Sequence[str]:
-    """The names to look at: all where robots of other processes live that are older, else those that speak."""
+    """Returns the names to check: all if an older robot of another process exists, otherwise those that publish."""
     if len(names) == 1 or any(other < instance for other in bus.instances("*", "robot")):
         return names
     return [name for name in names if name in speaking]

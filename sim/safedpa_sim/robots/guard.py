@@ -1,4 +1,4 @@
-"""The robot's last gate: which action messages it accepts."""
+"""The robot's check of action messages before it applies them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from safedpa.bus.messages.messages import ActionMessage
 __all__ = ["ActionGuard"]
 
 _TOLERANCE = 1e-9
-"""How far beyond an actuator limit a number may lie: rounding, no more."""
+"""Tolerance for rounding errors at an actuator limit."""
 
 
 class ActionGuard:
-    """Accepts at most one action a tick, and only one that was computed from this tick's state and is within limits.
+    """Accepts at most one action per tick; it must belong to this tick's state and be within the actuator limits.
 
-    Nothing is clipped or repaired: what is not right is refused, with the reason, and counted.
+    Actions are never clipped or corrected: an invalid one is refused with a reason and counted.
     """
 
     def __init__(self, epoch: int, low: tuple[float, ...], high: tuple[float, ...]) -> None:
@@ -25,21 +25,21 @@ class ActionGuard:
         self.high = high
         self.tick = 0
         self.refusals: Counter[str] = Counter()
-        """How many messages were refused, by reason."""
+        """Number of refused messages by reason."""
         self._accepted: tuple[float, ...] | None = None
 
     @property
     def accepted(self) -> tuple[float, ...] | None:
-        """The action of this tick; None while there is none."""
+        """The accepted action of this tick; None if there is none yet."""
         return self._accepted
 
     def begin(self, tick: int) -> None:
-        """A new period: whatever was accepted before is over."""
+        """Starts a new period and discards the action accepted before."""
         self.tick = tick
         self._accepted = None
 
     def offer(self, message: ActionMessage) -> str | None:
-        """Takes the action, or says why not; None means accepted."""
+        """Returns None if the action is accepted, otherwise the reason for the refusal."""
         reason = self._reason(message)
         if reason is None:
             self._accepted = tuple(float(value) for value in message.values)
@@ -48,12 +48,12 @@ class ActionGuard:
         return reason
 
     def withdraw(self, reason: str) -> None:
-        """Takes back what was accepted for this tick, and counts why."""
+        """Withdraws the action accepted for this tick and counts the reason."""
         self._accepted = None
         self.refusals[reason] += 1
 
     def refuse(self, reason: str) -> None:
-        """Counts what did not even become a message."""
+        """Counts the refusal of a message that could not be decoded."""
         self.refusals[reason] += 1
 
     def _reason(self, message: ActionMessage) -> str | None:

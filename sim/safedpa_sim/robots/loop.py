@@ -1,7 +1,7 @@
-"""The robot on the bus: publishes state[k], takes action[k], moves; in lockstep or in real time.
+"""The control loop of a robot on the bus: publishes state[k], receives action[k], advances the simulation.
 
-Lockstep: the robot waits for the action of its state and repeats the state meanwhile. Real time: state k is published
-at k periods after the start, the action must be there after 0.9 periods; otherwise the watchdog brakes.
+Lockstep: the robot waits for the action and repeats the state meanwhile. Real time: state k is published k periods
+after the start, and its action must arrive within 0.9 periods; otherwise the watchdog acts.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ __all__ = ["NoActionError", "RobotLoop"]
 _REPEAT_SECONDS = 0.1
 _PATIENCE_SECONDS = 60.0
 _DEADLINE_SHARE = 0.9
-"""Of the period, after which an action is late."""
+"""Share of the period after which an action is late."""
 _LARGEST_AGE_PERIODS = 2.0
-"""Between a state and the moment in which its action begins to act; a process that was held up must not act on what it
-saw before."""
+"""Largest time between a state and the start of its action; a process that was suspended must not act on an old
+state."""
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
-"""The loop looks at ``stopped`` and its heartbeat at least so often."""
+"""The loop checks ``stopped`` and its heartbeat at least this often."""
 _LONGEST_BRAKING_SECONDS = 5.0
 _USUAL_IN_LOCKSTEP = ("late", "repeated")
-"""A state that is repeated is answered again."""
+"""Refusals that are normal in lockstep, because a repeated state is answered again."""
 _MOST_REPORTED_LATENCIES = 100
 
 
 class NoActionError(BusError):
-    """No one answered in lockstep."""
+    """No valid action arrived in lockstep."""
 
 
 class RobotLoop:
-    """Turns one robot on the bus under ``name``."""
+    """Runs one robot on the bus under ``name``."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class RobotLoop:
         self.latencies: list[float] = []
         """s from publishing a state to accepting its action."""
         self.overruns = 0
-        """Periods that started late because this process was held up."""
+        """Periods that started late because this process was suspended."""
         self._bus = bus
         self._name = name
         self._clock = clock
@@ -74,9 +74,9 @@ class RobotLoop:
         self._reported_latencies = 0
 
     def run(self, stopped: Callable[[], bool], ticks: int) -> None:
-        """Drives until ``stopped`` or for ``ticks`` periods (0: for ever).
+        """Runs until ``stopped`` or for ``ticks`` periods (0: without limit).
 
-        Raises NoActionError when in lockstep no action comes for a minute.
+        Raises NoActionError when no valid action arrives in lockstep for ``patience`` seconds.
         """
         begin = self._clock()
         while not stopped() and (ticks == 0 or self.robot.tick < ticks):
@@ -86,7 +86,7 @@ class RobotLoop:
                 begin = self._real_time_tick(begin)
 
     def brake(self, publish: bool) -> None:
-        """Drives on without accepting anything, so that the watchdog brakes, until the robot is at rest."""
+        """Runs on without accepting actions, so that the watchdog brakes, until the robot is at rest."""
         robot = self.robot
         last = robot.tick + round(_LONGEST_BRAKING_SECONDS / robot.period)
         begin = self._clock()
@@ -97,6 +97,9 @@ class RobotLoop:
             while self._clock() < begin:
                 self._inbox.take(max(0.0, begin - self._clock()))
             self._advance()
+        # A recorder whose link was established late has not received the setup on a short drive.
+        self._next_setup = self._clock()
+        self._report_setup()
         self._report_health("braked")
 
     def _lockstep_tick(self, stopped: Callable[[], bool]) -> None:
@@ -118,7 +121,7 @@ class RobotLoop:
         self._advance()
 
     def _real_time_tick(self, begin: float) -> float:
-        """One period from ``begin``; returns when the next one begins."""
+        """Runs one period from ``begin`` [s]; returns the start of the next one."""
         period = self.robot.period
         self._wait(begin)
         self._publish()
@@ -128,7 +131,7 @@ class RobotLoop:
         now = self._clock()
         if now > following:
             self.overruns += 1
-            return now  # periods that were slept through are not made up in a hurry
+            return now  # missed periods are skipped, not caught up with
         return following
 
     def _advance(self) -> None:
@@ -142,10 +145,10 @@ class RobotLoop:
         self.robot.advance()
         self._step_microseconds = 1e6 * (time.perf_counter() - started)
         if self._trace is not None and self._sent is not None:
-            self._trace.write(self._lived(self._sent, began))
+            self._trace.write(self._traced_period(self._sent, began))
         self._sent = self._accepted = None
 
-    def _lived(self, sent: StateMessage, began: float) -> TracedPeriod:
+    def _traced_period(self, sent: StateMessage, began: float) -> TracedPeriod:
         now, accepted = self.robot.state_message(), self._accepted
         return TracedPeriod(
             epoch=sent.epoch,
@@ -161,7 +164,7 @@ class RobotLoop:
         )
 
     def _wait(self, until: float) -> None:
-        """Takes what comes until then, at least once: what is there already counts."""
+        """Receives messages until the time ``until``, at least once, so that messages already there count."""
         self._take(until - self._clock())
         while self._clock() < until:
             self._take(until - self._clock())

@@ -1,4 +1,4 @@
-"""The point robot without any bus: senses, judges actions, brakes without one, drives from goal to goal."""
+"""The simulated point robot, independent of the bus: state messages, watchdog, goals and hazards, in a wind."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from safedpa_sim.point.task import PointTask
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["PointRobot", "Visit", "force_towards"]
+__all__ = ["HazardEntry", "PointRobot", "force_towards"]
 
 _BRAKE_SECONDS = 0.15
-"""s in which the watchdog would end the motion along the heading."""
+"""s; time constant of the watchdog's braking along the heading."""
 
 
 @final
 @dataclass(frozen=True)
-class Visit:
-    """A hazard was entered."""
+class HazardEntry:
+    """The entry of a hazard."""
 
     time: float
     """s since the robot's start."""
@@ -42,10 +42,10 @@ class Visit:
 
 @final
 class PointRobot(SimulatedRobot):
-    """A point robot among hazards, in a wind.
+    """A point robot among hazards in a wind.
 
-    The state is that of the centre of mass; in a hazard is who has the middle there, 19 mm behind. Raises InputError
-    for a force of the wind [N] beyond the robot's own thrust.
+    The state describes the centre of mass. The robot counts as inside a hazard when its geometric centre, 19 mm behind,
+    is inside. Raises InputError for a wind force [N] beyond the robot's own thrust.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class PointRobot(SimulatedRobot):
             raise InputError(f"force: got {force} N, wanted less than the robot's thrust of {limit:g} N")
         self.task.simulation.force[:, 0] = force
         self.seed, self.force = seed, force
-        self._collisions: list[Visit] = []
+        self._collisions: list[HazardEntry] = []
         self._within = False
         guard = ActionGuard(epoch, (-limit, -LARGEST_TURN), (limit, LARGEST_TURN))
         super().__init__(guard, CONTROL_SECONDS, lockstep, wall_clock)
@@ -74,34 +74,34 @@ class PointRobot(SimulatedRobot):
 
     @property
     def about(self) -> dict[str, Any]:
-        """What was asked for."""
+        """Seed and wind force."""
         return {"seed": self.seed, "force": list(self.force)}
 
     @property
     def at_rest(self) -> bool:
-        """Always: in a wind it drifts without a filter, so no one waits for that."""
+        """Always True: in a wind the robot drifts under its watchdog and never comes to rest."""
         return True
 
     @property
-    def collisions(self) -> list[Visit]:
-        """Every time that a hazard was entered."""
+    def collisions(self) -> list[HazardEntry]:
+        """Every entry of a hazard so far."""
         return self._collisions
 
     def state_message(self) -> StateMessage:
-        """State k, hazards and goal."""
+        """Returns state k with hazards and goal."""
         hazards = self.task.layout.hazards[0].tolist()
         return self._state(
             goal=tuple(self.task.layout.goal[0].tolist()),
             obstacles=tuple((x, y, HAZARD_RADIUS) for x, y in hazards),
         )
 
-    def _live(self) -> None:
+    def _simulate_period(self) -> None:
         stepped = self.task.advance_under(controls_of(np.array([self._applied])))
         self.goals_reached += int(stepped.reached[0])
         self._watch(bool(stepped.cost[0] > 0.0))
 
     def _watchdog_action(self) -> tuple[float, float]:
-        """Thrust against the speed along the heading, no turn: it knows nothing of the wind and drifts with it."""
+        """Brakes along the heading without turning; it does not compensate the wind, so the robot drifts with it."""
         _, _, yaw, vx, vy = self.values
         body = self.task.simulation.body
         speed = cos(yaw) * vx + sin(yaw) * vy
@@ -109,14 +109,16 @@ class PointRobot(SimulatedRobot):
         return min(max(thrust, -body.largest_thrust), body.largest_thrust), 0.0
 
     def _watch(self, within: bool) -> None:
-        """Counts a hazard as entered once, until the robot is out of it."""
+        """Counts the entry of a hazard once, until the robot has left it."""
         if within and not self._within:
             x, y = (float(part) for part in self.task.simulation.pose[:2, 0])
             apart = np.linalg.norm(self.task.layout.hazards[0] - (x, y), axis=1)
-            self._collisions.append(Visit((self.tick + 1) * self.period, int(apart.argmin()), round(x, 4), round(y, 4)))
+            self._collisions.append(
+                HazardEntry((self.tick + 1) * self.period, int(apart.argmin()), round(x, 4), round(y, 4))
+            )
         self._within = within
 
 
 def force_towards(newton: float, degrees: float) -> tuple[float, float]:
-    """A force of the wind of ``newton`` towards a direction: 0 along x, 90 along y."""
+    """Returns the components of a force of ``newton`` towards a direction: 0 degrees along x, 90 along y."""
     return newton * cos(radians(degrees)), newton * sin(radians(degrees))

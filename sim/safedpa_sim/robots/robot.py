@@ -1,4 +1,4 @@
-"""What every simulated robot has in common: ticks, the gate for actions, what was applied, the hash of its states."""
+"""The base class of simulated robots: ticks, action guard, watchdog, state messages and the hash of the trajectory."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Numbers = tuple[float, ...]
 
 
 class SimulatedRobot(ABC):
-    """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
+    """A simulated robot; in each period publish ``state_message()``, ``receive`` the action, then ``advance``.
 
-    The action of tick k acts over the whole period that follows state k, in real time as in lockstep; of a body that
-    gets its commands late, ``until_action`` seconds later is what it tells. Anyone who inherits
-    has a body before it calls this constructor, which takes up its first state.
+    The action of tick k acts over the whole period after state k, in real time as in lockstep. A robot whose commands
+    act with a delay reports it as ``until_action`` [s]. A subclass must be able to return ``values`` before it calls
+    this constructor, which records the first state.
     """
 
     def __init__(
@@ -45,17 +45,17 @@ class SimulatedRobot(ABC):
     @property
     @abstractmethod
     def values(self) -> Numbers:
-        """(states,) now, in the order of the robot's system."""
+        """The current state (states,), in the order of the robot's system."""
 
     @property
     @abstractmethod
     def about(self) -> dict[str, Any]:
-        """What was asked for: seed, load, wind; for the account."""
+        """The options of the run, such as seed, load and wind, for the run summary."""
 
     @property
     @abstractmethod
     def at_rest(self) -> bool:
-        """Whether nothing is gained by waiting longer for the watchdog at the end of a run."""
+        """Whether the run can end: the watchdog has stopped the robot, or cannot bring it to rest."""
 
     @property
     @abstractmethod
@@ -64,10 +64,10 @@ class SimulatedRobot(ABC):
 
     @abstractmethod
     def state_message(self) -> StateMessage:
-        """State k, and what the robot perceives around it."""
+        """Returns state k with the robot's surroundings."""
 
     def scans(self) -> Sequence[ScanMessage]:
-        """What its sensors have to tell before the state of this tick; each scan once."""
+        """Returns the new scans of its sensors, to be published before the state of this tick."""
         return ()
 
     @property
@@ -78,14 +78,14 @@ class SimulatedRobot(ABC):
 
     @final
     def receive(self, message: ActionMessage) -> str | None:
-        """Accepts the action for this tick (None), or says why not."""
+        """Returns None if the action is accepted for this tick, otherwise the reason for the refusal."""
         return self.guard.offer(message)
 
     @final
     def advance(self) -> None:
-        """One period under the accepted action, or under the watchdog's when none was accepted."""
+        """Simulates one period under the accepted action, or under the watchdog's if none was accepted."""
         self._begin_period()
-        self._live()
+        self._simulate_period()
         self._end_period()
 
     @final
@@ -105,11 +105,11 @@ class SimulatedRobot(ABC):
 
     @abstractmethod
     def _watchdog_action(self) -> Numbers:
-        """(actions,) what the robot does by itself when no one tells it anything."""
+        """Returns the action (actions,) that the robot takes by itself when it receives none."""
 
     @abstractmethod
-    def _live(self) -> None:
-        """The period from ``tick`` on, under ``_applied``."""
+    def _simulate_period(self) -> None:
+        """Simulates the period after ``tick`` under ``_applied``."""
 
     @final
     def _state(
@@ -124,7 +124,7 @@ class SimulatedRobot(ABC):
         distance_reversed: float = -1.0,
         sources: tuple[str, ...] = (),
     ) -> StateMessage:
-        """The message of this tick, with these surroundings."""
+        """Returns the state message of this tick with the given surroundings."""
         return StateMessage(
             epoch=self.guard.epoch,
             tick=self.tick,

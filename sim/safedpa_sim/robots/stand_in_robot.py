@@ -1,4 +1,4 @@
-"""A robot of one's own without any bus: its declared stand-in senses and moves, the gate judges actions."""
+"""A robot package of the user, simulated by the stand-in that it declares, independent of the bus."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any, final
 
 from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import InputError
-from safedpa.robot import AbstractRobot
+from safedpa.stand_in import AbstractStandIn
+from safedpa.systems.robots import Robot
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 
@@ -19,7 +20,7 @@ __all__ = ["ForbiddenContact", "StandInRobot"]
 @final
 @dataclass(frozen=True)
 class ForbiddenContact:
-    """Something was touched that must not be."""
+    """A contact that the robot must avoid."""
 
     time: float
     """s since the robot's start."""
@@ -31,14 +32,14 @@ class ForbiddenContact:
 
 @final
 class StandInRobot(SimulatedRobot):
-    """Drives what a robot declares as its stand-in; each touch counts once, until it ends.
+    """Runs the stand-in of a robot package; a contact counts once until it ends.
 
-    Raises InputError for a robot without a stand-in, and for what its world does not have.
+    Raises InputError for a robot without a stand-in, and for world parameters that the stand-in does not have.
     """
 
     def __init__(
         self,
-        robot: AbstractRobot,
+        robot: Robot,
         period: float,
         seed: int = 0,
         given: Mapping[str, float] | None = None,
@@ -48,7 +49,7 @@ class StandInRobot(SimulatedRobot):
     ) -> None:
         self.seed, self.given = seed, dict(given or {})
         try:
-            self.stand_in = robot.stand_in(seed, self.given)
+            self.stand_in: AbstractStandIn = robot.stand_in(seed, self.given)
         except TypeError as error:
             reported = " ".join(f"--world {name}={value:g}" for name, value in self.given.items())
             raise InputError(
@@ -61,30 +62,30 @@ class StandInRobot(SimulatedRobot):
 
     @property
     def values(self) -> tuple[float, ...]:
-        """What the stand-in's sensors say."""
+        """The state that the stand-in measures."""
         return self.stand_in.values
 
     @property
     def about(self) -> dict[str, Any]:
-        """What was asked for."""
+        """Seed and world parameters."""
         return {"seed": self.seed, **self.given}
 
     @property
     def at_rest(self) -> bool:
-        """Always: no one waits for a robot that no one knows."""
+        """Always True: the watchdog of an unknown robot may never bring it to rest."""
         return True
 
     @property
     def collisions(self) -> list[ForbiddenContact]:
-        """Every touch."""
+        """Every forbidden contact so far."""
         return self._collisions
 
     def state_message(self) -> StateMessage:
-        """State k, and what the stand-in perceives."""
+        """Returns state k with the surroundings of the stand-in."""
         seen = self.stand_in
         return self._state(goal=seen.goal, obstacles=seen.obstacles, field=seen.field, footprint=seen.footprint)
 
-    def _live(self) -> None:
+    def _simulate_period(self) -> None:
         self.stand_in.advance(self._applied, self.period)
         self.goals_reached = self.stand_in.goals_reached
         touched = self.stand_in.contact()

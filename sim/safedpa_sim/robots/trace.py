@@ -1,4 +1,4 @@
-"""What the robot itself did in every period, on its own disk: evidence that no network can lose."""
+"""A local trace of what the robot did in each period, independent of the network."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ __all__ = ["TraceWriter", "TracedPeriod", "read_trace"]
 
 @dataclass(frozen=True, slots=True)
 class TracedPeriod:
-    """One period, as it was lived. Times are of the machine's monotonic clock, which all its processes share, in s."""
+    """One period of the robot. Times [s] are from the monotonic clock, which all processes of the machine share."""
 
     epoch: int
     tick: int
     published: float
-    """When the state of this tick was sent."""
+    """Time at which the state of this tick was published."""
     applied_at: float
-    """When the period began to be driven under ``applied``."""
+    """Time from which ``applied`` acted."""
     action_epoch: int
-    """Of the accepted message; -1 without any."""
+    """Epoch of the accepted message; -1 without one."""
     action_tick: int
-    """Of the accepted message; -1 without any."""
+    """Tick of the accepted message; -1 without one."""
     applied: tuple[float, ...]
     applied_by: str
     """``filter`` or ``watchdog``."""
     values: tuple[float, ...]
-    """The state that was sent."""
+    """The published state."""
     collisions: int
-    """Since the robot's start, this period included."""
+    """Number since the robot's start, including this period."""
 
     @property
     def age(self) -> float:
-        """s between the state and the moment in which what was computed from it began to act."""
+        """s between the publication of the state and the start of its action."""
         return self.applied_at - self.published
 
 
 class TraceWriter:
-    """Appends one line of JSON a period to a file; each line has left the process when ``write`` returns.
+    """Appends one line of JSON per period to a file, unbuffered, so that the trace survives a crash of the process.
 
     A full disk ends the trace, not the drive. Raises RecordingError when the file cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
         self.failed = False
-        """Whether the disk refused a line; nothing is written afterwards."""
+        """Whether a write has failed; nothing is written afterwards."""
         try:
             self._file = path.open("ab", buffering=0)
         except OSError as error:
@@ -58,7 +58,7 @@ class TraceWriter:
             ) from error
 
     def write(self, period: TracedPeriod) -> None:
-        """Appends one period, as long as the disk takes it."""
+        """Appends one period, unless an earlier write has failed."""
         if self.failed:
             return
         try:
@@ -76,7 +76,7 @@ class TraceWriter:
 
 
 def read_trace(path: Path) -> Iterator[TracedPeriod]:
-    """The periods in a file, oldest first; a last line that a killed robot did not finish is left out."""
+    """Yields the periods in a file, oldest first; an incomplete last line of a killed robot is skipped."""
     for line in path.read_bytes().split(b"\n")[:-1]:
         fields = json.loads(line)
         yield TracedPeriod(**{**fields, "applied": tuple(fields["applied"]), "values": tuple(fields["values"])})

@@ -1,4 +1,7 @@
-"""What a simulated robot senses with: laser scanners, things of any shape to see, and people who walk among them."""
+"""Simulated sensing: ``laser`` scanners, ``people`` who walk on the field, and the ``shapes`` that rays hit.
+
+Read ``sensor_inputs`` first: it combines them for one car.
+"""
 
 from safedpa_sim.sensing.laser import Laser, LaserSettings
 from safedpa_sim.sensing.people import Person, StepsOut, Walks

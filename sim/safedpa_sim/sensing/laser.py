@@ -1,4 +1,4 @@
-"""A laser scanner on a simulated robot: what it measures, what it misses, and when it says so."""
+"""A simulated laser scanner with noise, drop-outs, blind sectors and latency."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ __all__ = ["MOST_RAYS", "Laser", "LaserSettings"]
 
 MOST_RAYS = 1080
 NOTHING_BELIEVED = -1.0
-"""m; in place of a range that was dropped or lies in a blind sector."""
+"""m; marks a range that was dropped or lies in a blind sector."""
 
 
 @final
 @dataclass(frozen=True)
 class LaserSettings:
-    """One scanner, checked at construction. Raises InputError naming the setting."""
+    """Settings of a scanner. Raises InputError naming a setting that is out of range."""
 
     name: str = "laser"
     mount: tuple[float, float, float] = (0.12, 0.0, 0.0)
     """x ahead of the reference point, y to its left [m], yaw [rad]."""
     field_of_view: float = 2.0 * pi
-    """rad, half of it on each side of the sensor's own angle 0."""
+    """rad, symmetric about the sensor's angle 0."""
     rays: int = 360
     rate: float = 10.0
-    """Hz, of its own: no matter when the robot ticks."""
+    """Hz; independent of the robot's ticks."""
     noise: float = 0.02
     """m; standard deviation of each range."""
     drop_outs: float = 0.05
-    """Share of the rays that measure nothing, redrawn for each."""
+    """Probability that a ray measures nothing."""
     latency: float = 0.05
-    """s from the measurement until it is told."""
+    """s from the measurement to the scan message."""
     nearest: float = 0.05
     """m"""
     farthest: float = 12.0
     """m"""
     blind: tuple[tuple[float, float], ...] = ()
-    """Sectors in which it sees nothing: first and last angle [rad] in its own frame."""
+    """Blind sectors: first and last angle [rad] in the sensor frame."""
     clockwise: bool = False
-    """Whether its angles grow to the right, as of one that hangs upside down."""
+    """Whether the angles increase to the right, as for a scanner mounted upside down."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -68,16 +68,18 @@ class LaserSettings:
 
     @property
     def step(self) -> float:
-        """rad from one ray to the next, to the left."""
-        whole = self.field_of_view >= 2.0 * pi - 1e-9  # the last ray must not lie on the first
+        """Angle [rad] from one ray to the next, to the left."""
+        whole = (
+            self.field_of_view >= 2.0 * pi - 1e-9
+        )  # over a full circle the last ray must not coincide with the first
         return self.field_of_view / (self.rays if whole else self.rays - 1)
 
 
 @final
 class Laser:
-    """Scans at its own moments, 0 s, 1 / rate, 2 / rate ..., and tells each ``latency`` later.
+    """A scanner that measures at 0 s, 1 / rate, 2 / rate ... and reports each scan ``latency`` later.
 
-    All rays of a scan are measured at once. The same seed gives the same noise, whatever is asked in between.
+    All rays of a scan are measured at once. The noise depends on the seed only, not on when scans are read.
     """
 
     def __init__(self, settings: LaserSettings, seed: int = 0) -> None:
@@ -93,17 +95,17 @@ class Laser:
 
     @property
     def next_scan(self) -> float:
-        """s; when it measures next, by the robot's clock."""
+        """Robot time [s] of the next measurement."""
         return self._number / self.settings.rate
 
     def scan(self, pose: tuple[float, float, float], outline: Outline, epoch: int, tick: int) -> None:
-        """Measures at ``next_scan`` from the body's pose (x, y [m], yaw [rad]) what is within ``outline``."""
+        """Measures ``outline`` at ``next_scan`` from the body's pose (x, y [m], yaw [rad])."""
         own = self.settings
         x, y, yaw = pose
         ahead, aside, turned = own.mount
-        place_x, place_y = x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)
+        sensor_x, sensor_y = x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)
         angles: FloatArray = self._angles + (yaw + turned)
-        true = cast(outline, place_x, place_y, angles)
+        true = cast(outline, sensor_x, sensor_y, angles)
         seen = true + self._draw.normal(0.0, 1.0, own.rays) * own.noise
         seen = np.where((true > own.farthest) | (true == inf), own.farthest, np.clip(seen, 0.0, own.farthest))
         dropped = self._draw.random(own.rays) < own.drop_outs
@@ -129,7 +131,7 @@ class Laser:
         self._waiting.append(message)
 
     def reported(self, now: float) -> list[ScanMessage]:
-        """What is due by the robot's time ``now`` [s], each once, in order."""
+        """Returns the scans due at robot time ``now`` [s], each once, in order."""
         due = []
         while self._waiting and self._waiting[0].robot_time + self.settings.latency <= now + 1e-9:
             due.append(self._waiting.popleft())

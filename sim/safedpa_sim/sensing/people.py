@@ -1,6 +1,6 @@
-"""People, seen from above as discs: they walk, turn, stop, and step out from behind things. None looks at the robot.
+"""Simulated people, seen from above as discs: they walk, turn, stop, and step out from behind obstacles.
 
-Those who walk about in a scene begin where there is room for them.
+They do not react to the robot, except when it touches them.
 """
 
 from __future__ import annotations
@@ -15,43 +15,43 @@ from safedpa.errors import InputError
 from safedpa_sim.sensing.shapes import Outline, Point, clearance_at, clearances_at
 
 if TYPE_CHECKING:
-    from safedpa_sim.robots.scene import Scene
+    from safedpa_sim.robots.car.scene import Scene
 
 __all__ = ["MOST_PEOPLE", "RADIUS", "Person", "StepsOut", "Walks", "walkers"]
 
 RADIUS = 0.2
-"""m; of a person's legs and hips at a laser's height."""
+"""m; radius of a person at the height of the laser."""
 
 _RETAINED = 0.15
-"""m that someone keeps to what is at rest beyond the own radius."""
+"""m of distance that a person keeps from stationary obstacles beyond their own radius."""
 _LOOK_AHEAD = 0.6
-"""s; who would be too near to something by then turns."""
+"""s; a person who would be too close to an obstacle by then turns."""
 _TURNS = 8
 
 
 class Person(ABC):
-    """Someone at ``place`` [m] who moves in steps."""
+    """A person at ``position`` [m] who moves in steps."""
 
-    def __init__(self, place: Point, radius: float = RADIUS) -> None:
-        self.place, self.radius = place, radius
+    def __init__(self, position: Point, radius: float = RADIUS) -> None:
+        self.position, self.radius = position, radius
 
     def touched(self, time: float) -> None:
-        """Told while the robot, or what it tows, is touched: no one shoves it away."""
+        """Called while the person touches the robot or its load; the person must not push it."""
         del time
 
     @abstractmethod
     def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
-        """m/s along x and y over the coming step at ``time`` [s]; the robot is at ``robot``, rest in ``outline``."""
+        """Returns the velocity [m/s] for the step at ``time`` [s], with the robot at ``robot`` among ``outline``."""
 
 
 @final
 class Walks(Person):
-    """Walks straight on at ``speed`` [m/s], and now and then turns, stops for a while or changes pace."""
+    """Walks straight on at up to ``speed`` [m/s] and randomly turns, pauses or changes pace."""
 
-    def __init__(self, place: Point, speed: float, seed: int, radius: float = RADIUS) -> None:
+    def __init__(self, position: Point, speed: float, seed: int, radius: float = RADIUS) -> None:
         if not 0.0 <= speed <= 3.0:
             raise InputError(f"person's speed: got {speed}, wanted 0 to 3 m/s")
-        super().__init__(place, radius)
+        super().__init__(position, radius)
         self._draw = np.random.default_rng([seed, 11])
         self._fastest = speed
         self._heading = float(self._draw.uniform(-pi, pi))
@@ -59,7 +59,7 @@ class Walks(Person):
         self._waits = -inf
 
     def touched(self, time: float) -> None:
-        """Turns round, and goes on after a second."""
+        """Turns round, and continues after a second."""
         if time >= self._waits:
             self._waits, self._heading = time + 1.0, self._heading + pi
             self._until = time + 2.0
@@ -80,27 +80,27 @@ class Walks(Person):
         return 0.0, 0.0
 
     def _is_free(self, outline: Outline) -> bool:
-        """Whether the way that is looked ahead leaves room everywhere; in steps that jump over nothing thin."""
+        """Returns whether the path ahead is free, checked in steps smaller than the radius so that none is missed."""
         way = self._pace * _LOOK_AHEAD
         steps = ceil(way / self.radius) + 1
         reaches = np.arange(1, steps + 1)[:, np.newaxis] * (way / steps)
         ahead = np.array((cos(self._heading), sin(self._heading)))
-        return bool((clearances_at(outline, self.place + reaches * ahead) > self.radius + _RETAINED).all())
+        return bool((clearances_at(outline, self.position + reaches * ahead) > self.radius + _RETAINED).all())
 
 
 @final
 class StepsOut(Person):
-    """Stands hidden until the robot is within ``trigger`` [m] of ``towards``, then walks there at ``speed`` and on."""
+    """Waits until the robot is within ``trigger`` [m] of ``towards``, then walks there and beyond at ``speed``."""
 
-    def __init__(self, place: Point, towards: Point, speed: float, trigger: float, radius: float = RADIUS) -> None:
-        super().__init__(place, radius)
+    def __init__(self, position: Point, towards: Point, speed: float, trigger: float, radius: float = RADIUS) -> None:
+        super().__init__(position, radius)
         self._towards, self._speed, self._trigger = towards, speed, trigger
-        self._heading = atan2(towards[1] - place[1], towards[0] - place[0])
+        self._heading = atan2(towards[1] - position[1], towards[0] - position[0])
         self.stepped = False
         self._stopped = False
 
     def touched(self, time: float) -> None:
-        """Stops for good."""
+        """Stops permanently."""
         del time
         self._stopped = True
 
@@ -109,7 +109,7 @@ class StepsOut(Person):
         near = hypot(robot[0] - self._towards[0], robot[1] - self._towards[1]) < self._trigger
         self.stepped = self.stepped or near
         ahead = 0.1 * self._speed + self.radius
-        x, y = self.place[0] + ahead * cos(self._heading), self.place[1] + ahead * sin(self._heading)
+        x, y = self.position[0] + ahead * cos(self._heading), self.position[1] + ahead * sin(self._heading)
         if self._stopped or not self.stepped or clearance_at(outline, x, y) < 0.02:
             return 0.0, 0.0
         return self._speed * cos(self._heading), self._speed * sin(self._heading)
@@ -117,16 +117,16 @@ class StepsOut(Person):
 
 MOST_PEOPLE = 12
 _ROOM = 0.4
-"""m that someone has around the middle at first."""
+"""m of free space around a person's centre at the start."""
 _AWAY = 2.0
-"""m from the car at which people begin."""
+"""m; least distance between people and car at the start."""
 _TRIES = 2000
 
 
 def walkers(scene: Scene, count: int, speed: float = 1.5, draw: np.random.Generator | None = None) -> tuple[Walks, ...]:
-    """So many who walk at up to ``speed`` [m/s]; without ``draw`` the same for the same scene.
+    """Returns ``count`` people who walk at up to ``speed`` [m/s]; without ``draw`` they depend on the scene only.
 
-    Raises InputError where there is no room for so many.
+    Raises InputError when the scene has no room for them.
     """
     draw = draw or np.random.default_rng([scene.seed, 29])
     outline, found = Outline(scene.obstacles, scene.polygons, (scene.field,)), list[Walks]()
@@ -138,4 +138,4 @@ def walkers(scene: Scene, count: int, speed: float = 1.5, draw: np.random.Genera
             found.append(Walks((x, y), speed, 100 * scene.seed + len(found)))
     if len(found) == count:
         return tuple(found)
-    raise InputError(f"people: got {count}, and the scene has room for {len(found)}; choose fewer")
+    raise InputError(f"people: got {count}, but the scene has room for {len(found)}; choose fewer")

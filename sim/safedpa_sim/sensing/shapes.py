@@ -1,4 +1,4 @@
-"""Things as a laser sees them from above: circles and straight edges, and the way of a ray to the first of them."""
+"""Outlines of objects seen from above, as circles and edges, with ray casting and clearances."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["Outline", "Point", "Polygon", "box", "cast", "clearance_at", "cleara
 
 Point = tuple[float, float]
 Polygon = tuple[Point, ...]
-"""Corners of something convex in m, anticlockwise."""
+"""Corners of a convex polygon in m, anticlockwise."""
 
 _PARALLEL = 1e-12
-"""Sine of the angle between a ray and an edge, below which they do not meet."""
+"""Sine of the angle between a ray and an edge below which they count as parallel."""
 
 
 def box(x: float, y: float, length: float, width: float, yaw: float = 0.0) -> Polygon:
-    """A rectangle around (x, y) [m], turned by ``yaw`` [rad]."""
+    """Returns a rectangle centred at (x, y) [m], rotated by ``yaw`` [rad]."""
     along, across = (cos(yaw), sin(yaw)), (-sin(yaw), cos(yaw))
     return tuple(
         (x + a * along[0] + b * across[0], y + a * along[1] + b * across[1])
@@ -35,13 +35,13 @@ def box(x: float, y: float, length: float, width: float, yaw: float = 0.0) -> Po
 
 @dataclass(frozen=True)
 class Outline:
-    """Everything that a ray can meet at one moment; lengths in m."""
+    """Everything that a ray can hit at one time; lengths in m."""
 
     circles: tuple[tuple[float, float, float], ...] = ()
     """x, y, radius of each."""
     polygons: tuple[Polygon, ...] = ()
     rooms: tuple[tuple[float, float, float, float], ...] = ()
-    """Lowest x, highest x, lowest y, highest y of each rectangle that is seen from within."""
+    """Lowest x, highest x, lowest y, highest y of each rectangle that is seen from inside, such as the walls."""
     edges: FloatArray = field(init=False, repr=False, compare=False)
     """(edges, 4): x and y of both ends."""
     discs: FloatArray = field(init=False, repr=False, compare=False)
@@ -61,13 +61,14 @@ def _corners(low_x: float, high_x: float, low_y: float, high_y: float) -> Polygo
 
 
 def cast(outline: Outline, x: float, y: float, angles: FloatArray) -> FloatArray:
-    """(rays,) m from (x, y) along each of ``angles`` (rays,) [rad] to the first thing; infinity where there is none."""
+    """Returns the distance [m] from (x, y) to the first hit along each of ``angles`` (rays,) [rad]; infinity if
+    none."""
     ahead, aside = np.cos(angles), np.sin(angles)
     return np.minimum(_to_edges(outline.edges, x, y, ahead, aside), _to_circles(outline.discs, x, y, ahead, aside))
 
 
 def _to_edges(edges: FloatArray, x: float, y: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
-    """p + t d = a + s (b - a) for each ray d and edge (a, b), 0 <= s <= 1: the least t >= 0."""
+    """Solves p + t d = a + s (b - a) for each ray d and edge (a, b) with 0 <= s <= 1; returns the least t >= 0."""
     if not len(edges):
         return np.full(len(ahead), inf)
     start_x, start_y = (edges[:, 0] - x)[:, np.newaxis], (edges[:, 1] - y)[:, np.newaxis]
@@ -95,19 +96,19 @@ def _to_circles(table: FloatArray, x: float, y: float, ahead: FloatArray, aside:
 
 
 def clearance_at(outline: Outline, x: float, y: float) -> float:
-    """m from (x, y) to the nearest thing; below 0 within a circle."""
+    """Returns the distance [m] from (x, y) to the nearest object; negative inside a circle."""
     return float(clearances_at(outline, np.array([[x, y]]))[0])
 
 
-def clearances_at(outline: Outline, places: FloatArray) -> FloatArray:
-    """(places,) m from each of ``places`` (places, 2) to the nearest thing; below 0 within a circle."""
-    rooms: FloatArray = np.full(len(places), inf)
+def clearances_at(outline: Outline, positions: FloatArray) -> FloatArray:
+    """Returns the distance [m] from each of ``positions`` (n, 2) to the nearest object; negative inside a circle."""
+    rooms: FloatArray = np.full(len(positions), inf)
     if len(outline.discs):
-        apart = places[:, np.newaxis] - outline.discs[:, :2]
+        apart = positions[:, np.newaxis] - outline.discs[:, :2]
         rooms = (np.hypot(apart[..., 0], apart[..., 1]) - outline.discs[:, 2]).min(axis=1)
     if len(outline.edges):
         start, way = outline.edges[:, :2], outline.edges[:, 2:] - outline.edges[:, :2]
-        apart = places[:, np.newaxis] - start
+        apart = positions[:, np.newaxis] - start
         share = np.clip((apart * way).sum(axis=2) / (way * way).sum(axis=1), 0.0, 1.0)
         apart -= share[..., np.newaxis] * way
         rooms = np.minimum(rooms, np.hypot(apart[..., 0], apart[..., 1]).min(axis=1))

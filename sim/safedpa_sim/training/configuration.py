@@ -1,6 +1,6 @@
-"""What a learned model is trained on, and how: a TOML file that a person can read and change.
+"""Training configurations: TOML files with the simulator, the randomised ranges and the settings of each phase.
 
-Training on a diagnosed model: what was found joins the environment e, about the value that was found.
+``with_diagnosed`` adds the effects of a diagnosed model to the randomised environment e.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = [
     "Phase1b",
     "Phase2",
     "Phase3",
-    "Practising",
+    "PracticeSettings",
     "configurations",
     "limited",
     "load_configuration",
@@ -43,20 +43,20 @@ Section = TypeVar("Section")
 
 
 def limited(default: float, low: float, high: float = math.inf) -> Any:
-    """A number of a section: its default and the range that is accepted, both ends included."""
+    """Declares a numeric setting with its default and its accepted range, both ends included."""
     return field(default=default, metadata={"low": low, "high": high})
 
 
 @dataclass(frozen=True)
 class Phase1a:
-    """mu, f and g on transitions of the simulator, every one of them new."""
+    """Settings of phase 1a, which trains mu, f and g on newly simulated transitions."""
 
     pairs: int = limited(20_000_000, 1)
-    """State-action pairs, each seen once."""
+    """State-action pairs; each is used once."""
     batch: int = limited(1024, 1)
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
-    """The rate falls to it along half a cosine."""
+    """Final value of the cosine schedule."""
     hidden: int = limited(256, 1, 4096)
     """Neurons in each of the two hidden layers of f and g."""
     encoder_hidden: int = limited(64, 1, 4096)
@@ -66,119 +66,122 @@ class Phase1a:
 
 @dataclass(frozen=True)
 class Phase1b:
-    """The policy, by proximal policy optimisation on driving cars with mu frozen."""
+    """Settings of phase 1b, which trains the policy by PPO on driving cars with mu frozen."""
 
     steps: int = limited(5_000_000, 1)
-    """Largest number of steps, all cars together."""
+    """Maximum number of steps, summed over all cars."""
     enough: float = limited(0.985, 0.0)
-    """Share of the evaluation drives that reach their goal at which training ends; above 1: never before all steps."""
+    """Training ends when this share of the evaluation drives reaches the goal; above 1 it always uses all steps."""
     cars: int = limited(512, 1, 100_000)
     rollout: int = limited(32, 2)
     """Ticks of every car between two updates."""
     batch: int = limited(8192, 2)
     epochs: int = limited(5, 1, 100)
-    """Times that each tick is learned from."""
+    """PPO epochs over each rollout."""
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
-    """At the beginning; it falls in a straight line to a twentieth."""
+    """Initial value; it decreases linearly to 5 % of it."""
     discount: float = limited(0.99, 0.0, 1.0)
     hidden: int = limited(128, 1, 4096)
     """Neurons in each of the two hidden layers."""
     noise: float = limited(0.6, 1e-3, 10.0)
-    """Standard deviation of the actions at the beginning, as a share of half their range."""
+    """Initial standard deviation of the actions, as a share of half their range."""
     evaluate_every: int = limited(12, 1)
     """Updates between two evaluations."""
     evaluation_cars: int = limited(512, 1, 100_000)
-    """Drives of an evaluation; the last one has four times as many."""
+    """Drives per evaluation; the final evaluation has four times as many."""
 
 
 @dataclass(frozen=True)
 class Imitation:
-    """Before phase 1b: what a teacher would do, learned in the states that the policy comes to."""
+    """Settings of imitation learning before phase 1b: the policy learns a teacher's actions in the states it visits."""
 
     rounds: int = limited(0, 0, 1000)
     """0: no teacher."""
     ticks: int = limited(100, 2)
-    """That each robot drives in a round."""
+    """Ticks that each robot drives per round."""
     updates: int = limited(300, 1)
-    """Steps of Adam after each round."""
+    """Adam steps after each round."""
     batch: int = limited(4096, 1)
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
     noise: float = limited(0.25, 0.0, 10.0)
-    """Standard deviation of what is added to half of the actions, as a share of half their range."""
+    """Standard deviation of the noise that is added to half of the actions, as a share of half their range."""
 
 
 @dataclass(frozen=True)
 class Phase2:
-    """phi on drives in the simulator, in rounds."""
+    """Settings of phase 2, which trains phi on simulated drives in rounds."""
 
     rounds: int = limited(6, 1, 1000)
     cars: int = limited(1500, 1)
-    """That drive in each round."""
+    """Cars per round."""
     steps: int = limited(200, 60)
-    """Periods that each of them drives; more than the history, so that full ones occur."""
+    """Periods that each car drives; longer than the history, so that full histories occur."""
     updates: int = limited(400, 1)
-    """Steps of Adam in each round."""
+    """Adam steps per round."""
     batch: int = limited(2048, 1)
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     driven: float = limited(0.5, 0.0, 1.0)
-    """Share of them that the policy drives, the others going at random."""
+    """Share of the cars that the policy drives; the others drive at random."""
     retained: int = limited(1000, 1)
-    """Rounds, the newest ones, that are learned from."""
+    """Number of the newest rounds that phi is trained on."""
     change: float = limited(0.005, 0.0, 1.0)
-    """Share of the cars whose environment changes in a period: a load is hitched or let go, the wind turns."""
+    """Share of the cars whose environment changes in a period: a load is hitched or dropped, the wind turns."""
     noise: float = limited(0.003, 0.0, 1.0)
-    """Standard deviation of what is added to the scaled rows, so that phi does not rely on the last digit."""
+    """Standard deviation of the noise on the scaled rows; without it phi fits simulator precision no sensor has."""
 
 
 @dataclass(frozen=True)
 class Phase3:
-    """f, g and phi tuned on few data of the real robot, and on drives in the simulator that these data have corrected."""
+    """Settings of phase 3, which tunes f, g and phi on little real data and on drives in the corrected simulator."""
 
     pairs: int = limited(20_000, 200)
     """Transitions recorded on circles without load: 0.1 % of the simulated ones."""
     run_pairs: int = limited(1000, 100)
-    """Transitions of each recorded run."""
+    """Transitions per recorded run."""
     cars: int = limited(2000, 0)
-    """Drives in the corrected simulator; 0: tuned on the recorded data alone, which forgets loads."""
+    """Drives in the corrected simulator. With 0 only recorded data is used, and the networks forget loads."""
     steps: int = limited(240, 80)
-    """Periods of each of them."""
+    """Periods per simulated drive."""
     updates: int = limited(6000, 1)
-    """Steps of Adam."""
+    """Adam steps."""
     batch: int = limited(1024, 16)
     recorded: float = limited(0.25, 0.0, 1.0)
     """Share of each batch that is recorded data."""
     rollouts: int = limited(64, 0)
-    """Short rollouts next to the single steps of a batch."""
+    """Short rollouts per batch, in addition to the single steps."""
     rollout_every: int = limited(5, 1)
-    """One update in so many has them."""
+    """Updates between two updates with rollouts."""
     horizon: int = limited(10, 2, 50)
-    """Steps of each of them."""
+    """Steps per rollout."""
     learning_rate: float = limited(2e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     anchor: float = limited(0.003, 0.0)
-    """Weight of |phi - mu(e)|^2 in the corrected simulator: the policy goes on seeing the latent that it knows."""
+    """Weight of |phi - mu(e)|^2 in the corrected simulator; keeps the latent close to the one the policy was trained
+    on."""
 
 
 @dataclass(frozen=True)
-class Practising:
-    """In what world a car's policy practises, and what it is told of it; other robots have ``cost`` alone."""
+class PracticeSettings:
+    """Settings of the world in which a car's policy trains, and of what it observes; other robots use ``cost`` only."""
 
     shelter: bool = True
-    """A stand-in of the filter before each action; without, nowhere: neither in phase 1b nor in phase 2."""
+    """Whether the safety filter corrects each action during training, in phases 1b and 2."""
     loads: bool = True
-    """Scenes for the footprint with each load; without, for the robot alone."""
+    """Whether scenes are drawn for the footprint with each load; otherwise for the car alone."""
     footprint: bool = True
-    """The policy sees free space around its footprint, and the radius; without, around its own body, always."""
+    """Whether the policy observes the free space around its current footprint, and the footprint's radius; otherwise
+    always around the body of the car alone."""
     near: float = limited(0.05, 0.0)
-    """Reward lost in a period at contact, falling to 0 at a clearance of 0.2 m."""
+    """Reward lost in a period at contact, decreasing to 0 at a clearance of 0.2 m."""
     contact: float = limited(0.05, 0.0)
     """Reward lost in each period of a contact."""
     cost: float = limited(0.0, 0.0)
-    """Of a contact, when the best of a training's policies is chosen: return - cost x contacts on development drives;
-    0: by the share that reach the goal alone."""
+    """Cost of a contact when the best policy of a training is selected by return - cost x contacts on development
+    drives. With 0 the policy is selected by the share of drives that reach the goal."""
     penalties: tuple[float, ...] = ()
-    """Grid of RMA-P: one policy each, the best of them chosen in the same way; empty: ``ablations.penalty`` alone."""
+    """Penalty grid of RMA-P: one policy per penalty, the best is selected as above. Empty: ``ablations.penalty``
+    only."""
 
     def __post_init__(self) -> None:
         for value in self.penalties:
@@ -188,39 +191,40 @@ class Practising:
 
 @dataclass(frozen=True)
 class Ablations:
-    """f and g that know no environment: Fix, trained where nothing acts, and Mix, trained in all environments."""
+    """Settings of f and g without a latent: Fix, trained with all effects neutral, and Mix, trained in all
+    environments."""
 
     pairs: int = limited(5_000_000, 1)
     hidden: int = limited(128, 1, 4096)
     penalty: float = limited(10.0, 0.0)
-    """Reward lost by each contact when RMA-P's policy is trained."""
+    """Reward that RMA-P's policy loses in training by each contact."""
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """A whole training: simulator, ranges, networks, and one section for each phase.
+    """Settings of one training: simulator, ranges, networks and a section for each phase.
 
-    Raises InputError naming the key when something is unknown, missing or out of its bounds.
+    Raises InputError naming the key when a setting is unknown, missing or out of its bounds.
     """
 
     simulator: PhysicsModel
-    """The physics, as its file has it; what is randomised stands in ``environment``."""
+    """The physics model as loaded from its file; ``environment`` lists the randomised parameters."""
     state: Mapping[str, _Range]
-    """Ranges of the state's entries; angles go all around, entries that are not named stay 0."""
+    """Ranges of the state entries. Angles cover the full circle; entries that are not listed stay 0."""
     action: Mapping[str, _Range]
     environment: Mapping[str, _Range]
-    """Ranges of what is randomised, by ``effect.parameter`` or ``base.parameter``."""
+    """Ranges of the randomised parameters, by ``effect.parameter`` or ``base.parameter``."""
     seed: int = limited(0, 0)
     latents: int = limited(4, 1, 64)
     """Entries of z."""
     history: int = limited(52, 36, 1000)
-    """Transitions that phi sees. Its two convolutions, of kernel 8 and stride 4, see all of them where it is 36, 52, 68
-    and so on; with 50 they would miss the newest 14, of which the actuators' lag and a load just hitched are told."""
+    """Transitions that phi sees. Its two convolutions (kernel 8, stride 4) cover all of them for 36, 52, 68 and so on.
+    With 50 they would ignore the newest 14, which show the actuator lag and a load that was just hitched."""
     absent: float = limited(0.2, 0.0, 1.0)
-    """Share of the environments in which a given effect does nothing."""
+    """Share of the environments in which a given effect is neutral."""
     phase_1a: Phase1a = Phase1a()
     imitation: Imitation = Imitation()
-    practice: Practising = Practising()
+    practice: PracticeSettings = PracticeSettings()
     phase_1b: Phase1b = Phase1b()
     phase_2: Phase2 = Phase2()
     phase_3: Phase3 = Phase3()
@@ -232,9 +236,9 @@ class Configuration:
         return self.simulator.system.name
 
     def digest(self, *sections: str) -> str:
-        """Twelve hexadecimal digits over everything that is common to all phases, and the named sections.
+        """Returns twelve hexadecimal digits over the settings common to all phases and the named sections.
 
-        How far phi looks back counts only where phi is trained, a teacher only where there is one.
+        The history length counts only if phase 2 is among the sections, imitation only if it has rounds.
         """
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in _SECTIONS}
         plain["simulator"] = write_model(self.simulator)
@@ -242,14 +246,14 @@ class Configuration:
             del plain["history"]
         chosen = {name: asdict(getattr(self, name)) for name in sections if name in _SECTIONS}
         if not self.imitation.rounds:
-            chosen.pop("imitation", None)  # nothing is made from it
-        if self.practice == Practising():
-            chosen.pop("practice", None)  # what was made before there was a choice is of today
+            chosen.pop("imitation", None)  # without rounds it has no influence on the result
+        if self.practice == PracticeSettings():
+            chosen.pop("practice", None)  # results from before this section existed keep their digest
         text = json.dumps({**plain, **chosen}, sort_keys=True)
         return sha256(text.encode()).hexdigest()[:12]
 
     def as_table(self) -> dict[str, Any]:
-        """What the file says, defaults filled in: to be written next to what was trained."""
+        """Returns the configuration as a table with defaults filled in, to be stored with the trained weights."""
         table = {item.name: getattr(self, item.name) for item in fields(self)}
         sections = {name: asdict(table[name]) for name in _SECTIONS}
         ranges = {name: {key: list(pair) for key, pair in table[name].items()} for name in _RANGES}
@@ -263,13 +267,13 @@ _RANGES = ("state", "action", "environment")
 
 
 def configurations() -> dict[str, Path]:
-    """The configurations that ship with the project, by name."""
+    """Returns the paths of the shipped configurations by name."""
     with as_file(files("safedpa_sim.training") / "configurations") as folder:
         return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.startswith("published")}
 
 
 def load_configuration(source: str | Path = "car") -> Configuration:
-    """The configuration in a file, or one that ships, by its name. Raises InputError naming the file and the key."""
+    """Loads a configuration from a file, or a shipped one by name. Raises InputError naming the file and the key."""
     path = Path(source)
     if not path.exists() and path.parent == Path():
         path = configurations().get(path.stem, path)
@@ -285,7 +289,7 @@ def load_configuration(source: str | Path = "car") -> Configuration:
 
 
 def parse_configuration(text: str, folder: Path) -> Configuration:
-    """The configuration that a TOML text describes; its simulator's file is sought in ``folder``."""
+    """Parses a configuration from TOML; the path of the simulator file is relative to ``folder``."""
     table = parse_toml(text)
     refuse_unknown(table, [item.name for item in fields(Configuration)], "")
     if not isinstance(table.get("simulator"), str):
@@ -309,13 +313,13 @@ def parse_configuration(text: str, folder: Path) -> Configuration:
     }
     known: dict[str, Any] = {**ranges, **sections, **plain}
     found = Configuration(simulator=simulator, **known)
-    if found.robot != "car" and replace(found.practice, cost=0.0) != Practising():
+    if found.robot != "car" and replace(found.practice, cost=0.0) != PracticeSettings():
         raise InputError(f"practice: got settings of a car for robot '{found.robot}', wanted cost alone")
     return found
 
 
 def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str, _Range]:
-    """The ranges by path; every parameter must be one of the base or of an effect for the robot, within its bounds."""
+    """Returns the ranges by path. Each must be a parameter of the base or of an effect of the robot, in its bounds."""
     found: dict[str, _Range] = {}
     for owner, entries in table.items():
         if not isinstance(entries, dict):
@@ -382,16 +386,16 @@ def _subtable(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 _HALF = 0.5
-"""Half width of a range over the distance of the value from doing nothing: as much as loads, floors and batteries
-change from day to day; the configuration may name another range."""
+"""Half width of a range over the distance of the value from neutral. Assumed: the day-to-day change of loads, floors
+and batteries. The configuration may set another range."""
 
 
 def with_diagnosed(configuration: Configuration, model: PhysicsModel) -> Configuration:
-    """The configuration with ``model`` as its simulator and each of the model's effects in the environment.
+    """Returns the configuration with ``model`` as its simulator and the effects of the model in the environment.
 
-    Ranges: value +- half its distance from doing nothing, within the parameter's bounds. Ranges that the configuration
-    has stay; so does its period. A parameter without a value at which it does nothing (one that only shapes its
-    effect) stays as it was found. Raises InputError for a learned model, or one of another robot or other actions.
+    The range of a parameter is its value +- half its distance from neutral, clipped to its bounds. Ranges and period of
+    the configuration take precedence. A parameter without a neutral value, which only shapes its effect, is fixed at
+    its value. Raises InputError for a learned model, or a model of another robot or with other actions.
     """
     simulator, system = configuration.simulator, model.system
     if isinstance(model.base, LearnedBase):

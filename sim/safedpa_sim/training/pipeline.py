@@ -1,4 +1,4 @@
-"""The phases in order; what is there already, from the same configuration and the same weights, is not made again."""
+"""Runs the training phases in order and skips stages whose result exists for the same settings and input weights."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import torch
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, load_weights, save_weights
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.export.weights import export_model
+from safedpa_sim.training.phases.phase_1a import training_device
 from safedpa_sim.training.progress import ReportProgress, read_record, silent, write_record
 from safedpa_sim.training.stages import TrainingStage, phase_function, stages_of
-from safedpa_sim.training.weights_export import export_model
 
 __all__ = ["run_pipeline", "tune_on_runs"]
 
@@ -29,11 +29,11 @@ def run_pipeline(
     report_progress: ReportProgress = silent,
     device: str = "cpu",
 ) -> dict[str, dict[str, Any]]:
-    """Runs the named phases, or all of the robot's, and returns their records.
+    """Runs the named phases, or all phases of the robot, and returns the record of each stage.
 
-    Each says ``"skipped": true`` when it was there already. Every result is written as soon as it is there: weights and
-    model file into ``out``, seconds, seeds and losses into ``progress.json``. Raises InputError for an unknown phase,
-    an earlier phase that is missing, or a device that this machine does not have.
+    A record has ``"skipped": true`` if the stage's result already existed. Each stage writes its result when it ends:
+    weights and model file into ``out``, durations, seeds and losses into ``progress.json``. Raises InputError for an
+    unknown phase, a missing earlier phase, or a device that this machine does not have.
     """
     stages = stages_of(configuration.robot, configuration.practice.penalties)
     chosen = tuple(phases) or tuple(stages)
@@ -59,7 +59,7 @@ def tune_on_runs(
     what: str = "all",
     report_progress: ReportProgress = silent,
 ) -> dict[str, Any]:
-    """Tunes a weights file on recorded runs; writes ``car_learned`` with its model file, and returns the summary."""
+    """Tunes a weights file on recorded runs, writes ``ROBOT_learned`` with its model file, and returns the summary."""
     given = load_weights(weights)
     tune = phase_function("phase_3", "tune_on_runs")
     tuned, summary = tune(configuration, given, runs, columns, out, report_progress, what)
@@ -71,18 +71,19 @@ def _run(
     stage: TrainingStage, configuration: Configuration, out: Path, report_progress: ReportProgress, device: str
 ) -> dict[str, Any]:
     target = out / f"{stage.target.format(robot=configuration.robot)}.toml"
-    given = _given(stage, configuration, out)
+    given = _input_weights(stage, configuration, out)
     digest = configuration.digest(*stage.sections)
     made_from = given.digest if given else ""
     known = read_record(out).get(stage.name, {})
-    if known.get("digest") == digest and known.get("from") == made_from and _is_there(target, stage):
+    if known.get("digest") == digest and known.get("from") == made_from and _has_result(target, stage):
         return {**known, "skipped": True}
     started, used = monotonic(), process_time()
-    made, summary = stage.train(configuration, given, out, report_progress, device)  # type: ignore[arg-type]  # none wants none
-    if stage.modelled:
-        export_model(made, configuration.simulator, target)
+    # A stage without a source ignores the weights, so None is fine there although the type says Weights.
+    weights, summary = stage.train(configuration, given, out, report_progress, device)  # type: ignore[arg-type]
+    if stage.has_model_file:
+        export_model(weights, configuration.simulator, target)
     else:
-        save_weights(made, target.with_suffix(".safetensors"))
+        save_weights(weights, target.with_suffix(".safetensors"))
     record = {
         "digest": digest,
         "from": made_from,
@@ -99,8 +100,8 @@ def _run(
     return record
 
 
-def _given(stage: TrainingStage, configuration: Configuration, out: Path) -> Weights | None:
-    """The weights that a stage begins with, without what it makes itself and what comes after it."""
+def _input_weights(stage: TrainingStage, configuration: Configuration, out: Path) -> Weights | None:
+    """Returns the input weights of a stage, without the tensors that it or a later stage produces."""
     if not stage.source:
         return None
     path = out / f"{stage.source.format(robot=configuration.robot)}.safetensors"
@@ -113,12 +114,11 @@ def _given(stage: TrainingStage, configuration: Configuration, out: Path) -> Wei
     retained = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(stage.drops)}
     if any(name.startswith("phi.") for name in retained):
         return Weights(retained, weights.description)
-    return Weights(
-        retained, replace(weights.description, history=configuration.history)
-    )  # how phi is about to look back
+    # No phi yet: the history length that phase 2 is going to train it for comes from the configuration.
+    return Weights(retained, replace(weights.description, history=configuration.history))
 
 
-def _is_there(model_file: Path, stage: TrainingStage) -> bool:
+def _has_result(model_file: Path, stage: TrainingStage) -> bool:
     weights = model_file.with_suffix(".safetensors")
-    there = weights.exists() and (model_file.exists() or not stage.modelled)
-    return there and all(load_weights(weights).has(name) for name in stage.adds)
+    exists = weights.exists() and (model_file.exists() or not stage.has_model_file)
+    return exists and all(load_weights(weights).has(name) for name in stage.adds)

@@ -1,4 +1,4 @@
-"""What a long training tells while it runs, and what it leaves behind."""
+"""The progress callback of a training run and the record that it writes to its output folder."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from safedpa.records.writers.tables import atomic_path
 __all__ = ["RECORD", "ReportProgress", "read_record", "silent", "write_record"]
 
 ReportProgress = Callable[[str, int, int, str], None]
-"""tell(phase, done, everything, note): the note is a few words, such as the loss."""
+"""report_progress(phase, done, total, note); the note is a short text such as the loss."""
 
 RECORD = "progress.json"
 
 
-def silent(phase: str, done: int, everything: int, note: str) -> None:
-    """Tells no one."""
-    del phase, done, everything, note
+def silent(phase: str, done: int, total: int, note: str) -> None:
+    """Discards the progress report."""
+    del phase, done, total, note
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """What was trained into a folder, by phase; nothing where there is no record.
+    """Returns the training record of a folder by stage name; empty if the folder has no record.
 
-    Raises InputError when the file is not what ``write_record`` writes.
+    Raises InputError when the file was not written by ``write_record``.
     """
     path = folder / RECORD
     if not path.exists():
@@ -41,6 +41,6 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(folder: Path, record: dict[str, Any]) -> None:
-    """Replaces the record of a folder, whole or not at all."""
+    """Replaces the record of a folder atomically."""
     with atomic_path(folder / RECORD) as unfinished:
         unfinished.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

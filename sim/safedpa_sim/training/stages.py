@@ -1,4 +1,4 @@
-"""What is trained for each kind of robot, in which order: the paper's phases, and the ablations next to them."""
+"""The training stages of each robot, in order: the paper's phases and the ablations that they are compared with."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from safedpa.extras import need
 from safedpa.networks import Weights, load_weights
 from safedpa.networks.frame import frame_of
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.phase_1a import train_affine
+from safedpa_sim.training.phases.phase_1a import train_affine
 from safedpa_sim.training.progress import ReportProgress, read_record
 
 __all__ = ["Trained", "TrainingStage", "phase_function", "stages_of"]
 
 Trained = tuple[Weights, dict[str, Any]]
-"""Weights, and what is worth recording."""
+"""Weights, and a summary for the training record."""
 
 Train = Callable[[Configuration, Weights, Path, ReportProgress, str], Trained]
 
@@ -27,30 +27,31 @@ Train = Callable[[Configuration, Weights, Path, ReportProgress, str], Trained]
 @final
 @dataclass(frozen=True)
 class TrainingStage:
-    """One thing that is trained: from which weights, into which, and by whom."""
+    """One training step: its input file, its output file and the function that trains it."""
 
     name: str
     sections: tuple[str, ...]
-    """Sections of the configuration that decide the result."""
+    """Sections of the configuration that the result depends on."""
     source: str
-    """The file it begins with; nothing for one that begins from nothing."""
+    """Name of the input weights file; empty if training starts from scratch."""
     target: str
     adds: tuple[str, ...]
-    """Networks that are in its result."""
+    """Networks that the result contains."""
     train: Train
     needs: tuple[str, ...] = ()
-    """Networks that must be there before it begins."""
+    """Networks that the input must contain."""
     drops: tuple[str, ...] = ()
-    """Beginnings of the names of tensors that it makes itself, or that were made from those: it must not see them."""
-    modelled: bool = True
-    """Whether the weights are of the robot's own state, so that a model file stands next to them."""
+    """Prefixes of tensor names that are removed from the input: this stage or a later one produces them."""
+    has_model_file: bool = True
+    """Whether a model file is written next to the weights. False if the networks do not predict the robot's state."""
 
 
 def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[TrainingStage, ...]]:
-    """The stages of each phase, in order: of a robot without a task for its policy, dynamics and history alone.
+    """Returns the stages of each phase, in order.
 
-    With ``penalties`` a car's ablations are PPO without a latent as well, and RMA-P as the best of a grid. Raises
-    InputError for a kind of robot whose networks have no frame.
+    A robot without a policy task has phases 1a and 2 only. With ``penalties``, a car's ablations also include PPO
+    without a latent, and RMA-P is the best policy of the penalty grid. Raises InputError for a robot for which no
+    network frame is defined.
     """
     if robot in _STAGES:
         return {**_STAGES[robot], "ablations": _grid(penalties)} if penalties else _STAGES[robot]
@@ -60,9 +61,9 @@ def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[
 
 
 def phase_function(module: str, name: str) -> Callable[..., Any]:
-    """A phase's function, imported when it is called: its packages belong to the extra ``train``."""
+    """Imports and returns a phase's function; late, because torch and the others belong to the extra ``train``."""
     need("train", what=module.replace("_", " "))
-    found: Callable[..., Any] = getattr(importlib.import_module(f"safedpa_sim.training.{module}"), name)
+    found: Callable[..., Any] = getattr(importlib.import_module(f"safedpa_sim.training.phases.{module}"), name)
     return found
 
 
@@ -75,7 +76,7 @@ def _affine(variant: str, alone: Mapping[str, float] | None = None) -> Train:
     return train
 
 
-def _later(module: str, function: str, **options: Any) -> Train:
+def _deferred(module: str, function: str, **options: Any) -> Train:
     def train(*arguments: Any) -> Trained:
         result: Trained = phase_function(module, function)(*arguments, **options)
         return result
@@ -86,8 +87,10 @@ def _later(module: str, function: str, **options: Any) -> Train:
 def _penalised(
     configuration: Configuration, given: Weights, out: Path, report_progress: ReportProgress, device: str
 ) -> Trained:
-    """RMA-P: a policy that is punished for contacts in training, in place of a filter."""
-    train = _later("phase_1b", "train_policy", name="rma_p", penalty=configuration.ablations.penalty, sheltered=False)
+    """RMA-P: the policy is trained without a filter and penalised for contacts."""
+    train = _deferred(
+        "phase_1b", "train_policy", name="rma_p", penalty=configuration.ablations.penalty, with_filter=False
+    )
     return train(configuration, given, out, report_progress, device)
 
 
@@ -99,9 +102,9 @@ _POLICY = ("policy.", "observation_")
 
 
 def _common(last: str) -> dict[str, tuple[TrainingStage, ...]]:
-    """Phases 1a, 1b and 2; ``last`` is the file that phase 2 writes."""
-    train_policy = _later("phase_1b", "train_policy")
-    encode = _later("phase_2", "train_history_encoder")
+    """Returns phases 1a, 1b and 2; ``last`` is the file that phase 2 writes."""
+    train_policy = _deferred("phase_1b", "train_policy")
+    encode = _deferred("phase_2", "train_history_encoder")
     drops = (*_POLICY, "phi.")
     return {
         "1a": (TrainingStage("1a", ("phase_1a",), "", _SIMULATED, ("mu", "f", "g"), _affine("1a")),),
@@ -120,7 +123,7 @@ def _alone(name: str, environment: Mapping[str, float] | None = None) -> Trainin
 
 
 def _in_wind(direction: int, strength: float = 4.0) -> TrainingStage:
-    """Fix for the pendulum: it knows the wind of one direction [degrees] alone."""
+    """Fix for the pendulum: trained in wind from one direction [degrees] only."""
     from math import cos, sin
 
     towards = radians(direction)
@@ -129,7 +132,7 @@ def _in_wind(direction: int, strength: float = 4.0) -> TrainingStage:
 
 
 def _in_force(direction: int, strength: float = 1.54) -> TrainingStage:
-    """Fix for the point robot: it knows the force [m/s2 over its mass] of one direction [degrees] alone."""
+    """Fix for the point robot: trained under a force [m/s2 over its mass] in one direction [degrees] only."""
     from math import cos, sin
 
     towards = radians(direction)
@@ -138,21 +141,22 @@ def _in_force(direction: int, strength: float = 1.54) -> TrainingStage:
 
 
 def _punished(penalty: float, source: str = _LEARNED) -> TrainingStage:
-    """RMA-P with a penalty of its own; RMA without one."""
+    """RMA-P with the given penalty; RMA if the penalty is 0."""
     name = f"rma_p_{penalty:g}".replace(".", "_") if penalty else "rma"
-    train = _later("phase_1b", "train_policy", name=name, penalty=penalty, sheltered=False)
+    train = _deferred("phase_1b", "train_policy", name=name, penalty=penalty, with_filter=False)
     return _with_penalty(name, source, train)
 
 
 def _grid(penalties: tuple[float, ...]) -> tuple[TrainingStage, ...]:
-    """A car's Fix and Mix, PPO on the latter, RMA-P for each penalty, and the best of those with a phi of its own."""
+    """Returns the car's ablations: Fix, Mix, PPO on Mix, RMA-P for each penalty, and the best RMA-P with its own
+    phi."""
     members = tuple(_punished(penalty, _SIMULATED) for penalty in penalties)
     best = _with_penalty("rma_p", _SIMULATED, _best_of(members))
     return (_alone("fix", {}), _alone("mix"), _PPO, *members, replace(best, drops=(*_POLICY, "phi.")))
 
 
 def _best_of(members: tuple[TrainingStage, ...]) -> Train:
-    """The member of the highest score on development drives, and a history encoder taught on its drives."""
+    """Selects the policy with the highest score on development drives and trains a history encoder on its drives."""
 
     def train(
         configuration: Configuration, given: Weights, out: Path, report_progress: ReportProgress, device: str
@@ -162,10 +166,9 @@ def _best_of(members: tuple[TrainingStage, ...]) -> Train:
         scores = {stage.name: float(record[stage.name]["score"]) for stage in members}
         best = max(scores, key=lambda name: scores[name])
         weights = load_weights(out / record[best]["file"])
-        made, reported = _later("phase_2", "train_history_encoder")(
-            configuration, weights, out, report_progress, device
-        )
-        return made, {**reported, "chosen": best, "scores": scores}
+        encode = _deferred("phase_2", "train_history_encoder")
+        trained, summary = encode(configuration, weights, out, report_progress, device)
+        return trained, {**summary, "chosen": best, "scores": scores}
 
     return train
 
@@ -176,19 +179,19 @@ _PPO = TrainingStage(
     "{robot}_mix",
     "{robot}_ppo",
     ("policy",),
-    _later("phase_1b", "train_policy", name="ppo", sheltered=False),
+    _deferred("phase_1b", "train_policy", name="ppo", with_filter=False),
 )
-"""A policy that knows no latent, in all environments."""
+"""PPO without a latent, trained in all environments."""
 _SENSED = TrainingStage(
     "17",
     ("phase_1a", "phase_2"),
     "",
     "{robot}_17",
     ("mu", "f", "g", "phi"),
-    _later("sensed_training", "train_sensed"),
-    modelled=False,
+    _deferred("sensed_state", "train_sensed"),
+    has_model_file=False,
 )
-"""The point's 15 sensed numbers and z, in place of its state of five."""
+"""Networks on the point robot's 15 sensor readings and z, instead of its five states."""
 _STAGES: Final = {
     "car": {
         **_common(_SIMULATED),
@@ -199,7 +202,7 @@ _STAGES: Final = {
                 _SIMULATED,
                 _LEARNED,
                 ("phi",),
-                _later("phase_3", "tune"),
+                _deferred("phase_3", "tune"),
                 ("policy", "phi"),
             ),
         ),
@@ -224,4 +227,4 @@ _STAGES: Final = {
         "17": (_SENSED,),
     },
 }
-"""Pendulum and point have no phase 3: their simulator is the robot."""
+"""Pendulum and point have no phase 3, because training already uses the simulator that stands in for the robot."""

@@ -4,7 +4,7 @@ import pytest
 import scipy.optimize
 from tests.lab.adversary.problems import plane
 
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 
 
 def test_another_way_answers_if_the_first_solver_ends_in_an_unknown_status(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The row of the start, from what its processes are said to take; ``tests/lab/benchmarks`` measures them."""
+"""The row of the start, from what its processes are reported to take; ``tests/lab/benchmarks`` measures them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a robot does after an order to stop or to go: the whole command waits six seconds for one that does not obey."""
+"""What a robot does after an order to stop or to go; the command waits six seconds for one that does not obey."""
 
 from typing import Any
 
@@ -16,15 +16,15 @@ STAMP: dict[str, Any] = {"epoch": 7, "tick": 1, "robot_time": 0.05, "publish_tim
     [
         ("go", "passed", 1.0, False, "may drive"),
         ("go", None, 0.0, False, "may drive"),
-        ("go", "stopped", 0.0, False, "stopped by an order of its own"),
-        ("stop", "stopped", 0.0, False, "stands"),
-        ("stop", "passed", 0.02, False, "stands"),
-        ("stop", "passed", -0.02, False, "stands"),
+        ("go", "stopped", 0.0, False, "stopped by an order for this robot"),
+        ("stop", "stopped", 0.0, False, "is stationary"),
+        ("stop", "passed", 0.02, False, "is stationary"),
+        ("stop", "passed", -0.02, False, "is stationary"),
         ("stop", "passed", 0.5, False, "still drives, +0.50 m/s"),
         ("stop", None, -0.5, False, "still drives, -0.50 m/s"),
         ("stop", "stopped", 0.5, False, "still brakes, +0.50 m/s"),
         ("stop", "stopped", -0.5, False, "still brakes, -0.50 m/s"),
-        ("stop", "stopped", 9.0, True, "keeps its corridor without the policy; it has no stand"),
+        ("stop", "stopped", 9.0, True, "stays in its corridor without the policy; it cannot stop"),
         ("stop", "passed", 0.0, True, "still obeys the policy"),
     ],
 )

@@ -11,13 +11,13 @@ from safedpa.diagnosis import detectable
 from safedpa.diagnosis.fit import prediction_error_method
 from safedpa.diagnosis.fit.cross_validation import heldout_of
 from safedpa.diagnosis.fit.kalman import _whitened
-from safedpa.diagnosis.fit.multiple_shooting import _counts, _robust, shooting_of
+from safedpa.diagnosis.fit.multiple_shooting import _row_weights, _trimmed_scale, shooting_of
 from safedpa.diagnosis.fit.trial import fit_trial
 from safedpa.diagnosis.residuals.dependence import Dependences
-from safedpa.diagnosis.residuals.match_effects import _sure
+from safedpa.diagnosis.residuals.match_effects import _block_statistic
 from safedpa.diagnosis.residuals.weak_sindy import _sizes
 from safedpa.diagnosis.search.accepted_trial import accept_trial
-from safedpa.diagnosis.search.conditional import _fitted
+from safedpa.diagnosis.search.conditional import _fit_law
 from safedpa.diagnosis.search.conditional_screen import ConditionalCandidate, _NormalEquations
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.dynamics import load_model
@@ -30,7 +30,7 @@ def test_a_function_has_the_deviation_of_a_jackknife_over_folds() -> None:
     """Of three folds with 1, 2 and 6 the variance by n is 14 / 3; times n - 1 that is 28 / 3."""
     parts = np.array([[9.0, 1.0, 5.0], [9.0, 2.0, 5.0], [9.0, 6.0, 5.0]])
     problem: Any = SimpleNamespace(
-        solved=lambda _chosen, gram: parts if gram == 7.0 else None, whole=10.0, grams=3.0, always=1,
+        solve=lambda _chosen, gram: parts if gram == 7.0 else None, whole=10.0, grams=3.0, always=1,
         coefficients=lambda chosen: np.array([float(chosen[0]), 4.0]),
     )  # fmt: skip
     values, spread = Dependences((), {}, problem, {("x", "v"): [3]}, {}, np.ones(1)).values("x", "v")
@@ -54,9 +54,9 @@ def test_the_first_noise_is_that_of_the_rows(level: float) -> None:
     states = np.column_stack([np.arange(rows) * 0.1, np.full(rows, 2.0)]) + level * random.normal(size=(rows, 2))
     state = (SimpleNamespace(name="x"), SimpleNamespace(name="speed"))
     system = SimpleNamespace(difference=lambda one, other: one - other, state=state)
-    noise = prediction_error_method._first_noise(None, SimpleNamespace(states=states, system=system))  # type: ignore[arg-type]
+    noise = prediction_error_method._initial_noise(SimpleNamespace(states=states, system=system))  # type: ignore[arg-type]
     np.testing.assert_allclose(noise.measured, [[level, level]], rtol=0.04)
-    np.testing.assert_allclose(noise.pushes, 3.0 * noise.measured[:, 1:])
+    np.testing.assert_allclose(noise.disturbances, 3.0 * noise.measured[:, 1:])
     assert noise.seconds.tolist() == [1.0]
 
 
@@ -75,14 +75,14 @@ def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_
     scores = np.array([2.0, 1.0, -1.0, 3.0, 1.0, 2.0])
     innovations: Any = SimpleNamespace(columns=np.full((6, 1, 1), 2.0), white=scores[:, None] / 2.0)
     monkeypatch.setattr(prediction_error_method, "_prior", lambda *_: np.zeros((1, 1)))
-    monkeypatch.setattr(prediction_error_method, "_FEWEST_RUNS", 3)
+    monkeypatch.setattr(prediction_error_method, "_MIN_RUNS", 3)
     given = None if runs is None else np.array(runs)
     found = prediction_error_method._deviations(None, ("a.x",), innovations, given)  # type: ignore[arg-type]
     assert found.tolist() == pytest.approx([math.sqrt(max(square, 1 / 24))])
 
 
 @pytest.mark.parametrize(("change", "settled"), [(0.09, True), (-0.09, True), (0.11, False), (-0.11, False)])
-def test_numbers_are_settled_where_none_moves_by_a_tenth_of_its_deviation(
+def test_parameters_have_converged_if_none_moves_by_a_tenth_of_its_deviation(
     change: float, settled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def model(**values: float) -> Any:
@@ -90,7 +90,7 @@ def test_numbers_are_settled_where_none_moves_by_a_tenth_of_its_deviation(
 
     monkeypatch.setattr(prediction_error_method, "_deviations", lambda *_: np.array([1.0, 10.0]))
     before, after = model(a=1.0, b=5.0), model(a=1.0 + change, b=5.5)
-    assert prediction_error_method._settled(before, after, ("a", "b"), None) is settled  # type: ignore[arg-type]
+    assert prediction_error_method._has_converged(before, after, ("a", "b"), None) is settled  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -109,12 +109,13 @@ def test_the_smallest_detectable_size_passes_by_its_squares_and_by_its_fall(
         return bool(float(squares.sum()) >= 4.0 * 5.0)
 
     monkeypatch.setattr(detectable, "_SIZES", sizes)
-    monkeypatch.setattr(detectable, "_taken", lambda _: False)
-    monkeypatch.setattr(detectable, "_sure", sure)
+    monkeypatch.setattr(detectable, "_is_absorbed", lambda _: False)
+    monkeypatch.setattr(detectable, "_passes_reliably", sure)
     monkeypatch.setattr(detectable, "_CERTAIN", math.inf)
     monkeypatch.setattr(detectable, "LITTLE_FALL", little)
     moved: Any = SimpleNamespace(
-        whole=np.ones((1, 2)), left=np.array([[1.0, 2.0]]), ends=np.array([4.0, 1.0]), item=SimpleNamespace(name="a"),
+        whole=np.ones((1, 2)), remaining=np.array([[1.0, 2.0]]), ends=np.array([4.0, 1.0]),
+        item=SimpleNamespace(name="a"),
     )  # fmt: skip
     null: Any = SimpleNamespace(fit=SimpleNamespace(residual=np.array([[3.0, 1.0]])))
     shooting: Any = SimpleNamespace(squares=lambda left: left**2)
@@ -132,10 +133,10 @@ def weights(pushes: dict[int, tuple[float, float]], *, short: tuple[int, ...] = 
         off[window] *= times
     residual = np.repeat((off * np.array([1.0, 1000.0]))[:, None], 8, axis=1)
     steps = np.where(np.isin(np.arange(100), short), 4, 8)
-    return _counts(SimpleNamespace(windows=SimpleNamespace(steps=steps), rows=np.arange(1, 9)), residual)  # type: ignore[arg-type]
+    return _row_weights(SimpleNamespace(windows=SimpleNamespace(steps=steps), rows=np.arange(1, 9)), residual)  # type: ignore[arg-type]
 
 
-def test_a_window_that_was_pushed_hard_counts_by_the_inverse_square_of_its_residual() -> None:
+def test_a_disturbed_window_is_weighted_by_the_inverse_square_of_its_residual() -> None:
     """Each state is weighed in its own unit, and each window by its own rows."""
     found = weights({10: (40.0, 40.0), 11: (80.0, 80.0), 13: (160.0, 160.0), 20: (40.0, 1.0), 21: (1.0, 40.0)})
     own = found[:, 0, 0]
@@ -149,22 +150,22 @@ def test_a_window_that_was_pushed_hard_counts_by_the_inverse_square_of_its_resid
     assert found[31, :, 0].tolist() == [found[31, 0, 0]] * 4 + [0.0] * 4, "rows beyond the end of a short window"
 
 
-def test_the_robust_size_is_the_root_mean_square_without_the_largest_twentieth() -> None:
+def test_the_trimmed_scale_is_the_root_mean_square_without_the_largest_5_percent() -> None:
     """Of 3 and 4 it is the root of 12.5; a row with a count of 0 is left out; of one row it is itself; never 0."""
     residual = np.array([[3.0, 0.0], [-4.0, 0.0]] * 19 + [[900.0, 0.0], [-900.0, 0.0]]).reshape(40, 1, 2)
     there = np.ones_like(residual)
-    assert _robust(residual, there).tolist() == pytest.approx([12.5**0.5, 1e-7])
+    assert _trimmed_scale(residual, there).tolist() == pytest.approx([12.5**0.5, 1e-7])
     residual[0], there[0] = 1e9, 0.0
-    assert _robust(residual, there)[0] == pytest.approx((466.0 / 37.0) ** 0.5)
+    assert _trimmed_scale(residual, there)[0] == pytest.approx((466.0 / 37.0) ** 0.5)
     few, counts = np.array([[[3.0]], [[9.0]]]), np.array([[[1.0]], [[0.0]]])
-    assert _robust(few, counts) == pytest.approx([3.0])
+    assert _trimmed_scale(few, counts) == pytest.approx([3.0])
 
 
 def test_a_gain_over_a_function_is_in_standard_errors_of_the_sum_of_blocks() -> None:
     """Four blocks whose sums are 1, 2, 3 and 6: sum 12, deviation sqrt(14 / 3), its error twice that."""
     difference, block = np.array([0.5, 0.5, 2.0, 1.0, 2.0, 4.0, 2.0]), np.array([0, 0, 2, 3, 3, 5, 5])
-    assert _sure(difference, block) == pytest.approx(12.0 / (2.0 * math.sqrt(14.0 / 3.0)))
-    assert _sure(difference, np.zeros(7, dtype=int)) == 0.0
+    assert _block_statistic(difference, block) == pytest.approx(12.0 / (2.0 * math.sqrt(14.0 / 3.0)))
+    assert _block_statistic(difference, np.zeros(7, dtype=int)) == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -182,23 +183,23 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.mark.parametrize("begin", [(0.0, 0.9), (1.0, 0.45), (2.0, 0.1), (2.0, 0.45), (2.0, 0.9)])
-def test_a_law_is_not_fitted_with_the_slope_of_the_number_without_it(floor: Any, begin: tuple[float, float]) -> None:
+def test_a_law_is_not_fitted_with_the_slopes_of_the_plain_effect(floor: Any, begin: tuple[float, float]) -> None:
     start = dict(zip(("x_above", "deceleration"), begin, strict=True))
     item = effect("car", "rolling_resistance")
-    found = _fitted(floor, ConditionalCandidate(item, Where("above", "x", 0.05), start, 0.0, 0.0))
+    found = _fit_law(floor, ConditionalCandidate(item, Where("above", "x", 0.05), start, 0.0, 0.0))
     settings = found.fit.model.settings  # type: ignore[union-attr]
     assert settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.1)
     assert settings["rolling_resistance.deceleration"].value == pytest.approx(0.9, abs=0.05)
 
 
 @pytest.mark.parametrize("paths", [0, 1, 5])
-def test_laws_are_judged_as_a_fit_of_each_would_be(paths: int) -> None:
+def test_screened_laws_equal_a_linear_fit_of_each(paths: int) -> None:
     """The fall of unseen squares of each window, all numbers fitted without its fold by NumPy's least squares."""
     random = np.random.default_rng(paths)
     columns, column, residual = (random.normal(size=(24, 9, *more)) for more in ((paths,), (), ()))
     laws, fold = random.random((3, 24)), np.arange(24) % 4
     null: Any = SimpleNamespace(fit=SimpleNamespace(residual=residual, columns=columns))
-    falls, values = _NormalEquations(null, SimpleNamespace(fold=fold)).judged(column, laws)  # type: ignore[arg-type]
+    falls, values = _NormalEquations(null, SimpleNamespace(fold=fold)).reductions(column, laws)  # type: ignore[arg-type]
     assert values.shape == (3, paths + 1)
     for law in range(3):
         wide = np.concatenate([columns, (laws[law][:, None] * column)[..., None]], axis=-1)
@@ -211,7 +212,7 @@ def test_laws_are_judged_as_a_fit_of_each_would_be(paths: int) -> None:
         np.testing.assert_allclose(falls[law], wanted, rtol=1e-6, atol=1e-6)
 
 
-def test_whitening_is_that_of_the_cholesky_factor() -> None:
+def test_whitening_uses_the_cholesky_factor() -> None:
     random = np.random.default_rng(2)
     root, right = random.normal(size=(5, 7, 3, 3)), random.normal(size=(5, 7, 3, 4))
     total = root @ root.swapaxes(-1, -2) + np.eye(3)

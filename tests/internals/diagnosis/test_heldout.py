@@ -34,7 +34,7 @@ def three_runs() -> list[Run]:
 
 
 @pytest.mark.parametrize(("seconds", "every"), [(10.0, 1), (120.0, 1), (240.0, 2), (600.0, 5)])
-def test_windows_begin_every_0_1_s_and_farther_apart_in_long_logs(seconds: float, every: int) -> None:
+def test_windows_start_every_0_1_s_or_further_apart_in_long_logs(seconds: float, every: int) -> None:
     """There are 1200 windows at most: of ten minutes one every half second."""
     found = heldout_of([swinging("one", seconds, 1)], 1.0)
     assert found.windows.start.tolist() == list(range(0, round(10.0 * seconds) - 9, every))
@@ -60,7 +60,7 @@ def predicting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("predicting")
-def test_each_run_is_predicted_by_the_numbers_found_without_it() -> None:
+def test_each_run_is_predicted_with_parameters_fitted_without_it() -> None:
     heldout = heldout_of(three_runs(), 0.5, folds=3)
     found = error_with(fitted_without(fold_0=1.0, fold_1=2.0), None, heldout)  # type: ignore[arg-type]
     offsets = np.array([1.0, 2.0, 9.0])[heldout.windows.run]
@@ -164,7 +164,7 @@ def least_squares(fit: Fit, shooting: Any, fold: int, free: tuple[bool, bool]) -
 
 
 @pytest.mark.parametrize("free", [(True, True), (True, False), (False, True), (False, False)])
-def test_numbers_without_a_fold_are_the_least_squares_of_the_other_folds(made: Any, free: tuple[bool, bool]) -> None:
+def test_parameters_without_a_fold_are_the_least_squares_of_the_other_folds(made: Any, free: tuple[bool, bool]) -> None:
     fit, shooting = made(free)
     found = fit.without(shooting)
     assert sorted(found) == list(range(FOLDS))
@@ -195,7 +195,7 @@ def test_the_objective_is_the_mean_logarithm_of_the_root_mean_square_of_each_sta
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0), (1e-3, 1e3), (100.0, 7.0)])
-def test_an_inverse_does_not_depend_on_units(sizes: tuple[float, float]) -> None:
+def test_the_regularized_inverse_does_not_depend_on_units(sizes: tuple[float, float]) -> None:
     """Of [[2, 1], [1, 3]] it is [[3, -1], [-1, 2]] / 5; in other units each entry is divided by both."""
     outer = np.outer(sizes, sizes)
     found = regularized_inverse(np.array([[2.0, 1.0], [1.0, 3.0]]) * outer)

@@ -38,10 +38,10 @@ def trial(*effects: str, loss: float = 0.0, paths: int = 1, free: Any = True, ex
     return EffectTrial(effects, fit, np.zeros(1), np.asarray(explained, dtype=float), loss)
 
 
-def searching(value: float = 0.1, loss: float = 0.0, paths: Any = (), patch: Any = None) -> Any:
+def searching(value: float = 0.1, loss: float = 0.0, paths: Any = (), region: Any = None) -> Any:
     current = SimpleNamespace(loss=loss, fit=SimpleNamespace(paths=tuple(paths)))
     shooting = SimpleNamespace(windows=SimpleNamespace(horizon=1.25))
-    return SimpleNamespace(shooting=shooting, current=current, error=error(value), patch=patch)
+    return SimpleNamespace(shooting=shooting, current=current, error=error(value), region=region)
 
 
 def of(trials: list[Any], gain: float = 0.0, errors: Any = None, **more: Any) -> SearchStage:
@@ -100,7 +100,7 @@ def test_a_trial_is_likely_with_1_5_standard_errors_and_3_percent(gain: float, a
         ({"steering_delay": 0.2, "steering_lag": 0.2}, 2, 0.9, 0.05, False),
     ],
 )
-def test_a_lag_below_one_row_or_next_to_another_is_feigned_without_a_fall_of_15_percent(
+def test_a_lag_below_one_row_or_a_second_lag_is_spurious_without_a_15_percent_reduction(
     values: dict[str, float], own: int, after: float | None, row: float, feigned: bool
 ) -> None:
     items = {name: effect("car", name) for name in values}
@@ -122,7 +122,9 @@ def test_the_simplest_trial_within_two_standard_errors_of_the_best_is_preferred(
     assert simplest_equivalent([best, other, third], searching()).name == chosen  # type: ignore[union-attr]
 
 
-def test_only_free_trials_that_fit_better_than_the_present_model_are_preferred(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_trials_within_bounds_and_better_than_the_current_model_are_considered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     by_table(monkeypatch, dict.fromkeys([("a", "a"), ("b", "a"), ("b", "b")], 0.0))
     one, two = trial("a", loss=-2.0), trial("b", loss=-1.0)
     assert simplest_equivalent([one, two], searching()) is one
@@ -142,7 +144,7 @@ def test_only_free_trials_that_fit_better_than_the_present_model_are_preferred(m
         (1.0, 0.6499, 0.5, False), (1.0, 0.6501, 0.5, True), (1.0, 0.15, 0.0, False),
     ],
 )  # fmt: skip
-def test_while_a_quarter_is_missing_a_trial_that_takes_15_percent_more_off_comes_first(
+def test_while_a_quarter_is_missing_a_trial_with_a_15_percent_larger_reduction_comes_first(
     before: float, first: float, least: float, turned: bool
 ) -> None:
     one, middle, other = trial("a"), trial("b"), trial("c")
@@ -163,7 +165,7 @@ def test_while_a_quarter_is_missing_a_trial_that_takes_15_percent_more_off_comes
         ([True, False, True], ["x"], 0.5, False), ([True, False, True], ["x"], 0.501, True),
     ],
 )  # fmt: skip
-def test_an_effect_at_a_bound_is_refused_unless_half_is_missing(
+def test_an_effect_at_a_bound_is_rejected_unless_half_of_the_physics_is_missing(
     free: list[bool], paths: list[str], value: float, reported: bool
 ) -> None:
     pushed = trial("a", paths=3)
@@ -171,7 +173,7 @@ def test_an_effect_at_a_bound_is_refused_unless_half_is_missing(
     assert within_bounds(pushed, searching(value=value, paths=paths)) is reported
 
 
-def test_the_plainest_trial_explains_the_same_with_the_fewest_numbers() -> None:
+def test_among_identical_explanations_the_one_with_the_fewest_parameters_is_chosen() -> None:
     explained = np.array([3.0, 4.0])
     big, two, one = (trial(n, loss=-1, paths=p, explained=explained) for n, p in (("big", 3), ("two", 2), ("one", 1)))
     alike = trial("alike", loss=-1, paths=1, explained=explained + np.array([0.0, 0.3]))
@@ -189,7 +191,7 @@ def test_the_plainest_trial_explains_the_same_with_the_fewest_numbers() -> None:
         ([5.0, 0.22362], [5.0, 0.0], False), ([1000.0**0.5, 0.0], [1000.0**0.5, 2.003**0.5], False),
     ],
 )  # fmt: skip
-def test_two_trials_explain_the_same_up_to_a_500th_of_the_smaller_square(
+def test_two_trials_are_identical_up_to_1_500_of_the_smaller_square(
     whole: list[float], other: list[float], same: bool
 ) -> None:
     """25 / 500 = 0.05 = 0.22361^2; a 500th of the larger one would be 2.006 in the last case."""
@@ -202,9 +204,10 @@ def test_two_trials_explain_the_same_up_to_a_500th_of_the_smaller_square(
     [
         (5.04, 0.05, True, "accepted", "5.0 standard errors; the held-out error after 1.25 s changes by -50.0 %"),
         (5.0, 0.05, False, "suspected",
-         "5.0 standard errors; the held-out error after 1.25 s changes by -50.0 %: too little to be worth it"),
+         "5.0 standard errors; the held-out error after 1.25 s changes by -50.0 %: "
+         "the error falls too little to add it"),
         (3.0, 0.11, False, "rejected", "3.0 standard errors; the held-out error after 1.25 s changes by +10.0 %"),
-        (3.1, None, False, "suspected", "3.1 standard errors: too little to be worth it"),
+        (3.1, None, False, "suspected", "3.1 standard errors: the error falls too little to add it"),
     ],
 )  # fmt: skip
 def test_the_verdict_on_the_best_trial(
@@ -221,17 +224,17 @@ def test_the_verdict_on_the_best_trial(
     assert (again.trial, again.gain, again.before) == (one, gain, 0.1)
 
 
-def test_a_trial_is_suspected_where_a_place_explains_more_or_the_filter_doubts_it() -> None:
+def test_a_trial_is_suspected_if_a_region_explains_more_or_the_filter_does_not_confirm_it() -> None:
     one, errors = trial("a"), {("a",): error(0.05)}
-    found = judge_trial(searching(patch=object()), of([one], 5.0, errors), one, one, False)
+    found = judge_trial(searching(region=object()), of([one], 5.0, errors), one, one, False)
     assert found.decision == "suspected"
-    assert found.reason.endswith("changes by -50.0 %; but a place explains more")
-    found = judge_trial(searching(patch=object()), of([one], 5.0, errors), one, None, False)
-    assert found.reason.endswith("too little to be worth it"), "it is not the best"
+    assert found.reason.endswith("changes by -50.0 %; but a region of the floor explains more")
+    found = judge_trial(searching(region=object()), of([one], 5.0, errors), one, None, False)
+    assert found.reason.endswith("the error falls too little to add it"), "it is not the best"
     doubted = of([one], 5.0, errors, doubted=frozenset({("a",)}))
     found = judge_trial(searching(), doubted, one, None, False)
     assert found.decision == "suspected"
-    assert found.reason.endswith("but a filter that knows lasting pushes does not confirm it")
+    assert found.reason.endswith("but a filter that estimates lasting disturbances does not confirm it")
 
 
 @pytest.mark.parametrize(
@@ -241,7 +244,7 @@ def test_a_trial_is_suspected_where_a_place_explains_more_or_the_filter_doubts_i
         (3.0, 1.99, 0.95, "suspected"), (1.5, 1.99, 0.95, "rejected"), (3.1, 2.5, 0.99, "suspected"),
     ],
 )  # fmt: skip
-def test_a_trial_that_the_data_cannot_tell_from_the_accepted_one_is_suspected(
+def test_a_trial_that_the_data_cannot_distinguish_from_the_accepted_one_is_suspected(
     monkeypatch: pytest.MonkeyPatch, gain: float, behind: float, alike: float, decision: str
 ) -> None:
     one, best = trial("a", loss=-1.0), trial("b", loss=-2.0)
@@ -260,7 +263,7 @@ def test_a_trial_that_the_data_cannot_tell_from_the_accepted_one_is_suspected(
         (2.99, 0.985, False), (-2.99, 0.986, True), (9.0, -1.0, False), (0.5, -0.99, False),
     ],
 )  # fmt: skip
-def test_two_trials_are_equal_if_they_predict_close_and_explain_alike(
+def test_two_trials_are_equivalent_if_gains_are_close_and_explanations_correlated(
     monkeypatch: pytest.MonkeyPatch, apart: float, alike: float, equal: bool
 ) -> None:
     one, other = trial("a", loss=-1.0), trial("b", loss=-2.0)
@@ -299,7 +302,7 @@ P, Q, R = np.eye(3)
         ([P, Q], [0 * P], "a", ""), ([P], [P], "a", "p"),
     ],
 )  # fmt: skip
-def test_an_effect_that_free_numbers_do_already_is_rejected_with_the_most_alike_named(
+def test_an_effect_that_a_free_parameter_can_absorb_is_rejected_with_its_name(
     known: list[Any], new: list[Any], effects: str, base: str
 ) -> None:
     item = trial(*effects, columns=np.column_stack([*known, *new])[:, None, :])

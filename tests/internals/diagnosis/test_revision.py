@@ -60,7 +60,7 @@ def searching(monkeypatch: pytest.MonkeyPatch) -> Any:
         ("ab", {"a": "de"}, "e", 9.0, "ab"),
     ],
 )  # fmt: skip
-def test_an_effect_gives_way_to_two_of_its_rivals_that_pass_and_are_free(
+def test_an_effect_is_split_into_two_rivals_that_pass_and_are_within_bounds(
     searching: Any, added: str, rivals: Any, held: str, gain: float, left: str
 ) -> None:
     search = searching(added, rivals, held, gain)
@@ -76,7 +76,7 @@ def test_an_effect_gives_way_to_two_of_its_rivals_that_pass_and_are_free(
     [(9.0, False, 0.01, "bd"), (9.0, True, 0.01, "ba"), (-9.0, False, 0.01, "ba"), (1.9, False, 0.01, "ba"),
      (9.0, False, 0.0004, "ba"), (9.0, False, 0.0, "ba")],
 )  # fmt: skip
-def test_a_rival_with_one_more_number_takes_a_place_if_it_fits_better_by_one_unit_of_likelihood(
+def test_a_rival_with_one_more_parameter_must_improve_the_log_likelihood_by_one(
     searching: Any, gain: float, late: bool, fall: float, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 1000 independent numbers, 0.0004 are 0.4 units of log likelihood and 0.01 are 10."""
@@ -95,7 +95,7 @@ def test_only_accepted_candidates_are_reported_as_replaced(searching: Any) -> No
     for stage, decision in enumerate(("rejected", "accepted")):
         for names in (("a",), ("b",)):
             search.candidates.append(JudgedTrial(stage, trial(*names), 4.0, NOTHING, decision, f"stage {stage}", ()))
-    backward_revision._replaced(search, ("a",), ("d",), trial("d", "b"), NOTHING)
+    backward_revision._replace(search, ("a",), ("d",), trial("d", "b"), NOTHING)
     assert search.added == ["d", "b"]
     found = [(item.stage, item.trial.effects, item.decision) for item in search.candidates]
     assert found == [
@@ -103,8 +103,8 @@ def test_only_accepted_candidates_are_reported_as_replaced(searching: Any) -> No
         (1, ("d",), "accepted"), (1, ("a",), "rejected"), (1, ("b",), "accepted"),
     ]  # fmt: skip
     assert search.candidates[0].reason == "stage 0"
-    assert "gave way to d" in search.candidates[3].reason
-    assert "took the place of a" in search.candidates[2].reason
+    assert "replaced by d" in search.candidates[3].reason
+    assert "replaces a" in search.candidates[2].reason
 
 
 ERRORS = {"d": 0.30, "l": 0.25, "dl": 0.105, "ds": 0.29, "ls": 0.24, "dls": 0.100}
@@ -113,7 +113,7 @@ ERRORS = {"d": 0.30, "l": 0.25, "dl": 0.105, "ds": 0.29, "ls": 0.24, "dls": 0.10
 @pytest.mark.parametrize(
     ("spread", "left"), [(0.001, "dls"), (0.02, "dl"), (0.6, "dl")], ids=["sure", "within_one", "runs_that_differ"]
 )
-def test_an_effect_that_helps_whole_runs_by_less_than_one_standard_error_is_taken_out(
+def test_an_effect_that_helps_by_less_than_one_standard_error_is_removed(
     spread: float, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without s 0.105: more than 0.100 + 0.001 / sqrt(5), less than 0.100 + 0.02 / sqrt(5).
@@ -130,8 +130,8 @@ def test_an_effect_that_helps_whole_runs_by_less_than_one_standard_error_is_take
     monkeypatch.setattr(
         backward_revision, "refit_effects", lambda _, items, *__: SimpleNamespace(fit=[item.name for item in items])
     )
-    monkeypatch.setattr(backward_revision, "_feigned", lambda *_: False)
-    monkeypatch.setattr(backward_revision, "_pushed", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "_is_spurious", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "_at_new_bound", lambda *_: False)
     monkeypatch.setattr(backward_revision, "error_with", lambda names, *_: error_of(names))
     monkeypatch.setattr(
         backward_revision, "known_effects", lambda *_: {name: SimpleNamespace(name=name) for name in "dls"}
@@ -141,7 +141,7 @@ def test_an_effect_that_helps_whole_runs_by_less_than_one_standard_error_is_take
     assert set(search.without) == set(left)
 
 
-def test_an_effect_whose_part_another_takes_over_at_its_bound_is_not_taken_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_is_not_removed_if_another_would_reach_its_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the drag the error grows by little, and the turning drag is at its largest value."""
 
     def left(_search: Any, items: Any, *_enough: Any) -> Any:
@@ -158,7 +158,7 @@ def test_an_effect_whose_part_another_takes_over_at_its_bound_is_not_taken_out(m
     )  # fmt: skip
     monkeypatch.setattr(backward_revision, "refit_effects", left)
     monkeypatch.setattr(backward_revision, "known_effects", lambda *_: library)
-    monkeypatch.setattr(backward_revision, "_feigned", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "_is_spurious", lambda *_: False)
     monkeypatch.setattr(backward_revision, "error_with", lambda fit, *_: error(0.4 if fit.free.all() else 0.21))
     backward_revision.select_smallest_model(search, [], NOTHING)
     assert search.added == ["turning_drag", "viscous_drag"]
@@ -166,7 +166,7 @@ def test_an_effect_whose_part_another_takes_over_at_its_bound_is_not_taken_out(m
 
 @pytest.mark.parametrize(("correlated", "pairs"), [(0.99, [("a", "b")]), (0.1, []), (-0.99, [("a", "b")])])
 @pytest.mark.parametrize("size", [1.0, 1e-3])
-def test_effects_are_grouped_where_their_numbers_are_correlated(correlated: float, pairs: Any, size: float) -> None:
+def test_effects_with_correlated_parameters_are_grouped(correlated: float, pairs: Any, size: float) -> None:
     """The covariance is C = D R D with R's one correlation; columns with J'J = C^-1."""
     covariance = np.array([[1.0, correlated * size, 0.0], [correlated * size, size**2, 0.0], [0.0, 0.0, 4.0]])
     columns = np.linalg.cholesky(np.linalg.inv(covariance)).T[None]
@@ -186,7 +186,7 @@ def test_effects_are_grouped_where_their_numbers_are_correlated(correlated: floa
         Parameter("a", "1", 4.99, 5.01, 5.0, neutral=4.99), Parameter("a", "1", 4.99, 5.01, 4.99, neutral=5.0),
     ],
 )  # fmt: skip
-def test_a_fit_begins_within_the_bounds_and_where_the_effect_does_something(parameter: Parameter) -> None:
+def test_initial_values_are_within_bounds_and_not_neutral(parameter: Parameter) -> None:
     item: Any = SimpleNamespace(parameters=(parameter,))
     found = [start["a"] for start in initial_values(item)]
     assert len(set(found)) >= (2 if parameter.high - parameter.low > 0.1 else 1)

@@ -43,7 +43,7 @@ def judged(*effects: str, decision: str = "rejected", after: float | None = 0.5,
 
 
 @pytest.mark.parametrize("elsewhere", [True, False])
-def test_candidates_have_their_own_numbers_and_those_that_stayed_the_final_ones(
+def test_rejected_candidates_keep_their_parameters_and_accepted_ones_get_the_final_ones(
     elsewhere: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A candidate that was rejected, or accepted and taken out, keeps the numbers of its trial."""
@@ -72,17 +72,17 @@ def test_candidates_have_their_own_numbers_and_those_that_stayed_the_final_ones(
 
 
 @pytest.mark.parametrize(("enough", "wrong"), [(True, False), (False, True), (False, False)])
-def test_nothing_is_explained_without_a_verdict_and_the_nearest_is_reported_only_if_data_are_few(
+def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few(
     monkeypatch: pytest.MonkeyPatch, *, enough: bool, wrong: bool
 ) -> None:
     monkeypatch.setattr(diagnose, "alternative_formula", lambda *_: None)
     monkeypatch.setattr(diagnose, "find_unexplained_structure", lambda *_: "a formula")
     monkeypatch.setattr(diagnose, "likely_effects", lambda _: [judged("drag"), judged("lag")])
     monkeypatch.setattr(diagnose, "nearest_effects", lambda *_: ["nearest"])
-    search: Any = SimpleNamespace(current=None, shooting=None, patch=None)
+    search: Any = SimpleNamespace(current=None, shooting=None, region=None)
     judge: Any = SimpleNamespace(enough=enough, wrong=wrong, why_not="too little data")
     names: Any = SimpleNamespace(library=[], heldout=None, found=[judged("lag")])
-    rest: Any = diagnose._rest_of(search, judge, names)
+    rest: Any = diagnose._unmodelled(search, judge, names)
     if enough:
         assert rest.unexplained == "a formula"
         assert [item.trial.effects for item in rest.likely] == [("lag",), ("drag",)], "each is named once"
@@ -99,15 +99,15 @@ def test_after_a_law_the_search_makes_a_second_round(
     search = SimpleNamespace(added=[], error=error(0.1), current=SimpleNamespace(fit=None), shooting=None)
     monkeypatch.setattr(searching, "initial_search", lambda *_: search)
     monkeypatch.setattr(searching, "_so_far", lambda _: "")
-    monkeypatch.setattr(searching, "_additions", lambda *_: did.append("additions"))
-    monkeypatch.setattr(searching, "_second_thoughts", lambda *_: did.append("second thoughts"))
+    monkeypatch.setattr(searching, "_add_effects", lambda *_: did.append("additions"))
+    monkeypatch.setattr(searching, "_revise", lambda *_: did.append("revision"))
     monkeypatch.setattr(searching, "add_conditions", lambda *_: did.append("laws") or laws)
     monkeypatch.setattr(searching, "with_final_values", lambda *_: ("final", "its error"))
     monkeypatch.setattr(searching, "with_model_uncertainty", lambda final, _: final)
     monkeypatch.setattr(searching, "replace", lambda _, fit: fit)
     found: Any = searching.run_search(NOTHING, library, NOTHING, NOTHING)
     assert found.current == "final" or not library
-    once = ["additions", "second thoughts"]
+    once = ["additions", "revision"]
     assert did == [*once, *(["laws"] if library else []), *(once if rounds == 2 else [])]
 
 
@@ -121,14 +121,14 @@ GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0
         ({"sure": 2.0}, False),  # or blocks are not sure of it all
         ({"gain": 1.2}, False), ({"fall": 0.01}, False), ({"missing": 0.20, "reached": 0.10}, False),
         ({"names": ("one",)}, False),  # one recording is unlike no other
-        ({"patch": "a circle"}, False),  # a place that explains more is reported instead
+        ({"region": "a circle"}, False),  # a region that explains more is reported instead
         ({"before": 0.45}, False),  # tried next to an earlier model
     ],
 )  # fmt: skip
-def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follows_makes_it_good(
+def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(
     changes: dict[str, Any], retained: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    case: dict[str, Any] = {"names": ("one", "two"), "patch": None, "before": None} | GOOD | changes
+    case: dict[str, Any] = {"names": ("one", "two"), "region": None, "before": None} | GOOD | changes
     before = case["before"] or case["missing"]
     monkeypatch.setattr(pairs, "is_spurious_delay", lambda *_: False)
     monkeypatch.setattr(pairs, "within_bounds", lambda *_: True)
@@ -142,15 +142,15 @@ def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follo
         if search.added:
             search.error, search.current = error(case["reached"]), SimpleNamespace(name="after")
 
-    monkeypatch.setattr(searching, "_added_in_turn", in_turn)
+    monkeypatch.setattr(searching, "_add_one_by_one", in_turn)
     windows: Any = SimpleNamespace(names=case["names"], period=np.array([0.05]))
     current: Any = SimpleNamespace(name="before")
     search = SearchState(SimpleNamespace(windows=windows), current, error(case["missing"]), current, error(0.8))  # type: ignore[arg-type]
-    search.patch = case["patch"]
+    search.region = case["region"]
     trial: Any = SimpleNamespace(effects=("viscous_drag",), name="viscous_drag")
     after = error((1.0 - case["fall"]) * before)
     search.candidates = [JudgedTrial(0, trial, case["gain"], after, "rejected", "too little", (), before)]
-    searching._additions(search, [], NOTHING, lambda *_: None, lambda: ())
+    searching._add_effects(search, [], NOTHING, lambda *_: None, lambda: ())
     assert search.added == (["viscous_drag"] if retained else [])
     assert search.error.value == (case["reached"] if retained else case["missing"])
     assert search.candidates[0].decision == ("accepted" if retained else "rejected")
@@ -160,14 +160,14 @@ def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follo
     ("gain", "loss", "most_runs", "retained"),
     [(9.0, -2.0, True, True), (0.5, -2.0, True, False), (9.0, -1.0, True, False), (9.0, -2.0, False, False)],
 )
-def test_a_place_needs_unseen_blocks_a_lower_error_and_most_runs(
+def test_a_region_needs_a_gain_on_unseen_blocks_a_lower_error_and_most_runs(
     gain: float, loss: float, most_runs: bool, retained: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = SimpleNamespace(gain=gain, trial=SimpleNamespace(loss=loss))
     monkeypatch.setattr(regions, "share_one_area", lambda _: True)
     monkeypatch.setattr(regions, "residual_inputs", lambda *_: np.zeros((40, 1)))
     monkeypatch.setattr(regions, "_start", lambda *_: {"x": 0.0})
-    monkeypatch.setattr(regions, "_fitted", lambda *_: found)
+    monkeypatch.setattr(regions, "_fit_region", lambda *_: found)
     monkeypatch.setattr(regions, "_in_most_runs", lambda *_: most_runs)
     system = SimpleNamespace(name="car", state_names=("x", "y", "yaw", "speed"))
     windows = type("Windows", (), {"system": system, "__len__": lambda _: 40})()
@@ -197,9 +197,9 @@ def test_terms_within_their_deviations_in_the_rollouts_are_dropped_and_the_rest_
     begun: Any = SelectedTerms(("a", "b", "c"), np.array([1.0, 2.0, 3.0]), ())  # type: ignore[arg-type]
     monkeypatch.setattr(unmodelled, "selected_terms", lambda *_: begun)
     monkeypatch.setattr(unmodelled, "rate_states", lambda _: None)
-    monkeypatch.setattr(unmodelled, "_fitted", fitted)
+    monkeypatch.setattr(unmodelled, "_fit_formula", fitted)
     shooting: Any = SimpleNamespace(windows=SimpleNamespace(system=None))
-    found = unmodelled._formula(SimpleNamespace(loss=-1.0), shooting)  # type: ignore[arg-type]
+    found = unmodelled._find_formula(SimpleNamespace(loss=-1.0), shooting)  # type: ignore[arg-type]
     assert (list(found[0].terms) if found else None) == terms
     assert len(fits) == (1 if second is None else 2)
     if second is not None:
@@ -209,10 +209,10 @@ def test_terms_within_their_deviations_in_the_rollouts_are_dropped_and_the_rest_
 @pytest.mark.parametrize(
     ("library", "passed", "asked", "rest"), [((), True, 0, "rest"), (("a",), True, 1, None), (("a",), False, 1, "rest")]
 )
-def test_a_step_explains_the_rest_by_a_formula_if_no_effect_passes(
+def test_an_interactive_step_looks_for_a_formula_if_no_effect_passes(
     library: Any, passed: bool, asked: int, rest: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search: Any = SimpleNamespace(candidates=[], current=None, shooting=None, added=[], patch=None)
+    search: Any = SimpleNamespace(candidates=[], current=None, shooting=None, added=[], region=None)
     did: list[Any] = []
     monkeypatch.setattr(interactive, "_copied", lambda _: SimpleNamespace(**vars(search)))
     monkeypatch.setattr(interactive, "library_for", lambda _: library)
@@ -233,29 +233,27 @@ def law(name: str, lacking: str = "") -> Any:
 
 
 @pytest.mark.parametrize("lacking", ["passes", "runs", "rows", "law", "free"])
-def test_a_law_must_pass_in_most_runs_in_some_rows_beyond_itself_and_within_its_bounds(
-    lacking: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    checks = {"_passes": "passes", "_in_most_runs": "runs", "_of_some_rows": "rows", "_more_than_its_law": "law"}
+def test_a_law_must_satisfy_every_criterion_of_acceptance(lacking: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    checks = {"_passes": "passes", "_in_most_runs": "runs", "_covers_some_rows": "rows", "_present_outside_law": "law"}
     for function, key in checks.items():
         monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.notice[key])
-    monkeypatch.setattr(conditional, "_fewest", lambda passing, _: [one.name for one in passing])
+    monkeypatch.setattr(conditional, "_simplest", lambda passing, _: [one.name for one in passing])
     doubtful = law("doubtful", lacking)
-    assert conditional._chosen(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]
-    assert conditional._chosen(NOTHING, [doubtful], NOTHING) is None
+    assert conditional._best_passing(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]
+    assert conditional._best_passing(NOTHING, [doubtful], NOTHING) is None
 
 
 @pytest.mark.parametrize(
     ("laws", "places", "accepted"),
     [("", "", ""), ("a", "", "a"), ("", "p", "p"), ("a", "p", "ap"), ("abcd", "", "abc")],
 )
-def test_laws_are_given_in_three_rounds_at_most_and_places_where_no_law_is_left(
+def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(
     laws: str, places: str, accepted: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     did: list[str] = []
     left, floors = list(laws), list(places)
-    monkeypatch.setattr(conditional, "_lawful", lambda *_: left.pop(0) if left else None)
-    monkeypatch.setattr(conditional, "_on_the_floor", lambda *_: floors.pop(0) if floors else None)
+    monkeypatch.setattr(conditional, "_best_law", lambda *_: left.pop(0) if left else None)
+    monkeypatch.setattr(conditional, "_floor_region", lambda *_: floors.pop(0) if floors else None)
     monkeypatch.setattr(conditional, "_one_sided", lambda best, _: best)
     monkeypatch.setattr(conditional, "_accept", lambda _search, best, _heldout: did.append(best))
     monkeypatch.setattr(conditional, "backward_elimination", lambda *_: did.append("-"))
@@ -264,7 +262,7 @@ def test_laws_are_given_in_three_rounds_at_most_and_places_where_no_law_is_left(
 
 
 @pytest.mark.parametrize("without", [(), ("viscous_drag",)])
-def test_an_effect_under_a_law_is_there_once_with_new_numbers_and_the_others_keep_theirs(
+def test_an_effect_with_a_law_replaces_the_plain_one_and_other_parameters_stay(
     without: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
@@ -294,6 +292,6 @@ def test_an_effect_under_a_law_is_there_once_with_new_numbers_and_the_others_kee
     null = SimpleNamespace(fit=SimpleNamespace(model=model, paths=paths, value=-1.0, scale=None))
     search: Any = SimpleNamespace(current=null, shooting=None)
     proposed: Any = SimpleNamespace(item=item, law=None, start={"gradient": 0.05})
-    assert conditional._fitted(search, proposed, without) == (-2.0, ("understeer",))
+    assert conditional._fit_law(search, proposed, without) == (-2.0, ("understeer",))
     rest = ["base.drive_gain", *([] if without else [drag])]
     assert given == [([*rest, "understeer.gradient"], tuple(rest))], "slopes of the law's own numbers are not reused"

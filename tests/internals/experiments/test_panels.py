@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from safedpa_lab.experiments import pendulum_figures
-from safedpa_lab.experiments.pendulum_figure_sweeps import _pooled
-from safedpa_lab.experiments.point_figures import _path
+from safedpa_lab.experiments.pendulum import figures as pendulum_figures
+from safedpa_lab.experiments.pendulum.figures import _pooled
+from safedpa_lab.experiments.point.figures import _path
 
 
 @pytest.mark.parametrize(

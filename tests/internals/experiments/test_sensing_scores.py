@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments import sensing_scores
-from safedpa_lab.experiments.sensing_scenes import _outside
+from safedpa_lab.experiments.sensing import scores as sensing_scores
+from safedpa_lab.experiments.sensing.scenes import _outside
 from safedpa_sim.sensing.shapes import Outline
 
 SQUARE, OTHER = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], [(3.0, 0.0), (5.0, 0.0), (5.0, 1.0), (3.0, 1.0)]

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.hostile.driven import DrivenLoop
-from safedpa_lab.experiments.pendulum_story import _row
-from safedpa_lab.experiments.statistics import wilson_interval
+from safedpa_lab.experiments.pendulum.story import _row
 
 
 @pytest.mark.parametrize("rooms", [(0.2, -0.1, 0.0, 0.4), (-0.3,), (0.1, 0.2)])
@@ -24,5 +24,5 @@ def test_episodes_of_the_pendulum_are_safe_within_its_corridor(rooms: tuple[floa
 
 def test_messages_that_no_service_took_are_those_of_all_services() -> None:
     loop = object.__new__(DrivenLoop)
-    loop._services = [SimpleNamespace(_strangers=SimpleNamespace(refused=n)) for n in (2, 0, 5)]  # type: ignore[misc]
+    loop._services = [SimpleNamespace(_unserved=SimpleNamespace(refused=n)) for n in (2, 0, 5)]  # type: ignore[misc]
     assert loop.refused == 7

@@ -57,7 +57,7 @@ def test_a_thousand_names_that_come_and_go_leave_no_more_behind_than_ten() -> No
         bus.publish(STATE, f"robot{index}", state)
         fleet.turn()
         fleet.clock.now += 1.0
-        sizes.append(len(service._slots) + len(service._timers) + len(service._spoken_of))
+        sizes.append(len(service._slots) + len(service._timers) + len(service._mentioned))
     assert max(sizes[100:]) <= max(sizes[:100]) + 1
 
 

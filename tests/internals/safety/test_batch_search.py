@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, QuadraticProgram
-from safedpa.safety.batch.constraints import BatchConstraints, _backtracking, search_batch
+from safedpa.safety.batch.constraints import BatchConstraints, _would_backtrack, solve_sqp_batch
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
-from safedpa.safety.solver.qp_scaling import breakable, closest
+from safedpa.safety.solver.qp_scaling import solve_hard, violable_rows
 from safedpa.safety.solver.solution import Solution
-from safedpa.safety.solver.sqp import backtrack_towards, search
+from safedpa.safety.solver.sqp import backtrack_towards, solve_sqp
 
 Values = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class Moving:
     def next_state(self, action: Values) -> Values:
         return self._problems.moved(self._robots, self.state, action)
 
-    def slopes(self, action: Values) -> Values:
+    def control_matrix(self, action: Values) -> Values:
         return self._problems.g(self._robots, action)
 
 
@@ -111,10 +111,10 @@ class Rows:
     def only(self, which: Any) -> Rows:
         return Rows(self._problems, self._robots[which])
 
-    def values(self, states: Values) -> Values:
+    def h(self, states: Values) -> Values:
         return self._problems.heights(self._robots, states)
 
-    def along(self, states: Values, g: Values, widths: Values) -> Values:
+    def lie_derivative(self, states: Values, g: Values, widths: Values) -> Values:
         return np.asarray(self._problems.gradient(self._robots, states) @ g)
 
 
@@ -124,7 +124,7 @@ class Watched:
     def __init__(self, conditions: Constraints, program: QuadraticProgram) -> None:
         self._conditions, self._program = conditions, program
         self.sides, self.distance = program.sides, program.distance
-        self.linearised, self.tightest = conditions.linearised, conditions.tightest
+        self.linearize, self.min_scaled_residual = conditions.linearize, conditions.min_scaled_residual
         self.closed: list[bool] = []
         self.found: list[ActionCandidate] = []
 
@@ -132,15 +132,15 @@ class Watched:
     def saturated(self) -> bool:
         return self._conditions.saturated
 
-    def outcome(self, action: Any) -> ActionCandidate:
-        self.found.append(self._conditions.outcome(action))
+    def evaluate(self, action: Any) -> ActionCandidate:
+        self.found.append(self._conditions.evaluate(action))
         return self.found[-1]
 
     def solve(self, A: Sequence[Any], b: Any, nominal: Any) -> Solution:
         """Remembers whether there is a closed form without slack."""
-        _, rows = breakable(A, b, self.sides)
+        _, rows = violable_rows(A, b, self.sides)
         weights = tuple(self._program.weights.tolist())
-        self.closed.append(not rows or closest(rows, nominal, self.sides, weights) is not None)
+        self.closed.append(not rows or solve_hard(rows, nominal, self.sides, weights) is not None)
         return self._program.solve(A, b, nominal)
 
 
@@ -149,11 +149,11 @@ def alone(
 ) -> tuple[ActionCandidate, bool]:
     """What one robot's search finds, and whether it is the first solution that keeps all, with all programs in closed
     form, after which nothing else was tried, and which is not brought back."""
-    asked = conditions.outcome(np.clip(nominal, program.low, program.high).tolist())
+    asked = conditions.evaluate(np.clip(nominal, program.low, program.high).tolist())
     watched = Watched(conditions, program)
-    found, _ = search(watched, watched, nominal, asked, rounds)  # type: ignore[arg-type]
-    plain = found.kept and all(watched.closed) and len(watched.closed) == len(watched.found)
-    plain = plain and found is watched.found[-1] and not any(one.kept for one in watched.found[:-1])
+    found, _ = solve_sqp(watched, watched, nominal, asked, rounds)  # type: ignore[arg-type]
+    plain = found.is_feasible and all(watched.closed) and len(watched.closed) == len(watched.found)
+    plain = plain and found is watched.found[-1] and not any(one.is_feasible for one in watched.found[:-1])
     return found, bool(plain and backtrack_towards(conditions, program.sides, nominal, found) is found)
 
 
@@ -161,12 +161,12 @@ def agreed(problems: Problems) -> int:
     """Searches those that break something, and each of them alone; returns how many are certain."""
     own, robots, program = problems.settings, np.arange(len(problems.state)), problems.program()
     ones = [problems.one(robot) for robot in robots]
-    required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
+    required, scale = np.array([one.rhs for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
     conditions = BatchConstraints(own, around, moving, required, scale, np.zeros(len(robots), dtype=bool))  # type: ignore[arg-type]
-    start = conditions.outcome(np.clip(problems.nominal, own.low, own.high))
-    broken = np.flatnonzero(~conditions.kept(start))
-    found, certain = search_batch(conditions.only(broken), problems.nominal[broken], start.only(broken))
+    start = conditions.evaluate(np.clip(problems.nominal, own.low, own.high))
+    broken = np.flatnonzero(~conditions.is_feasible(start))
+    found, certain = solve_sqp_batch(conditions.only(broken), problems.nominal[broken], start.only(broken))
     for place, robot in enumerate(broken.tolist()):
         wanted, plain = alone(ones[robot], program, problems.nominal[robot].tolist(), own.relinearisations + 1)
         assert certain[place] == plain, robot
@@ -175,6 +175,7 @@ def agreed(problems: Problems) -> int:
     return int(certain.sum())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("settings", [TWO, ONE], ids=["two", "one"])
 @pytest.mark.parametrize("bend", [0.0, 0.1, 0.6])
 @pytest.mark.parametrize("most", [9.0, 1.5], ids=["free", "saturates"])
@@ -198,16 +199,16 @@ def test_an_entry_is_brought_back_where_that_of_one_robot_is(settings: FilterSet
     random, count = np.random.default_rng(7), 600
     problems, robots = Problems(7, count, settings, 0.3, 1.5, 2), np.arange(count)
     ones, sides = [problems.one(robot) for robot in robots], problems.program().sides
-    required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
+    required, scale = np.array([one.rhs for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
     conditions = BatchConstraints(settings, around, moving, required, scale, np.zeros(count, dtype=bool))  # type: ignore[arg-type]
     near = problems.nominal + random.normal(0.0, 0.1, problems.nominal.shape) * (settings.high - settings.low)
-    found = conditions.outcome(np.clip(near, settings.low, settings.high))
-    kept = np.flatnonzero(conditions.kept(found))
-    back = _backtracking(conditions.only(kept), problems.nominal[kept], found.only(kept))
+    found = conditions.evaluate(np.clip(near, settings.low, settings.high))
+    kept = np.flatnonzero(conditions.is_feasible(found))
+    back = _would_backtrack(conditions.only(kept), problems.nominal[kept], found.only(kept))
     wanted = []
     for robot in kept.tolist():
-        one = ones[robot].outcome(found.action[robot].tolist())
+        one = ones[robot].evaluate(found.action[robot].tolist())
         wanted.append(backtrack_towards(ones[robot], sides, problems.nominal[robot].tolist(), one) is not one)
     assert back.tolist() == wanted
     assert 20 < sum(wanted) < len(wanted) - 20

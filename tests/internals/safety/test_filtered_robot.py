@@ -12,7 +12,7 @@ from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, stam
 
 from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.straight import rollout_held_action
+from safedpa.dynamics.recorded_step import rollout_held_action
 from safedpa.errors import InputError
 from safedpa.runtime.robot_session import RobotSession
 from safedpa.runtime.scene import AbstractScene
@@ -77,7 +77,7 @@ def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
     memory = driven(LATE if pending else CAR)
     assert bool(memory.pending) is pending
     delayed_prediction = object()
-    monkeypatch.setattr(CommandHistory, "foretold", lambda *_: delayed_prediction)
+    monkeypatch.setattr(CommandHistory, "delayed_prediction", lambda *_: delayed_prediction)
     calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
     memory.watch_margin(state_at(1, applied=reported(memory), applied_by=applied_by))
     assert [call["late"] for call in calls] == [delayed_prediction if late else None]
@@ -85,7 +85,7 @@ def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
 
 @pytest.mark.parametrize("model", [CAR, LATE])
 def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyPatch, model: PhysicsModel) -> None:
-    calls = kept_calls(monkeypatch, CommandHistory, "decided")
+    calls = kept_calls(monkeypatch, CommandHistory, "mark_decided")
     memory = driven(model)
     assert calls == ([tuple(model.latent.tolist())] if memory.pending else [])
     assert bool(memory.pending) is (model is LATE)
@@ -135,7 +135,7 @@ def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(
 
     memory.margin, memory.scene.around = SimpleNamespace(epsilon=before), around  # type: ignore[assignment,method-assign]
     monkeypatch.setattr(RobotSession, "watch_margin", widened)
-    memory.see(state, seen(state))
+    memory.observe_surroundings(state, seen(state))
     assert asked_for == ([before, now] if again else [before])
     assert memory.barriers == f"scene {len(asked_for)}"
 
@@ -159,11 +159,11 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
     former = driven(LATE, ticks=4)
     state = state_at(4, applied=reported(former))
     oldest, *sent = former.history.commands(4, state.applied) or ()
-    assert sent, "several commands are on their way"
+    assert sent, "several commands are in flight"
     wanted = LATE.initial_memory(np.array(oldest))
     for command in sent:
         wanted = LATE.felt(command, wanted, period=0.05)[1]
-    begun = RobotSession.begun(former.held, SETTINGS)
+    begun = RobotSession.create(former.held, SETTINGS)
     begun.inherit_from(former)
     begun.sync_actuators(state)
     assert begun.memory == wanted
@@ -181,8 +181,8 @@ def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
     monkeypatch: pytest.MonkeyPatch, applied_by: str, sources: tuple[str, ...], stood: bool, learns: bool
 ) -> None:
     memory = driven()
-    passed = SimpleNamespace(stood=lambda speeds: stood and speeds == (3,))
-    monkeypatch.setattr(CommandHistory, "passed", lambda *_: passed)
+    passed = SimpleNamespace(is_stationary=lambda speeds: stood and speeds == (3,))
+    monkeypatch.setattr(CommandHistory, "last_transition", lambda *_: passed)
     calls = kept_calls(monkeypatch, DelayEstimator, "observe")
     memory._watch_delay(state_at(1, applied=reported(memory), applied_by=applied_by, sources=sources), CAR.latent)
     assert calls == ([passed] if learns else [])
@@ -215,12 +215,12 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
     assert (
         rollout_held_action(lambda at, *_: [*at[:3], bad], state.values, np.zeros(2), np.zeros(1), 0.05, 0.05, 2) == ()
     )
-    monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
-    monkeypatch.setattr(PhysicsModel, "held", broken)
+    monkeypatch.setattr(PhysicsModel, "scalar_step", lambda *_: None)
+    monkeypatch.setattr(PhysicsModel, "rollout_held", broken)
     assert memory.predicted(state, verdict_of(memory), CAR.latent) == ((), None)
     late = driven(CAR)
-    late.pending = SimpleNamespace(sent=(1,))
-    monkeypatch.setattr(CommandHistory, "expected", lambda *_: broken()[0])
+    late.pending = SimpleNamespace(queue=(1,))
+    monkeypatch.setattr(CommandHistory, "predict", lambda *_: broken()[0])
     assert late.predicted(state_at(1), verdict_of(late), CAR.latent) == ((), None)
 
 
@@ -237,13 +237,13 @@ def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_act
     monkeypatch: pytest.MonkeyPatch, latent: Any
 ) -> None:
     memory, asked_with = driven(LATE, ticks=2), list[Any]()
-    memory.pending = memory.pending._replace(sent=((0.5, 0.0),))
+    memory.pending = memory.pending._replace(queue=((0.5, 0.0),))
 
     def expected(_: CommandHistory, action: Any, known: Any, pending: Any, steps: int) -> Any:
         asked_with.append((action, known, steps))
         return np.ones((steps, 4))
 
-    monkeypatch.setattr(CommandHistory, "expected", expected)
+    monkeypatch.setattr(CommandHistory, "predict", expected)
     verdict, known = verdict_of(memory), None if latent is None else tuple(latent.tolist())
     rows, after = memory.predicted(state_at(2, applied=reported(memory)), verdict, latent)
     action = tuple(verdict.action.tolist())
@@ -254,8 +254,8 @@ def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_act
 
 def test_without_a_memory_of_the_actuators_none_comes_of_what_is_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
     memory = driven(CAR)
-    memory.pending = SimpleNamespace(sent=((0.0, 0.0),))
-    monkeypatch.setattr(CommandHistory, "expected", lambda *_: np.ones((1, 4)))
+    memory.pending = SimpleNamespace(queue=((0.0, 0.0),))
+    monkeypatch.setattr(CommandHistory, "predict", lambda *_: np.ones((1, 4)))
     assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent)[1] == memory.memory
 
 
@@ -291,10 +291,10 @@ def test_the_last_resort_is_the_backup_of_the_scene_within_the_bounds(backup: An
     assert memory.last_resort(state_at(1)).tolist() == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize(("stands", "speeds"), [(True, (3,)), (False, ())])
+@pytest.mark.parametrize(("can_stop", "speeds"), [(True, (3,)), (False, ())])
 def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(
-    stationary_for: bool, speeds: tuple[int, ...]
+    can_stop: bool, speeds: tuple[int, ...]
 ) -> None:
     memory = driven()
-    memory.scene = SimpleNamespace(stationary_for=stationary_for)
+    memory.scene = SimpleNamespace(can_stop=can_stop)
     assert memory.speeds == speeds

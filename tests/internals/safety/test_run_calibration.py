@@ -67,7 +67,7 @@ def test_the_latent_is_learned_along_each_stretch() -> None:
 
 
 @pytest.mark.parametrize(("rows", "counted"), [(3000, 2998), (6000, 3000), (9003, 3001)])
-def test_of_many_transitions_as_many_as_tell_the_quantile_are_taken(rows: int, counted: int) -> None:
+def test_of_many_transitions_as_many_as_report_the_quantile_are_taken(rows: int, counted: int) -> None:
     model: Any = Remembers()
     found = list(from_runs._predictions(model, [reported(rows, Stretch(0, rows))], None))
     assert len(found) == pytest.approx(counted, abs=1)

@@ -13,12 +13,12 @@ from safedpa.safety.solver.sqp import (
     DOUBTFUL,
     NEEDLESS,
     TRIES,
-    _better,
-    _furthest_back,
-    _posed,
-    _same,
+    _is_repeated,
+    _iterate,
+    _pick_better,
+    _undo_largest_change,
     line_search,
-    search,
+    solve_sqp,
     tighten,
 )
 
@@ -33,7 +33,7 @@ class Scripted:
         self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
         self.sides = ((0.0, 9.0, 9.0),)
 
-    def linearised(self, about: ActionCandidate) -> Gradients:
+    def linearize(self, about: ActionCandidate) -> Gradients:
         self.tangents += 1
         return Gradients()
 
@@ -42,10 +42,10 @@ class Scripted:
         self.limits.append(b[0])
         return Solution([self.actions[self.solved - 1]], [0.0], True, "solved")
 
-    def outcome(self, action: tuple[float, ...]) -> ActionCandidate:
+    def evaluate(self, action: tuple[float, ...]) -> ActionCandidate:
         return outcome(action[0], *self.script[self.solved - 1])
 
-    def tightest(self, found: ActionCandidate) -> float:
+    def min_scaled_residual(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
     def distance(self, action: tuple[float, ...], nominal: tuple[float, ...]) -> float:
@@ -53,7 +53,7 @@ class Scripted:
 
     def run(self, start: ActionCandidate, rounds: int = 4, nominal: float = 9.0) -> ActionCandidate:
         this: Any = self
-        return _posed(this, this, (nominal,), start, rounds)[0]
+        return _iterate(this, this, (nominal,), start, rounds)[0]
 
 
 @pytest.mark.parametrize("residual", [(0.0,), (0.05,), (0.0, 1000.0), (0.05, 0.06)])
@@ -72,7 +72,7 @@ def test_goes_on_when_broken_or_needlessly_far(residual: tuple[float, ...]) -> N
 
 def test_goes_on_when_the_prediction_is_unsafe_though_no_condition_is_broken() -> None:
     scripted: Any = Scripted((0.0,), (0.0,))
-    scripted.outcome = lambda action: outcome(action[0], 0.0, unsafe=action[0] < 2.0)
+    scripted.evaluate = lambda action: outcome(action[0], 0.0, unsafe=action[0] < 2.0)
     assert scripted.run(outcome(0.0, -10.0)).action == (2.0,)
 
 
@@ -141,11 +141,11 @@ def test_it_ends_when_the_start_is_the_solution_but_not_for_reused_slopes() -> N
 
 def test_one_entry_that_moves_is_enough_and_just_the_last_share_of_the_range_is_the_same() -> None:
     program = QuadraticProgram(np.zeros(1), np.ones(1), np.ones(1))
-    assert _same(program, about(1e-8), about(0.0))
+    assert _is_repeated(program, about(1e-8), about(0.0))
     program = QuadraticProgram(np.zeros(2), np.full(2, 9.0), np.ones(2))
-    assert _same(program, about(1.0, 1.0), about(1.0, 1.0))
-    assert not _same(program, about(1.0, 1.0), about(1.0, 2.0))
-    assert not _same(program, about(2.0, 1.0), about(1.0, 1.0))
+    assert _is_repeated(program, about(1.0, 1.0), about(1.0, 1.0))
+    assert not _is_repeated(program, about(1.0, 1.0), about(1.0, 2.0))
+    assert not _is_repeated(program, about(2.0, 1.0), about(1.0, 1.0))
 
 
 def test_rounds_are_limited_and_any_first_solution_replaces_the_start_but_the_least_broken_is_returned() -> None:
@@ -162,7 +162,7 @@ def test_kept_beats_broken_and_near_beats_far() -> None:
     nominal = (0.0,)
 
     def better(one: ActionCandidate, other: ActionCandidate) -> ActionCandidate:
-        return _better(scripted, scripted, nominal, one, other)
+        return _pick_better(scripted, scripted, nominal, one, other)
 
     near, far, broken, worse, unsafe = (
         outcome(1.0, 0.0),
@@ -197,9 +197,9 @@ def solver_reports(*solutions: Solution) -> tuple[ActionCandidate, str]:
             return left.pop(0)
 
     conditions: Any = Scripted()
-    conditions.outcome = lambda taken: about(*taken)
+    conditions.evaluate = lambda taken: about(*taken)
     given: Any = Given()
-    found, _, word = _posed(conditions, given, [0.0] * count, outcome(0.0, -1.0), len(solutions))
+    found, _, word = _iterate(conditions, given, [0.0] * count, outcome(0.0, -1.0), len(solutions))
     return found, word
 
 
@@ -218,7 +218,7 @@ def test_one_entry_that_is_no_number_is_enough_to_believe_none(none: float) -> N
 
 def test_a_solver_that_gives_up_leaves_what_was_found_before() -> None:
     found, word = solver_reports(GIVEN_UP)
-    assert (found.action, found.kept, word) == ((0.0,), False, "max iter reached")
+    assert (found.action, found.is_feasible, word) == ((0.0,), False, "max iter reached")
     scripted: Any = Scripted((-5.0,))
     first = scripted.solve
     scripted.solve = lambda A, b, nominal: first(A, b, nominal) if scripted.solved == 0 else GIVEN_UP
@@ -227,7 +227,7 @@ def test_a_solver_that_gives_up_leaves_what_was_found_before() -> None:
 
 
 class Line:
-    """h = a on 0 <= a <= 9, kept for a >= ``edge``; a program that proposes what it is told."""
+    """h = a on 0 <= a <= 9, kept for a >= ``edge``; a program that proposes what it is given."""
 
     sides = ((0.0, 9.0, 9.0),)
     saturated = False
@@ -236,14 +236,14 @@ class Line:
         self.edge, self.proposed, self.asked = edge, list(proposed), 0
         self.tried: list[float] = []
 
-    def outcome(self, action: Any) -> ActionCandidate:
+    def evaluate(self, action: Any) -> ActionCandidate:
         self.tried.append(action[0])
         return outcome(action[0], action[0] - self.edge)
 
-    def linearised(self, about: ActionCandidate) -> Gradients:
+    def linearize(self, about: ActionCandidate) -> Gradients:
         return Gradients()
 
-    def tightest(self, found: ActionCandidate) -> float:
+    def min_scaled_residual(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
     def distance(self, action: tuple[float, ...], nominal: tuple[float, ...]) -> float:
@@ -257,15 +257,15 @@ class Line:
 def test_a_way_is_gone_as_far_as_a_straight_residual_allows_to_its_end_where_free_or_nowhere() -> None:
     """On 8 to 0 there is room for 5: 4.5 are gone, then 0.45 of the 0.5 left, and so on."""
     line: Any = Line(3.0, 8.0)
-    found = line_search(line, line.outcome((0.0,)), outcome(8.0, 5.0))
+    found = line_search(line, line.evaluate((0.0,)), outcome(8.0, 5.0))
     assert line.tried == pytest.approx([0.0, 3.5, 3.05])
     assert found.action[0] == pytest.approx(3.05)
     line: Any = Line(0.0, 8.0)
-    assert line_search(line, line.outcome((0.0,)), outcome(8.0, 8.0)).action == (0.0,)
+    assert line_search(line, line.evaluate((0.0,)), outcome(8.0, 8.0)).action == (0.0,)
     assert line.tried == [0.0]
     line: Any = Line(8.0, 8.0)
     kept = outcome(8.0, 0.0)
-    assert line_search(line, line.outcome((0.0,)), kept) is kept
+    assert line_search(line, line.evaluate((0.0,)), kept) is kept
     assert line.tried == [0.0]
 
 
@@ -273,11 +273,11 @@ def test_a_residual_that_bends_is_followed_between_the_last_kept_and_the_last_br
     """h = sqrt(a) - 1: straight from 9 to 0 it falls below 0 at 3, in truth at 1; a^2 - 9: at 1 and 3."""
     for bent, edge in ((lambda a: a**0.5 - 1.0, 1.0), (lambda a: a * a - 9.0, 3.0)):
         line: Any = Line(0.0, 8.0)
-        line.outcome = lambda action, bent=bent, line=line: (
+        line.evaluate = lambda action, bent=bent, line=line: (
             line.tried.append(action[0]) or outcome(action[0], bent(action[0]))
         )
-        found = line_search(line, line.outcome((0.0,)), outcome(9.0, bent(9.0)))
-        assert found.kept
+        found = line_search(line, line.evaluate((0.0,)), outcome(9.0, bent(9.0)))
+        assert found.is_feasible
         assert edge <= found.action[0] < edge + 0.3
         assert len(line.tried) <= TRIES + 1
 
@@ -285,10 +285,10 @@ def test_a_residual_that_bends_is_followed_between_the_last_kept_and_the_last_br
 def test_the_first_residual_that_is_used_up_ends_the_way_and_one_that_grows_does_not() -> None:
     """Of three: one far away, one that is tight and grows, one that ends at 4."""
     line: Any = Line(0.0, 8.0)
-    line.outcome = lambda action: outcome(
+    line.evaluate = lambda action: outcome(
         action[0], 90.0 + 10.1 * (action[0] - 9.0), 0.01 - (action[0] - 8.0), action[0] - 4.0
     )
-    found = line_search(line, line.outcome((0.0,)), outcome(8.0, 79.9, 0.01, 4.0))
+    found = line_search(line, line.evaluate((0.0,)), outcome(8.0, 79.9, 0.01, 4.0))
     assert found.action[0] == pytest.approx(4.04, abs=0.001)
 
 
@@ -296,9 +296,9 @@ def test_what_binds_is_not_looked_at_again_and_a_residual_broken_by_rounding_end
     """What is kept may miss its condition by rounding errors: there is no room in it."""
     line: Any = Line(8.0, 8.0)
     kept = ActionCandidate((8.0,), [0.0], [0.0], [-1e-13], [])
-    assert line_search(line, line.outcome((0.0,)), kept) is kept
+    assert line_search(line, line.evaluate((0.0,)), kept) is kept
     line: Any = Line(0.0, DOUBTFUL)
-    found, word = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, word = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, word) == ((DOUBTFUL,), "solved")
     assert line.asked == 1
     assert line.tried == [DOUBTFUL]
@@ -306,30 +306,31 @@ def test_what_binds_is_not_looked_at_again_and_a_residual_broken_by_rounding_end
 
 @pytest.mark.parametrize("saturated", [True, False])
 def test_where_an_actuator_saturates_what_binds_and_is_far_is_looked_at_again(saturated: bool) -> None:
-    """The slope there is a chord's: that the condition binds says nothing about the actions nearer to the nominal action."""
+    """The slope there is a chord's: that the condition binds says nothing about the actions nearer to the nominal
+    action."""
     line: Any = Line(3.0, 3.0)
     line.saturated = saturated
-    line.outcome = lambda action: outcome(action[0], 0.0 if action[0] >= 1.0 else -1.0)
+    line.evaluate = lambda action: outcome(action[0], 0.0 if action[0] >= 1.0 else -1.0)
     line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
-    search(line, line, (1.0,), outcome(0.0, -3.0), 4)
+    solve_sqp(line, line, (1.0,), outcome(0.0, -3.0), 4)
     assert line.asked == (1 + AGAIN if saturated else 1)
 
 
 def test_what_is_needlessly_far_is_brought_nearer_and_of_both_programs_the_nearer_counts() -> None:
     """Four times led astray, then along the way, and from there the program says 2.91."""
     line: Any = Line(2.9, 8.0, 7.5, 8.0, 8.0, 2.91)
-    found, word = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, word = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, word) == ((2.91,), "solved")
     assert line.asked == 5
     line: Any = Line(2.9, 8.0, 7.5, 8.0, 7.9)
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert found.action[0] == pytest.approx(2.946)
     assert line.asked == 4 + AGAIN
 
 
 def test_the_way_to_a_nominal_action_beyond_the_bounds_ends_at_the_bound() -> None:
     line: Any = Line(-5.0, 8.0)
-    found, _ = search(line, line, (-100.0,), outcome(0.0, -3.0), 4)
+    found, _ = solve_sqp(line, line, (-100.0,), outcome(0.0, -3.0), 4)
     assert found.action == (0.0,)
 
 
@@ -338,10 +339,10 @@ def test_what_is_doubtful_and_far_from_the_nominal_action_is_brought_nearer(prop
     """Kept by 0.03, between doubtful and needless: looked at again where it is more than a tenth of the range away."""
     line: Any = Line(0.0, proposed)
     line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
-    line.outcome = lambda action: outcome(
+    line.evaluate = lambda action: outcome(
         action[0], 0.03 if action[0] == proposed else -1.0 if action[0] < 0.5 else 0.025
     )
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (line.asked == 1 + AGAIN) is again
     assert (found.action[0] < proposed) is again
     assert DOUBTFUL < 0.03 <= NEEDLESS
@@ -349,20 +350,20 @@ def test_what_is_doubtful_and_far_from_the_nominal_action_is_brought_nearer(prop
 
 def test_the_entry_that_costs_most_is_gone_back_and_no_other() -> None:
     program: Any = QuadraticProgram(np.zeros(3), np.array([1.0, 10.0, 10.0]), np.array([1.0, 1.0, 0.5]))
-    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.2, 3.0, 4.0)) == [0.2, 0.0, 4.0]
-    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.2, 1.0, 4.0)) == [0.2, 1.0, 0.0]
-    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.5, 1.0, 4.0)) == [0.0, 1.0, 4.0]
-    assert _furthest_back(program, (0.5, 0.0, 0.0), (0.5, 0.0, 0.0)) == [0.5, 0.0, 0.0]
+    assert _undo_largest_change(program, (0.0, 0.0, 0.0), (0.2, 3.0, 4.0)) == [0.2, 0.0, 4.0]
+    assert _undo_largest_change(program, (0.0, 0.0, 0.0), (0.2, 1.0, 4.0)) == [0.2, 1.0, 0.0]
+    assert _undo_largest_change(program, (0.0, 0.0, 0.0), (0.5, 1.0, 4.0)) == [0.0, 1.0, 4.0]
+    assert _undo_largest_change(program, (0.5, 0.0, 0.0), (0.5, 0.0, 0.0)) == [0.5, 0.0, 0.0]
 
 
 def test_what_leads_from_a_kept_action_to_a_broken_one_ends_the_rounds_and_is_not_brought_nearer() -> None:
     line: Any = Line(2.9, 8.0, 1.0, 7.0)
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert line.asked == 2 + AGAIN
-    assert found.kept
+    assert found.is_feasible
     line: Any = Line(9.5, 8.0, 7.0, 8.0, 7.0)
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
-    assert not found.kept
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert not found.is_feasible
     assert found.action == (8.0,)
     assert line.asked == 4
 
@@ -371,11 +372,13 @@ def test_a_long_last_step_from_a_broken_action_is_gone_back() -> None:
     """From 3 to 8 at once, though all from 3.5 on is kept."""
     line: Any = Line(3.5, 3.0, 8.0)
     line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
-    line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] > 3.5 else -0.01)
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    line.evaluate = lambda action: (
+        line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] > 3.5 else -0.01)
+    )
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert line.tried[2] == pytest.approx(8.0 - 0.9 * 2.5)
     assert 3.5 < found.action[0] < 4.5
-    assert found.kept
+    assert found.is_feasible
 
 
 @pytest.mark.parametrize("last", [3.4, 4.4])
@@ -383,10 +386,10 @@ def test_a_short_last_step_is_left(last: float) -> None:
     """A tenth of the range, which is 9."""
     line: Any = Line(3.3, 3.0 if last == 3.4 else 4.0, last)
     line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
-    line.outcome = lambda action: (
+    line.evaluate = lambda action: (
         line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] == last else -1.0)
     )
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert found.action == (last,)
     assert len(line.tried) == 2
 
@@ -395,8 +398,8 @@ def test_the_first_step_is_left_however_long_and_without_finite_predictions_the_
     """The start is where the nominal action was: the program has the way from there."""
     line: Any = Line(3.5, 8.0)
     line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
-    line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01)
-    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    line.evaluate = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01)
+    found, _ = solve_sqp(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, line.tried) == ((8.0,), [8.0])
     line: Any = Line(3.0, 8.0)
     blind = ActionCandidate((0.0,), [0.0], [-np.inf], [-np.inf], [0])

@@ -11,7 +11,7 @@ from tests.safety.test_highest import least, reference
 
 from safedpa.safety import QuadraticProgram, Solution
 from safedpa.safety.solver.maximin_lp import MaxMinProgram, solve_by_dual_simplex
-from safedpa.safety.solver.qp_scaling import breakable, closest, minimum_violation
+from safedpa.safety.solver.qp_scaling import solve_hard, solve_soft, violable_rows
 
 
 def test_a_workspace_forgets_the_problem_before_and_padding_rows_say_nothing() -> None:
@@ -85,7 +85,7 @@ numbers = st.integers(-200, 200).map(lambda number: number / 100)
 
 def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: np.ndarray) -> Solution:
     """The solution of PIQP, which one or two actions are asked for only where nothing else is certain."""
-    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], nominal.tolist(), len(b))
+    return program._by_solver(violable_rows(A.tolist(), b.tolist(), program.sides)[1], nominal.tolist(), len(b))
 
 
 def test_a_workspace_forgets_the_problem_before() -> None:
@@ -137,9 +137,9 @@ def test_what_it_gives_is_what_piqp_gives(
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights))
     table = np.array(conditions)
     quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), nominal)
-    finite, rows = breakable(table[:, :2].tolist(), table[:, 2].tolist(), program.sides)
+    finite, rows = violable_rows(table[:, :2].tolist(), table[:, 2].tolist(), program.sides)
     assert finite
-    closed = closest(rows, nominal, program.sides, program.weights.tolist()) if rows else None
+    closed = solve_hard(rows, nominal, program.sides, program.weights.tolist()) if rows else None
     if closed is None:
         return  # no row can be broken, or slack is needed
     certain = program._by_solver(rows, nominal, len(table))
@@ -163,10 +163,10 @@ def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: in
         program = QuadraticProgram(low, high, random.uniform(0.3, 3.0, actions))
         A = random.normal(size=(int(random.integers(2, 8)), actions))
         b, nominal = A @ random.uniform(low, high) + random.normal(0.2, 0.5, len(A)), random.uniform(low, high)
-        _, rows = breakable(A.tolist(), b.tolist(), program.sides)
+        _, rows = violable_rows(A.tolist(), b.tolist(), program.sides)
         slack = [0.0] * len(b)
         weights = program.weights.tolist()
-        action = minimum_violation(rows, nominal.tolist(), program.sides, weights, slack) if rows else None
+        action = solve_soft(rows, nominal.tolist(), program.sides, weights, slack) if rows else None
         if action is None:
             continue
         reported += 1

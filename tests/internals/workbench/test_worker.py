@@ -1,20 +1,20 @@
-"""The background process of a page ends when the page's process is gone, whatever it computes then."""
+"""The background process ends when the process of the page has ended, whatever it is computing."""
 
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from safedpa_services.workbench import worker
+from safedpa_services.workbench.session import worker
 
 
-def test_a_page_that_is_gone_ends_the_process() -> None:
+def test_the_process_ends_when_its_parent_has_ended() -> None:
     def reports(report_progress: Any) -> None:
         report_progress(0.5)
 
-    def gone(_: Any) -> None:
+    def raise_broken_pipe(_: Any) -> None:
         raise BrokenPipeError
 
-    connection: Any = SimpleNamespace(send=gone)
+    connection: Any = SimpleNamespace(send=raise_broken_pipe)
     with pytest.raises(BrokenPipeError):
-        worker._done(reports, (), connection)
+        worker._run(reports, (), connection)

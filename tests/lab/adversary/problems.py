@@ -8,7 +8,7 @@ import numpy as np
 
 from safedpa.safety import SafetyFilter
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
+from safedpa_lab.experiments.adversary.linear.problem import LinearProblem
 
 
 def plane(*state: float, **changes: Any) -> LinearProblem:

@@ -1,13 +1,12 @@
-"""``safedpa experiment adversary``: it tells what it finds, repeats by its seed, and says what it ran."""
+"""``safedpa experiment adversary``: it reports what it finds, repeats by its seed, and names what it ran."""
 
 import json
 
 import pytest
 
-from safedpa_lab.experiments.adversary.campaign import adversary, all_attacks, attacks_named
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
+from safedpa_lab.experiments.adversary.campaign import adversary, adversary_markdown, all_attacks, attacks_named
+from safedpa_lab.experiments.adversary.linear.problem import LinearProblem
 from safedpa_lab.experiments.adversary.programs import Programs
-from safedpa_lab.experiments.adversary.report import adversary_markdown
 from safedpa_services.command_line.group import safedpa
 
 
@@ -95,6 +94,7 @@ def test_findings_do_not_change_the_exit_code(monkeypatch, capsys):
     assert "| raised an exception | 330 | 330 | at most 0 | **not held** |" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_progress_is_reported_piece_by_piece():
     reported = []
     adversary(

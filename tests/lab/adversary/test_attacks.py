@@ -16,9 +16,8 @@ from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, two_threads
 from safedpa_lab.experiments.adversary.bends import Bends, bent_answer
 from safedpa_lab.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, odd_question
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
-from safedpa_lab.experiments.adversary.linear_shapes import random_problem
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors
 from safedpa_lab.experiments.adversary.peer_filters import PEERS
 from safedpa_lab.experiments.adversary.peers import OWN, PEER_PACKAGES, Peers, peer_problems
@@ -51,7 +50,7 @@ def planted_by(patch):
 
 @pytest.fixture
 def plant(monkeypatch):
-    """Changes every verdict on its way out: ``plant(lambda verdict, nominal action: ...)``."""
+    """Changes every verdict before it is returned: ``plant(lambda verdict, nominal action: ...)``."""
     return planted_by(monkeypatch)
 
 
@@ -91,7 +90,7 @@ def test_the_programs_notice_actions_that_are_swapped_for_the_nominal_action(all
     counted = {row.what: row for row in all_passed.rows}
     assert counted["passed or corrected, condition broken"].measured > 200
     assert counted["passed or corrected, predicted h < 0"].measured > 100
-    assert counted["h < 0 now, and not told (or told wrongly)"].measured > 25
+    assert counted["h < 0 now, and not reported (or reported wrongly)"].measured > 25
     assert counted["action out of bounds"].measured > 100
 
 
@@ -328,6 +327,7 @@ def test_the_reference_says_the_same_of_both_forms(name):
     assert compared > 8
 
 
+@pytest.mark.long
 def test_a_filter_that_prefers_the_first_barrier_is_noticed(monkeypatch):
     """Planted: all barriers but the first are forgotten."""
 
@@ -399,11 +399,11 @@ def test_a_peer_that_is_not_installed_is_named_as_missing(monkeypatch):
 
 
 def test_silent_and_announced_unsafe_actions_are_counted_apart(scripted):
-    scripted("print(json.dumps([{'action': p['nominal'], 'said': 'beware' if i % 2 else ''} "
+    scripted("print(json.dumps([{'action': p['nominal'], 'notice': 'beware' if i % 2 else ''} "
              "for i, p in enumerate(problems)]))")  # fmt: skip
     found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))
     unsaid = found["planted, at scale 1: unsafe action, and not a word"].measured
-    notice = found["planted, at scale 1: unsafe action, and said so"].measured
+    notice = found["planted, at scale 1: unsafe action, reported as such"].measured
     assert unsaid > 5
     assert notice > 5
     assert unsaid + notice <= 20

@@ -10,22 +10,22 @@ import pytest
 from tests.lab.adversary.problems import figures
 
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.adversary import drives, report, standing, systems
+from safedpa_lab.experiments.adversary import campaign as report
+from safedpa_lab.experiments.adversary import drives, systems
+from safedpa_lab.experiments.adversary import drives as standing
 from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, Treated
 from safedpa_lab.experiments.adversary.bends import Bends, BentAnswer
 from safedpa_lab.experiments.adversary.campaign import adversary
 from safedpa_lab.experiments.adversary.car_grid import CarGrid
-from safedpa_lab.experiments.adversary.drives import KINDS, Driven, Drives
-from safedpa_lab.experiments.adversary.late_drives import LateDrives
-from safedpa_lab.experiments.adversary.linear_shapes import shape_of
-from safedpa_lab.experiments.adversary.linear_verdict import Judged
+from safedpa_lab.experiments.adversary.drives import KINDS, Driven, Drives, LateDrives, Standing
+from safedpa_lab.experiments.adversary.linear.judge import Judged
+from safedpa_lab.experiments.adversary.linear.problem import shape_of
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors, Reflected
 from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.scales import Drive, Scales, Units, drive
-from safedpa_lab.experiments.adversary.standing import Standing
-from safedpa_lab.experiments.delayed_drives import DelayedDrives, Lateness
-from safedpa_lab.experiments.long_drives import LongOutcome
+from safedpa_lab.experiments.driving.delayed_drives import DelayedDrives, Lateness
+from safedpa_lab.experiments.driving.long_drives import LongOutcome
 
 RIGHT = Judged("corrected", False, False, 0.0, False, False, 0.0, False, None, False)
 BENT = BentAnswer(0, "kinks", "corrected", broken=0.0, excess=0.0)
@@ -42,14 +42,14 @@ def test_linear_problems_are_counted_by_fault() -> None:
         "answers corrected": (7, None), "answers fallback": (2, None), "answers raised ValueError": (2, None),
         "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the nominal action": (4, 11),
         "passed or corrected, condition broken": (2, 7), "largest break, in scales": (1.0, 7),
-        "passed or corrected, predicted h < 0": (6, 7), "h < 0 now, and not told (or told wrongly)": (4, 11),
+        "passed or corrected, predicted h < 0": (6, 7), "h < 0 now, and not reported (or reported wrongly)": (4, 11),
         "no decision computed": (2, 11), "corrected further than needed": (2, 3),
         "largest excess, in ranges": (1.0, 3), "corrected, and the reference found nothing": (2, 5),
         "not corrected, though an action keeps all": (2, 4), "within 1 % of the least-violation": (0.0, 2),
         "largest shortfall, in scales": (0.5, 2), "h < 0 predicted, though h >= 0 attainable": (4, 4),
     }  # fmt: skip
     assert {case["fault"]: case["count"] for case in found.worst} == {
-        "condition broken": 2, "predicted h < 0": 6, "h < 0 now not told": 4, "no decision": 4, "too far": 2,
+        "condition broken": 2, "predicted h < 0": 6, "h < 0 now not reported": 4, "no decision": 4, "too far": 2,
         "missed": 2, "not the least-violation": 2, "h < 0 though h >= 0 attainable": 4,
     }  # fmt: skip
 
@@ -115,7 +115,7 @@ def test_answers_of_the_car_are_counted_against_the_grid(car_answer: Any) -> Non
         "answers corrected": (3, None), "answers fallback": (1, None), "answers passed": (1, None),
         "answers relaxed": (2, None), "answers violated": (1, None),
         "largest break of a condition, in scales": (0.5, 4), "passed or corrected, predicted h < 0": (2, 4),
-        "h < 0 now, and not told (or told wrongly)": (4, 8), "relaxed, though the grid keeps all": (2, 3),
+        "h < 0 now, and not reported (or reported wrongly)": (4, 8), "relaxed, though the grid keeps all": (2, 3),
         "corrected 0.1 of a range beyond the grid": (pytest.approx(200.0 / 3.0), 3),
         "largest excess, in ranges": (0.3, 3), "relaxed or violated: 1 % of scale below the grid": (3, 4),
         "largest shortfall, in scales": (0.25, 4),
@@ -166,8 +166,8 @@ def test_hostile_drives_are_counted_by_kind() -> None:
         Driven("point", "none", 5, 0, float("inf"), {}, missing="no such robot"),
     ])  # fmt: skip
     assert figures(found.rows) == {
-        "car: drives with a collision (corrected 12.5 %, passed 87.5 %)": (2, 3), "car: least h told": (-0.25, 3),
-        "point: drives with a collision (relaxed 100.0 %)": (0, 1), "point: least h told": (0.75, 1),
+        "car: drives with a collision (corrected 12.5 %, passed 87.5 %)": (2, 3), "car: least reported h": (-0.25, 3),
+        "point: drives with a collision (relaxed 100.0 %)": (0, 1), "point: least reported h": (0.75, 1),
     }  # fmt: skip
     assert [(case.get("seed", case["fault"]), case.get("count")) for case in found.worst] == [
         (2, 3), (3, 1), ("no such robot", None)
@@ -179,7 +179,7 @@ def test_drives_with_late_commands_are_reported_with_their_delay(corrected: int,
     statuses = Counter(passed=2, corrected=corrected, relaxed=9, violated=6, fallback=3)
     driven = DelayedDrives(Lateness(0.15, "both", "clock"), 7, 2, 5, 11, -0.5, statuses)
     collisions, worse, goals, least = LateDrives().reported([driven]).rows
-    assert collisions.what.startswith("150 ms, told by the clock: drives with a collision (corrected ")
+    assert collisions.what.startswith("150 ms, reported by the clock: drives with a collision (corrected ")
     assert (collisions.measured, collisions.of) == (2, 7)
     assert (worse.measured, worse.of) == (beyond, 20 + corrected)
     assert (goals.measured, goals.of, least.measured, least.of) == (11, 7, -0.5, 7)
@@ -206,7 +206,7 @@ def test_episodes_of_a_system_are_added_up() -> None:
 
 
 def test_drives_in_other_units_are_compared_with_the_drive_at_scale_one() -> None:
-    """An action has a range of 2: half the largest difference is told."""
+    """An action has a range of 2: half the largest difference is reported."""
     same = drive(Units())
     moved = replace(same, actions=(same.actions[0] - 0.5, *same.actions[1:]), furthest=1.5)
     other = replace(same, statuses=("relaxed", *same.statuses[1:]))
@@ -250,6 +250,7 @@ def test_parts_of_a_different_campaign_are_left_out(other: str, tmp_path: Path) 
     assert found["attacks"] == ([{"name": "b", "old": 0}] + ([] if other else [{"name": "a"}]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["forward", "any direction", "killed", "reversing"])
 def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
     once, again = (KINDS[kind](kind, "box", 4, 4.0) for _ in range(2))
@@ -266,7 +267,7 @@ def test_standstills_are_counted_and_unreported_ones_too(monkeypatch):
     attack = Standing()
     rows = {row.what: row for row in attack.reported([attack.work(each) for each in attack.pieces(3, False)]).rows}
     assert rows["drives with a stand of 10 s and more"].measured == 100
-    assert rows["of these, not told"].measured == 52  # the even seeds
+    assert rows["of these, not reported"].measured == 52  # the even seeds
     assert rows["point robot: drives with a stand of 10 s and more"].measured == 25
     assert rows["goals a minute"].measured == 1.5
     assert not any(rows[what].held for what in list(rows)[:4])

@@ -8,14 +8,12 @@ import pytest
 import quadprog
 from tests.lab.adversary.problems import plane
 
-from safedpa_lab.experiments.adversary.line_systems import late_drive
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
-from safedpa_lab.experiments.adversary.linear_shapes import SHAPES, random_problem
-from safedpa_lab.experiments.adversary.looking_systems import disc_by_higher_order
+from safedpa_lab.experiments.adversary.drives import Standing
+from safedpa_lab.experiments.adversary.example_systems import disc_by_higher_order, late_drive
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear.problem import SHAPES, LinearProblem, random_problem
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS
 from safedpa_lab.experiments.adversary.peers import peer_problems
-from safedpa_lab.experiments.adversary.standing import Standing
 
 
 @pytest.mark.parametrize("name", list(MIRRORS))
@@ -153,6 +151,7 @@ def by_quadprog(problem: LinearProblem) -> float | None:
     return float(np.sqrt((problem.weights / problem.weights.max() * (found - nominal) ** 2).sum()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", range(0, 1100, 275))
 def test_two_references_agree_on_random_problems(first):
     compared = 0

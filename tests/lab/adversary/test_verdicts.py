@@ -16,13 +16,11 @@ from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import peers, systems
-from safedpa_lab.experiments.adversary.bad_inputs import two_threads
-from safedpa_lab.experiments.adversary.bad_values import vectors
+from safedpa_lab.experiments.adversary.bad_inputs import two_threads, vectors
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, car_question
 from safedpa_lab.experiments.adversary.car_judge import CarJudge, CarQuestion
-from safedpa_lab.experiments.adversary.control_system import ControlSystem
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
-from safedpa_lab.experiments.adversary.linear_verdict import judged
+from safedpa_lab.experiments.adversary.example_systems import ControlSystem
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge, judged
 from safedpa_lab.experiments.adversary.scales import Units, drive
 
 Numbers = tuple[float, float]
@@ -275,7 +273,7 @@ def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(
     monkeypatch.setattr(peers, "peer_problems", lambda *_: [plane(1.0, 1.0)])
     rows = {row.what: row.measured for row in peers.Peers((sys.executable,)).work(("planted", 3, 1))[1]}
     assert rows["planted, at scale 1: unsafe action, and not a word"] == (unsafe and not notice)
-    assert rows["planted, at scale 1: unsafe action, and said so"] == (unsafe and bool(notice))
+    assert rows["planted, at scale 1: unsafe action, reported as such"] == (unsafe and bool(notice))
 
 
 def test_wrong_and_refused_answers_of_two_threads_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,6 +149,7 @@ def test_results_without_floors_are_still_shown() -> None:
     assert "| not reached |" in markdown(document)
 
 
+@pytest.mark.long
 def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 

@@ -64,7 +64,7 @@ def test_the_program_alone_satisfies_the_rows_that_the_nominal_action_breaks(eig
 
 
 def test_each_part_once_is_a_decision_without_its_search(eight: FilterProblem) -> None:
-    """About where the tangent at the nominal action leads: of the right nominal action, with an answer, not always where a search ends."""
+    """The result is near the nominal action of the tangent step, with an answer, not always where a search ends."""
     for name in MODELS:
         call, asked = each_part_once(eight, model := load_model(name))
         verdicts = [call(request) for request in asked]
@@ -93,9 +93,9 @@ def test_scenes_beyond_what_a_robot_may_report_are_decided(count: int, eight: Fi
 
 def test_barriers_of_a_large_scene_are_those_of_a_small_one(eight: FilterProblem, monkeypatch: Any) -> None:
     state = eight.states[0]
-    reported = eight.barriers().values(state)
+    reported = eight.barriers().h(state)
     monkeypatch.setattr("safedpa_lab.benchmarks.filter_problem.MOST_OBSTACLES", 7)
-    assert eight.barriers().values(state).tobytes() == reported.tobytes()
+    assert eight.barriers().h(state).tobytes() == reported.tobytes()
 
 
 OURS = {NETWORKS: (50.0, 90.0), PHYSICS: (40.0, 91.0), once(NETWORKS): (31.0, 44.0), once(PHYSICS): (29.0, 92.0)}
@@ -232,10 +232,10 @@ def test_peers_get_the_barrier_of_this_project(x: float, y: float, yaw: float, s
         settings.barrier("clearance"),
     )
     h, p = theirs.gradient(state)
-    assert theirs.barrier(state) == pytest.approx(ours.values(state), abs=1e-9)
-    assert h == pytest.approx(ours.values(state), abs=1e-8)
+    assert theirs.barrier(state) == pytest.approx(ours.h(state), abs=1e-9)
+    assert h == pytest.approx(ours.h(state), abs=1e-8)
     away = h + theirs.reach > 1e-6  # on the body itself there is no direction
-    assert p[away] == pytest.approx(ours.evaluate(state)[1][away], abs=1e-9)
+    assert p[away] == pytest.approx(ours.h_and_grad(state)[1][away], abs=1e-9)
 
 
 def test_every_timed_decision_needs_the_quadratic_program(eight: FilterProblem) -> None:

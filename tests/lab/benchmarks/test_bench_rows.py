@@ -31,7 +31,7 @@ from safedpa_lab.benchmarks.rows import diagnosis, long_logs, sense_to_act, star
 from safedpa_lab.benchmarks.rows import largest_fleet as row
 from safedpa_lab.benchmarks.rows.decision_parts import WHOLE, measure, parts
 from safedpa_lab.benchmarks.table import row_lines
-from safedpa_lab.experiments.real_logs_data import CAR
+from safedpa_lab.experiments.diagnosis.real_logs_data import CAR
 from safedpa_sim.training.configuration import load_configuration
 
 
@@ -48,9 +48,9 @@ def test_parts_are_of_the_decisions_that_are_timed_as_a_whole(name: str) -> None
         assert isinstance(each["inputs"], Decision)
         assert isinstance(each["the conditions at the state"], Constraints)
         assert isinstance(each["an outcome"], ActionCandidate)
-        assert not each["an outcome"].retained
+        assert not each["an outcome"].is_feasible
         assert each["the search"].__class__ is tuple
-        assert each["back towards the nominal action"].retained
+        assert each["back towards the nominal action"].is_feasible
         assert each["the verdict"].h_now == whole.h_now
         assert each["the program"].solved
     assert ("the networks, within the conditions" in found) == (name == "car_learned")
@@ -99,7 +99,7 @@ def test_drives_are_diagnosed_from_their_files(tmp_path: Path) -> None:
 
 
 def test_the_cases_have_a_target_on_average_and_one_for_the_longest(tmp_path, monkeypatch) -> None:
-    """With a clock that goes on by what a case is said to take, and a processor that works for half of it."""
+    """With a clock that advances by the nominal time of a case, and a processor that works for half of it."""
     clock, cases, log = [0.0], len(diagnosis.CASES), written(diagnosis.CASES[1], tmp_path, 2, 6.0)
     seconds = iter([9.0, *[(5.5 * cases - 9.0) / (cases - 1)] * (cases - 1), *[1.0] * 5])
     outcomes = iter([(True, True), (False, False), *[(True, False)] * (cases - 2)])
@@ -118,7 +118,7 @@ def test_the_cases_have_a_target_on_average_and_one_for_the_longest(tmp_path, mo
     monkeypatch.setattr(diagnosis, "ask_peer", lambda *_: {"missing": "not asked"})
     monkeypatch.setattr(diagnosis, "reported", lambda _: {})
     monkeypatch.setattr(diagnosis, "written", lambda *_: log)
-    monkeypatch.setattr("safedpa_lab.experiments.diagnosing.diagnosed", diagnosed)
+    monkeypatch.setattr("safedpa_lab.experiments.diagnosis.diagnosing.diagnosed", diagnosed)
     monkeypatch.setattr("safedpa_lab.hidden.judge.judged", judged)
     monkeypatch.setattr("safedpa.diagnosis.search.forward_selection.run_search", searched)
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])

@@ -75,7 +75,7 @@ def _no_learned_model_ships():
     """What ships changes with each training: these tests see the physics model alone, and what they make themselves."""
     with pytest.MonkeyPatch.context() as patch:
         physics = {"car": shipped_models()["car"]}
-        patch.setattr("safedpa_lab.experiments.car_methods.shipped_models", lambda: physics)
+        patch.setattr("safedpa_lab.experiments.car.methods.shipped_models", lambda: physics)
         yield
 
 

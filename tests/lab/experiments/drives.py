@@ -1,21 +1,10 @@
-"""Drives that follow a script, and a pool that works here: what experiments count is known then."""
+"""Scripted drives: what experiments count in them is known."""
 
 from collections.abc import Iterator, Sequence
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-
-
-class Pool:
-    """In place of a pool of processes."""
-
-    def __init__(self, *_: Any, **__: Any) -> None: ...
-
-    def __enter__(self) -> Any:
-        return SimpleNamespace(map=lambda work, items, **_: map(work, items))
-
-    def __exit__(self, *_: object) -> None: ...
 
 
 def robot(touched: int = 0, goals: int = 0, **more: Any) -> Any:

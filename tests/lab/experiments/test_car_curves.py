@@ -16,14 +16,13 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.car_advantage import advantages
-from safedpa_lab.experiments.car_cells import Cell
-from safedpa_lab.experiments.car_conditions import TOWING, Conditions
-from safedpa_lab.experiments.car_episodes import EpisodeGroup, Outcome, run_group
-from safedpa_lab.experiments.car_methods import METHODS
-from safedpa_lab.experiments.car_scenes import CONFIGURATIONS, HEAVIER, PASSAGE, car_scene, towed_named
-from safedpa_lab.experiments.car_style import METHOD_COLOURS
-from safedpa_lab.experiments.car_sweeps import LOAD, SWEEPS, Place, chosen_sweeps
+from safedpa_lab.experiments.car.conditions import TOWING, Conditions
+from safedpa_lab.experiments.car.curves import LOAD, SWEEPS, Place, chosen_sweeps
+from safedpa_lab.experiments.car.episodes import Cell, EpisodeGroup, Outcome, run_group
+from safedpa_lab.experiments.car.methods import METHODS
+from safedpa_lab.experiments.car.scenes import CONFIGURATIONS, HEAVIER, PASSAGE, car_scene, towed_named
+from safedpa_lab.experiments.car.table import advantages
+from safedpa_lab.experiments.common.figures import METHOD_COLOURS
 from safedpa_services.command_line.group import safedpa
 
 SETTINGS = settings_named("car")
@@ -61,7 +60,7 @@ def test_without_conditions_an_episode_and_its_cell_are_the_experiment_s_own() -
     assert (cell.name, harder.name) == ("physics-chair", "physics-chair-friction=0.6")
     assert cell.key == replace(cell, conditions=Conditions(friction=1.0)).key != harder.key
     assert [group.conditions for group in harder.groups((0, 1))] == [harder.conditions]
-    assert Conditions(delay=0.1, reported=False).label == "delay=0.1,told=False"
+    assert Conditions(delay=0.1, reported=False).label == "delay=0.1,reported=False"
 
 
 @pytest.mark.parametrize("passage", SWEEPS["passage"].values)
@@ -173,7 +172,7 @@ def test_only_a_chair_is_hitched_on_the_way() -> None:
 
 
 def driven(safe: str, reached: str) -> list[Outcome]:
-    """Of episodes that are told by 1 and 0."""
+    """Of episodes given as 1 and 0."""
     return [
         Outcome(seed, good == "1", unhurt == "1", 100, "", 0, 0, 0.1, {}, {}, "")
         for seed, (unhurt, good) in enumerate(zip(safe, reached, strict=True))
@@ -202,7 +201,7 @@ def test_the_command_writes_tables_picture_and_every_point(tmp_path: Path, monke
     for name in ("friction", "noise"):
         ends = {key: (getattr(SWEEPS[name], key)[0], getattr(SWEEPS[name], key)[-1]) for key in ("values", "shown")}
         monkeypatch.setitem(SWEEPS, name, replace(SWEEPS[name], **ends))
-    monkeypatch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
+    monkeypatch.setattr("safedpa_lab.experiments.car.drives.EARNEST", 1)
     phrase, out = ["experiment", "car-curves", "--models", str(NOWHERE)], tmp_path / "new" / "folder"
     phrase += ["--sweep", "friction", "--sweep", "noise", "--method", "physics", "--method", "goal_seeker"]
     phrase += ["--episodes", "1", "--drives", "1", "--processes", "1", "--out", str(out)]

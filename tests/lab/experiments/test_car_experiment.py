@@ -10,15 +10,17 @@ from PIL import Image
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings
-from safedpa_lab.experiments.car_episodes import Outcome
-from safedpa_lab.experiments.car_figures import write_figures
-from safedpa_lab.experiments.car_methods import METHODS
-from safedpa_lab.experiments.car_orders import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
-from safedpa_lab.experiments.car_report import MODEL_TITLES, markdown_of
-from safedpa_lab.experiments.car_scenes import CONFIGURATIONS, car_scene
-from safedpa_lab.experiments.car_style import METHOD_COLOURS, MODELS
-from safedpa_lab.experiments.car_table import cell_of, table_markdown
+from safedpa_lab.experiments.car.drives import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
+from safedpa_lab.experiments.car.episodes import Outcome
+from safedpa_lab.experiments.car.figures import write_figures
+from safedpa_lab.experiments.car.methods import METHODS
+from safedpa_lab.experiments.car.report import MODEL_TITLES, markdown_of
+from safedpa_lab.experiments.car.scenes import CONFIGURATIONS, car_scene
+from safedpa_lab.experiments.car.table import cell_of, table_markdown
+from safedpa_lab.experiments.common.figures import METHOD_COLOURS, MODELS
 from safedpa_services.command_line.group import safedpa
+
+pytestmark = pytest.mark.long
 
 SEEDS = range(25)
 
@@ -129,7 +131,7 @@ def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
     def refused(_):
         raise AssertionError("an episode was driven again")
 
-    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", refused)
+    monkeypatch.setattr("safedpa_lab.experiments.car.episodes.run_group", refused)
     before = (out / "cells" / "physics-box.json").read_text()
     assert run(*SMALL, "--models", out, "--out", out, "--part", "table", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
@@ -146,7 +148,7 @@ def test_another_margin_is_another_cell(out, monkeypatch, capsys):
     def driven(_):
         raise DrivenError
 
-    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", driven)
+    monkeypatch.setattr("safedpa_lab.experiments.car.episodes.run_group", driven)
     with pytest.raises(DrivenError):
         run(*SMALL, "--models", out, "--out", out, "--part", "table", "--margin", 0.03)
     capsys.readouterr()

@@ -18,31 +18,29 @@ from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments import car as experiment
-from safedpa_lab.experiments import car_cells
-from safedpa_lab.experiments.car import CarExperiment
-from safedpa_lab.experiments.car_blind import BlindFilterNode
-from safedpa_lab.experiments.car_drives import Drive, DriveOrder, recorded_drive
-from safedpa_lab.experiments.car_episodes import EpisodeGroup, run_group
-from safedpa_lab.experiments.car_errors import error_ratios, errors_of_model, increment_scale
-from safedpa_lab.experiments.car_family import FAMILIES
-from safedpa_lab.experiments.car_latent import latent_result
-from safedpa_lab.experiments.car_margin import coverage_of, latents_along, margin_of, step_errors
-from safedpa_lab.experiments.car_methods import METHODS, FixedLatentNode, chosen_methods, named_model
-from safedpa_lab.experiments.car_orders import FIRST_SEEDS
-from safedpa_lab.experiments.car_predict import predictor_of
-from safedpa_lab.experiments.car_report import markdown_of
+from safedpa_lab.experiments.car import episodes as car_cells
+from safedpa_lab.experiments.car import experiment
+from safedpa_lab.experiments.car.drives import FIRST_SEEDS, Drive, DriveOrder, recorded_drive
+from safedpa_lab.experiments.car.episodes import EpisodeGroup, run_group
+from safedpa_lab.experiments.car.errors import error_ratios, errors_of_model, increment_scale
+from safedpa_lab.experiments.car.experiment import CarExperiment
+from safedpa_lab.experiments.car.family import FAMILIES
+from safedpa_lab.experiments.car.latent import latent_result
+from safedpa_lab.experiments.car.margin import coverage_of, latents_along, margin_of, step_errors
+from safedpa_lab.experiments.car.methods import METHODS, BlindFilterNode, FixedLatentNode, chosen_methods, named_model
+from safedpa_lab.experiments.car.predictor import predictor_of
+from safedpa_lab.experiments.car.report import markdown_of
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots import LOADS, CarWorld
-from safedpa_sim.robots.footprint import footprint
-from safedpa_sim.training import car_task
+from safedpa_sim.robots.car.footprint import footprint
 from safedpa_sim.training.configuration import load_configuration
+from safedpa_sim.training.environments import car_task
 
 PAPER = FAMILIES["paper"]
 
 
 def weights_of(latents: int, name: str = "car_paper", **practice: Any) -> Weights:
-    """Crude ones, said to be trained with a configuration, with some of its ``practice`` changed."""
+    """Crude ones that claim to be trained with a configuration, with some of its ``practice`` changed."""
     configuration = load_configuration(name)
     configuration = replace(configuration, practice=replace(configuration.practice, **practice))
     crude = crude_weights(latents)
@@ -118,7 +116,7 @@ def test_margins_are_calibrated_without_a_load_and_on_as_many_drives(paper_folde
             raise AskedError
         return []
 
-    monkeypatch.setattr("safedpa_lab.experiments.car_calibration.recorded", recorded)
+    monkeypatch.setattr("safedpa_lab.experiments.car.calibration.recorded", recorded)
     for name in FAMILIES:
         with pytest.raises(AskedError):
             experiment.car_experiment(CarExperiment(paper_folder, methods=("safedpa",), family=name, processes=1))
@@ -165,7 +163,7 @@ def way_over_promise(world: CarWorld, braking: Braking) -> float:
 
 
 def test_the_braking_numbers_hold_without_a_load_and_know_of_none() -> None:
-    """Over steers, speeds, steady and still accelerating, from 0.2 m/s on; a large chair hitched on the way is more."""
+    """Over steers, speeds, steady and still accelerating, from 0.2 m/s on; a large chair hitched later is more."""
     settings = PAPER.settings("car")
     braking = Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
     shares = []
@@ -217,8 +215,8 @@ def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(learned_folde
         used[group.method.name] = group.margin.epsilon
         return run(group)
 
-    monkeypatch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
-    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", seen)
+    monkeypatch.setattr("safedpa_lab.experiments.car.drives.EARNEST", 1)
+    monkeypatch.setattr("safedpa_lab.experiments.car.episodes.run_group", seen)
     asked = CarExperiment(
         learned_folder, tmp_path, episodes=2, equal_margin_episodes=1, methods=("safedpa", "physics", "rma"),
         loads=("none", "box"), parts=("equal-margin",), processes=1, drives=1,

@@ -14,24 +14,20 @@ from matplotlib.figure import Figure
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa_lab.experiments import (
-    car,
-    car_curves,
-    car_errors,
-    car_figure_curves,
-    car_figure_margin,
-    car_figure_table,
-    car_latent,
-    car_margin,
-    sensing_curves,
-)
-from safedpa_lab.experiments.car_episodes import Outcome
-from safedpa_lab.experiments.car_latent import LinearDiscriminant, latent_result
-from safedpa_lab.experiments.car_methods import METHODS
-from safedpa_lab.experiments.car_style import MODELS
-from safedpa_lab.experiments.car_sweeps import chosen_sweeps
-from safedpa_lab.experiments.car_table import cell_of, table_markdown
-from safedpa_lab.experiments.statistics import wilson_interval
+from safedpa_lab.experiments.car import curves as car_curves
+from safedpa_lab.experiments.car import errors as car_errors
+from safedpa_lab.experiments.car import experiment as car
+from safedpa_lab.experiments.car import figures as car_figures
+from safedpa_lab.experiments.car import latent as car_latent
+from safedpa_lab.experiments.car import margin as car_margin
+from safedpa_lab.experiments.car.curves import chosen_sweeps
+from safedpa_lab.experiments.car.episodes import Outcome
+from safedpa_lab.experiments.car.latent import LinearDiscriminant, latent_result
+from safedpa_lab.experiments.car.methods import METHODS
+from safedpa_lab.experiments.car.table import cell_of, table_markdown
+from safedpa_lab.experiments.common.figures import MODELS
+from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.sensing import curves as sensing_curves
 
 
 def outcome(seed: int, **changes: Any) -> Outcome:
@@ -107,7 +103,7 @@ class Calibrated:
 
 
 def run_cells(cells: Sequence[Any], _workers: Any, _out: Any, report_progress: Callable[[int], None]) -> Iterator[Any]:
-    """Each cell with outcomes of its seeds; in as many as its place in the list the load changed on the way."""
+    """Each cell with outcomes of its seeds; in as many as its place in the list the load changed while driving."""
     for number, cell in enumerate(cells):
         report_progress(len(cell.seeds))
         yield cell, [outcome(seed, load_changed=30 if n <= number else None) for n, seed in enumerate(cell.seeds)]
@@ -296,7 +292,7 @@ def test_a_change_of_load_is_watched_until_the_next_or_the_end(monkeypatch: pyte
 )  # fmt: skip
 @pytest.mark.parametrize(("early", "noticed"), [(0, True), (5, True), (6, False), (10, False)])
 def test_a_change_is_noticed_at_the_first_tick_that_lasts_but_for_two_of_ten(fine, first, early, noticed, monkeypatch):
-    """Unless more than half of the ten ticks before it said so already."""
+    """Unless more than half of the ten ticks before it were noticed already."""
     notice = ["none"] * (20 - early) + ["box"] * early + ["box" if one == "1" else "none" for one in fine]
     (row,) = latents_of([latent_drive(["none"] * 20 + ["box"] * len(fine), notice)], monkeypatch)["changes"]
     assert row["latent_ticks"] == (first if noticed else None)
@@ -327,7 +323,7 @@ def test_the_share_of_fresh_errors_that_a_margin_covers_is_counted() -> None:
 
 def test_the_worst_error_of_a_kind_is_where_the_model_hoped_most() -> None:
     def barrier(kind: str, *rise: float) -> Any:
-        return SimpleNamespace(kind=kind, values=lambda state: np.array(rise) * state[0])
+        return SimpleNamespace(kind=kind, h=lambda state: np.array(rise) * state[0])
 
     barriers = [barrier("wall", 1.0, 3.0), barrier("wall", -2.0), barrier("hill", -1.0), barrier("sea")]
     found = car_margin.worst_errors(barriers, np.array([0.75]), np.array([0.5]))
@@ -389,7 +385,7 @@ def test_a_table_has_a_panel_for_each_measure_and_load_and_a_bar_for_each_cell(c
         {"method": name, "load": load, "episodes": 9, "paper": None, "success": share, "safe": share, "both": share}
         for name, load in cells
     ]
-    panels = drawn(car_figure_table, car_figure_table.table_figure, {"cells": rows}).axes
+    panels = drawn(car_figures, car_figures.table_figure, {"cells": rows}).axes
     assert len(panels) == 3 * columns
     bars = [bar for axes in panels for bar in axes.patches]
     lines = [line for axes in panels for line in axes.lines]
@@ -428,7 +424,7 @@ def test_curves_of_the_car_are_drawn_in_per_cent_and_their_names_do_not_overlap(
     sweep = {"label": "noise", "shown": ["0", "1"], "values": [0.0, 1.0], "usual": 0.0, "advantages": []}
     sweep["points"] = points
     result = {"sweeps": {"noise": sweep}, "family": {"name": "best"}, "load": "chair"}
-    panel = drawn(car_figure_curves, car_figure_curves.curves_figure, result).axes[0]
+    panel = drawn(car_figures, car_figures.curves_figure, result).axes[0]
     found = {tuple(bars[0].get_ydata()): np.array(ends(bars)) for bars in panel.containers}
     assert set(found) == {(100 * one, 100 * other) for one, other in shares.values()}
     for share, bars in found.items():
@@ -446,6 +442,6 @@ def test_coverage_of_margins_is_drawn_in_per_cent_with_its_ends(drawn: Any) -> N
     reported = {"epsilon": 0.1, "share": 0.75, "interval_95": [0.5, 1.0]}
     models = {name: {"obstacle": {"conformal": reported, "theorem": reported | {"epsilon": 0.4}}}}
     result = {"margin": {"models": models, "coverage_wanted": 0.99}}
-    left, right = drawn(car_figure_margin, car_figure_margin.margin_figure, result).axes
+    left, right = drawn(car_figures, car_figures.margin_figure, result).axes
     assert sorted(bar.get_height() for bar in left.patches) == [0.1, 0.4]
     assert [list(map(float, line.get_ydata())) for line in right.lines] == [[50.0, 100.0], [75.0], [99.0, 99.0]]

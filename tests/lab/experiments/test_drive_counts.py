@@ -17,27 +17,21 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments import (
-    car_episodes,
-    car_margin,
-    controllers,
-    delayed_drives,
-    live_drive,
-    long_drives,
-    margin_drives,
-    reversing_drives,
-    safety,
-    sensing,
-    wheels,
-)
 from safedpa_lab.experiments.adversary import drives as hostile
-from safedpa_lab.experiments.car_conditions import Conditions
-from safedpa_lab.experiments.car_drives import Drive, cut_at_contact
-from safedpa_lab.experiments.car_methods import METHODS
-from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
-from safedpa_lab.experiments.sensing_reported import ReportsAllButWhoHides, ReportsEverything
+from safedpa_lab.experiments.car import episodes as car_episodes
+from safedpa_lab.experiments.car import margin as car_margin
+from safedpa_lab.experiments.car.conditions import Conditions
+from safedpa_lab.experiments.car.drives import Drive, cut_at_contact
+from safedpa_lab.experiments.car.methods import METHODS
+from safedpa_lab.experiments.diagnosis import live_drive
+from safedpa_lab.experiments.driving import controllers, delayed_drives, long_drives, reversing_drives, safety
+from safedpa_lab.experiments.driving import differential_drive as wheels
+from safedpa_lab.experiments.margins import drives as margin_drives
+from safedpa_lab.experiments.sensing import experiment as sensing
+from safedpa_lab.experiments.sensing.peers import CollisionMonitor, NoFilter, TimeToCollision
+from safedpa_lab.experiments.sensing.perfect_sensing import ReportsAllButWhoHides, ReportsEverything
 from safedpa_sim.robots import CarRobot, Scene
-from safedpa_sim.robots.contacts import Collision
+from safedpa_sim.robots.car.contacts import Collision
 from safedpa_sim.sensing import StepsOut
 from safedpa_sim.sensing.people import Person
 
@@ -98,7 +92,8 @@ def with_a_diagnosis(patch: Patch, own: Any) -> Counted:
 
 
 KINDS = [
-    on_wheels, backwards, against_a_hostile_policy, for_a_margin, of_the_safety_table, of_a_controller, with_a_diagnosis,
+    on_wheels, backwards, against_a_hostile_policy, for_a_margin, of_the_safety_table, of_a_controller,
+    with_a_diagnosis,
 ]  # fmt: skip
 
 
@@ -132,7 +127,7 @@ def long_drive(patch: Patch, start: Any, places: Sequence[Any], period: float) -
     ],
 )
 @pytest.mark.parametrize("way", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
-def test_the_longest_standstill_is_measured_within_two_centimetres(places, longest, way, monkeypatch) -> None:
+def test_the_longest_stop_is_measured_within_two_centimetres(places, longest, way, monkeypatch) -> None:
     """In periods of half a second."""
     found = long_drive(monkeypatch, (9.0, 9.0), [(way[0] * place, way[1] * place) for place in places], 0.5)
     assert found.longest_stand == pytest.approx(longest)
@@ -316,7 +311,7 @@ LOOKS = (AdaptationNode, PerceptionNode, PolicyNode)
     [
         ("safedpa", (*LOOKS, SafetyFilterNode)),
         ("reported", (AdaptationNode, ReportsEverything, PolicyNode, SafetyFilterNode)),
-        ("TOLD-BUT-HIDING", (AdaptationNode, ReportsAllButWhoHides, PolicyNode, SafetyFilterNode)),
+        ("REPORTED-BUT-HIDING", (AdaptationNode, ReportsAllButWhoHides, PolicyNode, SafetyFilterNode)),
         ("monitor", (AdaptationNode, PolicyNode, CollisionMonitor)),
         ("MONITOR-2S", (*LOOKS, CollisionMonitor)),
         ("time-to-collision", (AdaptationNode, PolicyNode, TimeToCollision)),

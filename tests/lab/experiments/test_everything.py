@@ -17,20 +17,19 @@ from safedpa.errors import InputError
 from safedpa_lab.commands.experiment import EXPERIMENTS, command
 from safedpa_lab.commands.experiment import command as experiment
 from safedpa_lab.commands.results import command as results
-from safedpa_lab.experiments.everything import ELSEWHERE, PARTS, Part, chosen, make
+from safedpa_lab.experiments.run_all import ELSEWHERE, PARTS, Part, chosen, make
 from safedpa_lab.provenance import code, record
 from safedpa_lab.provenance.check import standings
 from safedpa_lab.provenance.record import KEY, command_line, write_result
 from safedpa_services.command_line.group import safedpa
 
-DRIVES = ("controllers", "--seeds", "1", "--controller", "goal_seeker")
-QUICK = Part("controllers", DRIVES, ("--seconds", "1"), 2)
+QUICK = Part("controllers", 2, "controllers --seeds 1 --controller goal_seeker", "--seconds 1")
 """One of the experiments that need no torch: what is looked at is how they are made, not which."""
-BAD = Part("bad", ("controllers", "--controller", "no_such_controller"), (), 1)
+BAD = Part("bad", 1, "controllers --controller no_such_controller", "")
 
 
-def test_every_experiment_is_a_part_or_is_said_why_not() -> None:
-    asked = {part.phrase[0] for part in PARTS}
+def test_every_experiment_is_a_part_or_has_a_reason_not_to_be() -> None:
+    asked = {part.phrase.split()[0] for part in PARTS}
     assert asked | set(ELSEWHERE) == set(EXPERIMENTS)
     assert not asked & set(ELSEWHERE)
     assert len({part.name for part in PARTS}) == len(PARTS)
@@ -75,10 +74,7 @@ def test_a_result_of_the_current_code_is_not_made_again(tmp_path: Path) -> None:
     def report_progress(part: Part, phrase: str) -> None:
         notice.append(f"{part.name} {re.sub(r'[0-9.]+', 'N', phrase)}")
 
-    runs, done, old = (
-        f"{QUICK.name} {phrase}"
-        for phrase in ("runs; about N minutes", "done in N s", "made before, by the code of today")
-    )
+    runs, done, old = (f"{QUICK.name} {phrase}" for phrase in ("runs; about N minutes", "done in N s", "is up to date"))
     first = make([QUICK], tmp_path, small=True, report_progress=report_progress)
     assert notice == [runs, done]
     assert first["controllers"]["exit_code"] == 0
@@ -100,7 +96,7 @@ def test_a_result_of_the_current_code_is_not_made_again(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_a_small_result_does_not_replace_the_whole_experiment(tmp_path: Path) -> None:
-    part = Part("controllers", (*DRIVES, "--seconds", "2"), ("--seconds", "1"), 2)
+    part = Part("controllers", 2, f"{QUICK.phrase} --seconds 2", "--seconds 1")
     make([part], tmp_path, small=True)
     make([part], tmp_path)
     assert "--seconds 2" in json.loads(part.result(tmp_path).read_text())[KEY]["command"]
@@ -121,7 +117,7 @@ def test_an_experiment_that_fails_is_reported_and_the_others_run(tmp_path: Path)
 def test_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "all", "--list"]) == 0
     listed = capsys.readouterr().out
-    assert all(f"safedpa experiment {' '.join(part.phrase)}" in listed for part in PARTS)
+    assert all(f"safedpa experiment {part.phrase}" in listed for part in PARTS)
     assert safedpa.run(["experiment", "all"]) == 2
     assert "wanted a folder" in capsys.readouterr().err
     phrase = ["experiment", "all", "--small", "--only", "controllers", "--out", str(tmp_path / "new" / "all"), "--json"]
@@ -188,14 +184,14 @@ def test_a_result_holds_how_to_make_it_again(written: Path) -> None:
 
 def test_the_check_names_the_package_that_has_changed(retained: Path) -> None:
     (now,) = standings(retained)
-    assert (now.changed, now.reported) == ((), "made by the code of today")
+    assert (now.changed, now.reported) == ((), "made by the current code")
     path = retained / "theory.json"
     document = json.loads(path.read_text())
     document[KEY]["code"]["safedpa.safety"] = "0" * 12
     path.write_text(json.dumps(document))
     (then,) = standings(retained)
     assert then.changed == ("safedpa.safety",)
-    assert then.reported == f"older than its code in 1 of {then.rooms} rooms"
+    assert then.reported == f"older than its code in 1 of {then.rooms} packages"
     shown = CliRunner().invoke(results, ["check", str(retained), "--strict"], standalone_mode=False)
     assert "differ: safedpa.safety" in shown.output
     assert shown.return_value == 1
@@ -204,7 +200,7 @@ def test_the_check_names_the_package_that_has_changed(retained: Path) -> None:
 def test_a_result_without_provenance_is_not_called_current(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text('{"date": "2026-11-21", "rows": []}')
     (old,) = standings(tmp_path)
-    assert (old.date, old.rooms, old.reported) == ("2026-11-21", 0, "made before its code was written down")
+    assert (old.date, old.rooms, old.reported) == ("2026-11-21", 0, "made before provenance was recorded")
     assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
     assert CliRunner().invoke(results, ["check", str(tmp_path), "--strict"], standalone_mode=False).return_value == 1
 
@@ -323,8 +319,8 @@ def test_comments_and_layout_do_not_count_and_all_else_does(before: str, after: 
 
 def test_code_that_is_only_named_counts_as_well() -> None:
     """Imports within functions, processes started by a module's name, robots found by theirs."""
-    faults = set(code.code_behind("safedpa_lab.commands.experiments.faults"))
-    assert {"safedpa.robots.car.barriers.obstacles", "safedpa.safety.decision", "safedpa_lab.faults.report"} <= faults
+    faults = set(code.code_behind("safedpa_lab.faults.experiment"))
+    assert {"safedpa.robots.car.barriers.obstacles", "safedpa.safety.decision", "safedpa_lab.faults.campaign"} <= faults
     assert {"safedpa_services.safety_filter.__main__", "safedpa_services.recorder.__main__"} <= faults
 
 
@@ -373,7 +369,7 @@ CAR = "--models TMP/none --out TMP/results/car"
         (f"car-curves {CAR} --episodes 0", "wanted at least 1"),
         (f"car-curves {CAR} --first-seed 4950", "wanted seeds from 0"),
         ("meeting --robots 9", "--robots: got 9, wanted 2 to 8"), ("meeting --seconds 0", "--seconds: got 0.0"),
-        ("meeting --guard safe", "did you mean"), ("meeting --load sofa", "--load sofa"),
+        ("meeting --guard safe", "did you mean"), ("meeting --load sofa", "--load: got 'sofa'"),
         ("meeting --fastest 0", "--fastest: got 0.0"), ("meeting --out /nowhere/at/all.json", "create it"),
         ("margins --robot carr --out TMP/out", "--robot"), ("margins --kind both --out TMP/out", "--kind"),
         ("margins --drives 0 --out TMP/out", "--drives"), ("margins --minutes -1 --out TMP/out", "--minutes"),

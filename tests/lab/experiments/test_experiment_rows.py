@@ -7,31 +7,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.lab.experiments.drives import Pool, robot, tick
+from tests.lab.experiments.drives import robot, tick
 
 from safedpa.dynamics import load_model
 from safedpa.errors import SafedpaError
 from safedpa.safety import MarginCalibration
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments import (
-    controllers,
-    hidden_horizons,
-    live,
-    long_drives,
-    pendulum_payload,
-    point_story,
-    ros,
-    safety,
-    safety_pays,
-    sensing,
-    sensing_curves,
-    wheels,
-)
-from safedpa_lab.experiments.live_drive import LiveDrive
-from safedpa_lab.experiments.long_drives import LongOutcome
-from safedpa_lab.experiments.ros_report import page_of as ros_page
-from safedpa_lab.experiments.sensing_page import page_of as sensing_page
-from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval, wilson_interval
+from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval, wilson_interval
+from safedpa_lab.experiments.diagnosis import hidden_effects as hidden_horizons
+from safedpa_lab.experiments.diagnosis import live
+from safedpa_lab.experiments.diagnosis.live_drive import LiveDrive
+from safedpa_lab.experiments.driving import controllers, long_drives, safety, safety_pays
+from safedpa_lab.experiments.driving import differential_drive as wheels
+from safedpa_lab.experiments.driving.long_drives import LongOutcome
+from safedpa_lab.experiments.pendulum import story as pendulum_payload
+from safedpa_lab.experiments.point import story as point_story
+from safedpa_lab.experiments.ros import experiment as ros
+from safedpa_lab.experiments.ros.experiment import page_of as ros_page
+from safedpa_lab.experiments.sensing import curves as sensing_curves
+from safedpa_lab.experiments.sensing import experiment as sensing
+from safedpa_lab.experiments.sensing.experiment import page_of as sensing_page
 
 
 def rounded(hits: int, trials: int) -> list[float]:
@@ -75,9 +70,8 @@ def test_episodes_of_a_load_are_counted_with_and_without_the_filter(monkeypatch:
             with_box if episode.load == "box" else usual, load=episode.load, filtered=episode.filtered
         )
 
-    monkeypatch.setattr(safety, "ProcessPoolExecutor", Pool)
     monkeypatch.setattr(safety, "run_episode", run)
-    rows = safety.safety_experiment(range(4), 1.0)["rows"]
+    rows = safety.safety_experiment(range(4), 1.0, processes=1)["rows"]
     assert [row["load"] for row in rows] == list(safety.LOADS)
     assert rows[1]["filter_on"] == {
         "episodes": 4, "safe_episodes": 2, "safe_share_95": rounded(2, 4), "collisions": 5, "goals": 6,
@@ -160,7 +154,7 @@ PAIRS, CHAIN = [(0.010, 0.004), (0.020, 0.008), (0.030, 0.012)], [250.0, 750.0]
 def by_ros(
     patch: pytest.MonkeyPatch, count: int, stalls: int = 0, pairs: Any = PAIRS, chain: Any = CHAIN
 ) -> tuple[dict[str, Any], list[int], int]:
-    """The ROS experiment with so many seeds and three faults, the done steps that it told, and its bare chains."""
+    """The ROS experiment with so many seeds and three faults, the progress that it reported, and its bare chains."""
     usual = {"collisions": 0, "reached": 1, "moved": 10.0, "commands": 200, "gateway_brakes": 3, "driver_brakes": 4}
     own: dict[int, dict[str, Any]] = {
         11: {"collisions": 2, "reached": 0, "moved": 5.0}, 12: {"gateway_brakes": 0, "commands": 100},
@@ -250,7 +244,7 @@ def test_the_page_by_ros_has_a_table_of_faults_with_its_head(faults: int) -> Non
         assert line in page
     assert "at most 25.6 % of such drives" in page
     assert page.count("| cut | 1.50 |  | 0.25 | nothing; it drives on | 3 |\n") == faults
-    assert ("| fault | speed, m/s | stands after, s | m | told | collisions |" in page) is (faults > 0)
+    assert ("| fault | speed, m/s | stands after, s | m | reported | collisions |" in page) is (faults > 0)
 
 
 def sensed(seed: int, **changes: Any) -> dict[str, Any]:
@@ -331,7 +325,7 @@ def test_the_page_of_drives_among_people_lists_every_contact() -> None:
 
 
 def test_long_drives_count_standstills_and_crawls() -> None:
-    """A standstill of 10 s counts, as untold without a sentence; less than 1 m in 20 s is a crawl."""
+    """A standstill of 10 s counts, as unreported without a sentence; less than 1 m in 20 s is a crawl."""
     usual = LongOutcome("none", 1, 120.0, 0, 2, (), 1.0, {}, 5.0)
     stand: Any = {"from": 3.0, "seconds": 10.0, "reason": "a wall"}
     drives = [

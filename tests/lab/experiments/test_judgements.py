@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments import fleet_diagnosis, fleet_screen, real_logs
-from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
-from safedpa_lab.experiments.hidden_page import page_of as hidden_page
-from safedpa_lab.experiments.hidden_summary import summary
-from safedpa_lab.experiments.real_logs_targets import folds_target, targets_of
-from safedpa_lab.experiments.statistics import wilson_interval
+from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.diagnosis import real_logs
+from safedpa_lab.experiments.diagnosis.hidden_report import page_of as hidden_page
+from safedpa_lab.experiments.diagnosis.hidden_report import summary
+from safedpa_lab.experiments.diagnosis.real_logs import folds_target, targets_of
+from safedpa_lab.experiments.fleet import diagnosis as fleet_diagnosis
+from safedpa_lab.experiments.fleet import diagnosis as fleet_screen
+from safedpa_lab.experiments.fleet.diagnosis import judged_fleet
 
 NAN = float("nan")
 
@@ -22,7 +24,8 @@ def share(hits: int, trials: int) -> dict[str, Any]:
 
 def case(name: str = "a", suite: str = "one", **changes: Any) -> Any:
     usual = {
-        "suite": suite, "case": name, "hidden": (), "added": ("x",), "reported": ("y",), "verdict": "model", "right": True,
+        "suite": suite, "case": name, "hidden": (), "added": ("x",), "reported": ("y",), "verdict": "model",
+        "right": True,
         "first_named": True, "all_named": True, "wrong": (), "false_laws": (), "deviations": (), "error_ratio": 1.0,
         "seconds": 1.0, "processor_seconds": NAN,
     }  # fmt: skip
@@ -276,7 +279,7 @@ def test_the_pendulum_meets_its_targets(added, errors, met, measured) -> None:
         ("whiffle", ["wind", "quadratic_drag"], [False]), ("whiffle", [], [False]), ("tennis", ["drag"], []),
     ],
 )  # fmt: skip
-def test_the_balls_meet_their_targets(name: str, added: list[str], met: list[bool]) -> None:
+def test_the_diagnosis_of_the_balls_meets_its_targets(name: str, added: list[str], met: list[bool]) -> None:
     found = targets_of([{"part": "balls", "name": name, "added": added, "verdict": "nothing"}])
     assert [one["met"] for one in found] == met
 

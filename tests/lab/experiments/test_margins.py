@@ -14,13 +14,16 @@ from click.testing import CliRunner
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.safety import MarginCalibration
-from safedpa_lab.commands.experiments.margins import command
-from safedpa_lab.experiments import margins, sensing_margins
-from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
-from safedpa_lab.experiments.margins import MarginCases, margins_experiment
-from safedpa_lab.experiments.seeds import SEEDS, seeds_for
-from safedpa_lab.experiments.sensing_scores import Score
-from safedpa_lab.experiments.statistics import mean_interval
+from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
+from safedpa_lab.experiments.common.seeds import SEEDS, seeds_for
+from safedpa_lab.experiments.common.statistics import mean_interval
+from safedpa_lab.experiments.margins import experiment as margins
+from safedpa_lab.experiments.margins.drives import DRIVERS, DriveOrder, DriveResult, driven
+from safedpa_lab.experiments.margins.experiment import MarginCases, margins_experiment
+from safedpa_lab.experiments.sensing import margins as sensing_margins
+from safedpa_lab.experiments.sensing.scores import Score
+
+COMMAND = ExperimentCommand(EXPERIMENTS["margins"])
 
 LAYERS = [
     np.pad([[0.9, 0.9], [0.9, 0.010], [0.009, 0.008], [0.9, 0.9], [0.9, 0.9]], ((0, 0), (0, 2))),
@@ -208,10 +211,10 @@ def test_a_hundred_thousand_seeds_belong_to_each_purpose(purpose: str, first: in
 @pytest.mark.long
 def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
     asked = [*SMALL, "--skip", "5", "--processes", "1", "--out", str(tmp_path), "--json"]
-    cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
+    cut = CliRunner().invoke(COMMAND, [*asked, "--minutes", "1e-9"])
     assert cut.exit_code == 0, cut.output
     assert json.loads(cut.output)["missing"] == 15
-    done = CliRunner().invoke(command, asked)
+    done = CliRunner().invoke(COMMAND, asked)
     assert done.exit_code == 0, done.output
     result = json.loads(done.output)
     assert result["missing"] == 0
@@ -235,7 +238,7 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
     assert page.count("| pendulum |") == 6, "both margins in three tables"
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
-    again = CliRunner().invoke(command, asked)
+    again = CliRunner().invoke(COMMAND, asked)
     assert json.loads(again.output) == result, "nothing is driven twice, and the same comes out"
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == before
 
@@ -244,7 +247,7 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
 def test_what_ships_is_counted_alone(name: str, epsilon: float, tmp_path: Path) -> None:
     """A calibrated margin, or the one that the settings assume."""
     asked = ["--robot", name, "--drives", "0", "--fresh", "2", "--kind", "shipped", "--seconds", "1"]
-    done = CliRunner().invoke(command, [*asked, "--processes", "1", "--out", str(tmp_path), "--json"])
+    done = CliRunner().invoke(COMMAND, [*asked, "--processes", "1", "--out", str(tmp_path), "--json"])
     assert done.exit_code == 0, done.output
     result = json.loads(done.output)
     assert result["missing"] == 0

@@ -11,18 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.lab.experiments.drives import Pool
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments import meeting
-from safedpa_lab.experiments.meeting import Meeting, meeting_experiment, run_meeting, stuck_pairs
-from safedpa_lab.experiments.meeting_page import page_of
-from safedpa_lab.experiments.meeting_scenes import meeting_field, meeting_scenes, pieces_of
-from safedpa_lab.experiments.statistics import clopper_pearson_interval
+from safedpa_lab.experiments.common.statistics import clopper_pearson_interval
+from safedpa_lab.experiments.sensing import meeting
+from safedpa_lab.experiments.sensing.meeting import (
+    Meeting,
+    meeting_experiment,
+    meeting_field,
+    meeting_scenes,
+    page_of,
+    pieces_of,
+    run_meeting,
+    stuck_pairs,
+)
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.shared_field import CarContact
+from safedpa_sim.robots.car.contacts import Collision
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.car.shared_field import CarContact
 
 
 @pytest.mark.long
@@ -56,7 +62,9 @@ def test_the_discs_of_another_car_cover_all_of_it() -> None:
     pieces = pieces_of(robot)
     for _, shape in robot.world.bodies:
         for corner in map(shape.body.local_to_world, shape.get_vertices()):  # type: ignore[union-attr]
-            assert min(hypot(corner.x - one.place[0], corner.y - one.place[1]) - one.radius for one in pieces) < 1e-9
+            assert (
+                min(hypot(corner.x - one.position[0], corner.y - one.position[1]) - one.radius for one in pieces) < 1e-9
+            )
 
 
 @pytest.mark.parametrize(
@@ -126,9 +134,8 @@ def meetings(
         "moving": [], "into_standing": 0, "both_standing": 0, "solid": [], "standing_share": 0.25, "goals": [1, 2],
         "fastest_driven": 1.5, "stuck": [],
     }  # fmt: skip
-    patch.setattr(meeting, "ProcessPoolExecutor", Pool)
     patch.setattr(meeting, "run_meeting", lambda wanted: {**asdict(wanted), **usual, **own(wanted)})
-    return meeting_experiment(*asked, **options)
+    return meeting_experiment(*asked, **{"processes": 1} | options)
 
 
 def test_a_row_and_its_line_count_all_contacts_and_stuck_pairs(monkeypatch: pytest.MonkeyPatch) -> None:

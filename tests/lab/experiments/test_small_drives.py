@@ -9,12 +9,12 @@ from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, 
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.prediction.delay_estimator import DelayEstimator
-from safedpa_lab.experiments.car_conditions import QuickerPolicyNode
-from safedpa_lab.experiments.car_drives import ExploringPolicyNode
-from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives, margin_with_delay
-from safedpa_lab.experiments.long_drives import LongDrive, run_long_drive
-from safedpa_lab.experiments.reversing_drives import ReversingDrive, run_reversing_drive
-from safedpa_sim.robots import core
+from safedpa_lab.experiments.car.conditions import QuickerPolicyNode
+from safedpa_lab.experiments.car.drives import ExploringPolicyNode
+from safedpa_lab.experiments.driving.delayed_drives import Lateness, delayed_drives, margin_with_delay
+from safedpa_lab.experiments.driving.long_drives import LongDrive, run_long_drive
+from safedpa_lab.experiments.driving.reversing_drives import ReversingDrive, run_reversing_drive
+from safedpa_sim.robots.car import robot as car_robot
 
 ONCE_COLLIDED = (("box", 510), ("chair", 502))
 
@@ -29,7 +29,7 @@ def test_no_load_collides_while_it_is_reversed_at_the_nearest_obstacle(load: str
 
 def test_a_robot_that_hides_its_load_collides(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the footprint alone leaves open; were it closed some other way, the growth would not be needed."""
-    monkeypatch.setattr(core, "towed_reach", lambda load: ())
+    monkeypatch.setattr(car_robot, "towed_reach", lambda load: ())
     assert sum(run_reversing_drive(ReversingDrive(*drive)).collisions for drive in ONCE_COLLIDED) > 0
 
 
@@ -88,11 +88,11 @@ def test_a_channel_that_is_late_alone(channel: str) -> None:
 def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         DelayEstimator, "observe", lambda *_: None
-    )  # else what no one tells is found, and looked past too
+    )  # otherwise an unreported delay is found, and ignored too
     reported = delayed_drives(Lateness(0.13, reported="clock"), 4, 31_000, 8.0)
     assert reported.collided == 0
     assert reported.goals > 0
-    silent = delayed_drives(Lateness(0.13, reported="no_one"), 4, 31_000, 8.0)
+    silent = delayed_drives(Lateness(0.13, reported="none"), 4, 31_000, 8.0)
     assert reported.least_h > silent.least_h
     trouble = ("relaxed", "violated")
     assert sum(reported.statuses[one] for one in trouble) < sum(silent.statuses[one] for one in trouble)
@@ -100,7 +100,7 @@ def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.Monk
 
 @pytest.mark.long
 def test_an_unknown_delay_causes_no_collision() -> None:
-    assert delayed_drives(Lateness(0.15, reported="no_one"), 4, 31_000, 8.0).collided == 0
+    assert delayed_drives(Lateness(0.15, reported="none"), 4, 31_000, 8.0).collided == 0
 
 
 @pytest.mark.long
@@ -111,11 +111,11 @@ def test_drives_repeat_exactly() -> None:
 def test_invalid_delays_are_refused() -> None:
     with pytest.raises(InputError, match="channel: got 'wheel', wanted one of both, drive, steer"):
         Lateness(0.1, "wheel")
-    with pytest.raises(InputError, match="told: got 'all', wanted one of model, clock, no one"):
+    with pytest.raises(InputError, match="reported: got 'all', wanted one of model, clock, none"):
         Lateness(0.1, reported="all")
     with pytest.raises(InputError, match="channel: got 'drive', wanted both"):
         Lateness(0.1, "drive", reported="clock")
-    for allowed in (Lateness(0.1, "drive"), Lateness(0.1, "steer", "no_one"), Lateness(0.1, reported="clock")):
+    for allowed in (Lateness(0.1, "drive"), Lateness(0.1, "steer", "none"), Lateness(0.1, reported="clock")):
         assert allowed.seconds == 0.1
 
 

@@ -10,14 +10,16 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.stats import binomtest
 
-from safedpa_lab.experiments.paired import holm, mcnemar_exact, sign_flip_exact
-from safedpa_lab.experiments.statistics import (
+from safedpa_lab.experiments.common.statistics import (
     clopper_pearson_interval,
     cluster_interval,
     coverage_row,
+    holm,
+    mcnemar_exact,
     mean_interval,
     ratio_interval,
     seeds_interval,
+    sign_flip_exact,
     wilson_interval,
 )
 

@@ -15,12 +15,14 @@ import pytest
 
 from safedpa.bus import VerdictMessage
 from safedpa.errors import InputError
+from safedpa_lab.experiments.report import output_folder, write_report
+from safedpa_lab.experiments.table import EXPERIMENTS
 from safedpa_lab.faults import campaign
 from safedpa_lab.faults.campaign import run_faults
 from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
 from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.outcome import Campaign, Outcome, joined
-from safedpa_lab.faults.report import markdown_of, write_report
+from safedpa_lab.faults.report import markdown_of
 from safedpa_lab.faults.table import all_faults, faults_named, small_faults
 from safedpa_sim.robots.trace import TracedPeriod
 
@@ -480,9 +482,10 @@ def test_several_fleets_are_added_up() -> None:
 
 def test_the_report_is_two_files_or_one_line_of_complaint(tmp_path: Path) -> None:
     reported = result(campaign_report(outcome("kill policy")))
-    write_report(reported, tmp_path / "out")
+    with output_folder(tmp_path / "out"):
+        write_report(EXPERIMENTS["faults"], reported, {"out": tmp_path / "out"})
     assert json.loads((tmp_path / "out" / "faults.json").read_text())["rows"][0]["name"] == "kill policy"
-    assert (tmp_path / "out" / "faults.md").read_text() == markdown_of(reported)
+    assert (tmp_path / "out" / "faults.md").read_text().rstrip() == markdown_of(reported).rstrip()
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="--out"):
-        write_report(reported, tmp_path / "file")
+    with pytest.raises(InputError, match="--out"), output_folder(tmp_path / "file"):
+        pass

@@ -13,7 +13,7 @@ import pytest
 
 from safedpa.bus import NOMINAL, STATE, VERDICT, ModelMessage, TakeoverMessage
 from safedpa.errors import InputError
-from safedpa_lab.commands.experiments.faults import command
+from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
 from safedpa_lab.faults import recorded
 from safedpa_lab.faults.endurance import Resources, Retained, Sample, retained_by
 from safedpa_lab.faults.member import Member
@@ -21,6 +21,8 @@ from safedpa_lab.faults.model_changes import partitioned_changes
 from safedpa_lab.faults.report import markdown_of
 from safedpa_lab.faults.table import all_faults, faults_for
 from safedpa_lab.faults.world import World, WorldSettings
+
+COMMAND = ExperimentCommand(EXPERIMENTS["faults"])
 
 
 def life(name: str, pid: int, begin: float, mib: list[float], handles: int = 9) -> list[Sample]:
@@ -153,7 +155,7 @@ def test_the_fate_of_a_process_includes_its_last_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("minutes", ["nan", "inf", "1441"])
 def test_an_endless_run_is_refused(minutes: str) -> None:
     with pytest.raises(InputError, match=r"--minutes: got .*, wanted 1440 at most"):
-        command.main(["--minutes", minutes], standalone_mode=False)
+        COMMAND.main(["--minutes", minutes], standalone_mode=False)
 
 
 NAMES = [fault.name for fault in all_faults()]

@@ -35,7 +35,7 @@ from safedpa.errors import RecordingError
 from safedpa_lab.faults.model_changes import mixed_in
 from safedpa_lab.faults.observer import Observer
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_sim.robots import CarRobot, Scene, TraceWriter, read_trace
 from safedpa_sim.robots.loop import RobotLoop
 
@@ -174,7 +174,7 @@ def test_an_order_that_a_busy_filter_answers_late_was_taken(free_port: int) -> N
         watch = RunMonitor(supervisor)
         watch.state = CarRobot(Scene.random(1)).state_message()
         end = time.monotonic() + 30.0
-        while not watch.stop_robot():  # told at once while the filter is not known yet
+        while not watch.stop_robot():  # repeated while the filter is not known yet
             assert time.monotonic() < end, "it does not wait for the filter's answer"
             time.sleep(0.01)
 
@@ -249,6 +249,6 @@ def test_a_line_that_a_killed_robot_did_not_finish_is_left_out(tmp_path: Path) -
     assert [one.tick for one in read_trace(tmp_path / "trace")] == list(range(7))
 
 
-def test_a_trace_that_cannot_be_written_is_said_at_once(tmp_path: Path) -> None:
+def test_a_trace_that_cannot_be_written_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="--trace"):
         TraceWriter(tmp_path / "nowhere" / "trace")

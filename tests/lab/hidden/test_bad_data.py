@@ -11,7 +11,7 @@ from safedpa.effects import effect
 from safedpa.errors import RunError
 from safedpa.records import load_run
 from safedpa.records.column_map.file import parse_column_map
-from safedpa_lab.experiments.hidden_effects import run_cases
+from safedpa_lab.experiments.diagnosis.hidden_effects import run_cases
 from safedpa_lab.hidden import Case, cases_of, write_case
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 from safedpa_services.command_line.group import safedpa
@@ -28,7 +28,7 @@ def good(request, tmp_path_factory):
 
 
 @pytest.mark.long
-def test_an_export_with_its_words_is_spoiled_as_well(good, tmp_path):
+def test_an_export_with_text_columns_is_spoiled_as_well(good, tmp_path):
     log, files = good
     lines = log.runs[0].read_text(encoding="utf-8").splitlines()
     export = tmp_path / "drive.csv"
@@ -39,7 +39,7 @@ def test_an_export_with_its_words_is_spoiled_as_well(good, tmp_path):
 
 
 def noticed(name, good):
-    """(kinds, sentences) of what is said about a bad file; None for kinds where it is refused."""
+    """(kinds, sentences) of the messages about a bad file; None for kinds where it is refused."""
     log, files = good
     model = load_model(log.model)
     try:

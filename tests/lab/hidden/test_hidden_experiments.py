@@ -8,8 +8,8 @@ import pytest
 
 from safedpa.effects import effect
 from safedpa_lab.commands.experiment import EXPERIMENTS
-from safedpa_lab.experiments import hidden_horizons as experiment
-from safedpa_lab.experiments.hidden_effects import run_cases
+from safedpa_lab.experiments.diagnosis import hidden_effects as experiment
+from safedpa_lab.experiments.diagnosis.hidden_effects import run_cases
 from safedpa_lab.hidden import Case, cases_of
 from safedpa_services.command_line.group import safedpa
 
@@ -70,7 +70,9 @@ def test_nothing_is_named_where_nothing_is_hidden(outcomes):
 @pytest.mark.slow
 @pytest.mark.long
 def test_the_command_prints_one_document(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("safedpa_lab.experiments.hidden_effects.cases_of", lambda *_: [short(cases_of("none", 1)[0])])
+    monkeypatch.setattr(
+        "safedpa_lab.experiments.diagnosis.hidden_effects.cases_of", lambda *_: [short(cases_of("none", 1)[0])]
+    )
     out = tmp_path / "found.json"
     arguments = ["--suite", "none", "--cases", "1", "--processes", "1", "--out", str(out)]
     assert safedpa.run(["experiment", "hidden-effects", *arguments, "--json"]) == 0

@@ -77,7 +77,7 @@ def test_two_roads_meet(logs, key):
     floor = error(logs[f"{plain}/nothing"], {})
     reported, untold = error(log, log.case.effects), error(log, {})
     # the library rounds dry friction off near rest, the simulator does not: a difference of one slow row at each stop
-    # and a command that changes within a period counts by its mean, which a quick wheel at its limit tells apart
+    # and a command that changes within a period counts by its mean, which a quick wheel at its limit distinguishes
     near = 2.5 if key in WITHIN else 2.2 if set(log.case.effects) & DRY else 1.5
     assert (reported.per_state * reported.scale < near * floor.per_state * floor.scale).all()
     assert untold.value > 1.3 * reported.value

@@ -13,7 +13,7 @@ from safedpa_lab.pendulum.difficulty import Episodes
 from safedpa_lab.pendulum.invariance import largest_wind, least_reserve, reserve
 from safedpa_lab.pendulum.recovery import fitted_wind, recovery, swung_all_around
 from safedpa_lab.pendulum.rollouts import blown, physics_in_any_wind
-from safedpa_sim.pendulum.policy_task import CorridorShelter, starts_beneath
+from safedpa_sim.pendulum.policy_task import CorridorFilter, starts_beneath
 from safedpa_sim.pendulum.task import (
     AHEAD,
     BALANCING,
@@ -55,13 +55,13 @@ def test_the_filter_that_knows_the_wind_keeps_every_state(angle, ahead, directio
     state = inside(edges, angle, ahead)
     wind = WIND * np.array([np.cos(direction), np.sin(direction)])
     item = SafetyFilter.for_model(physics_in_any_wind(), filter_settings(EPSILON), [corridor(edges)])
-    h_now = corridor(edges).values(state).min()
+    h_now = corridor(edges).h(state).min()
     assert h_now > -1e-14
     for nominal in (-TORQUE, TORQUE):
         verdict = item.decide(state, [nominal], wind)
         assert verdict.status.value in (("passed", "corrected") if h_now >= 0.0 else ("violated",))
         following = blown(state[None], verdict.action[None], wind[None])[0]
-        assert corridor(edges).values(following).min() >= -1e-4
+        assert corridor(edges).h(following).min() >= -1e-4
         assert edges[0] - 1e-9 <= following[0] <= edges[1] + 1e-9
 
 
@@ -121,7 +121,7 @@ def test_the_shelter_keeps_the_corridor(angle: float, ahead: float, torque: floa
     def after(bound: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy(blown(state.numpy(), bound.numpy(), wind))
 
-    retained = CorridorShelter(1, BALANCING).decide(after, state, torch.tensor([[torque]], dtype=torch.float64))
+    retained = CorridorFilter(1, BALANCING).decide(after, state, torch.tensor([[torque]], dtype=torch.float64))
     following = after(retained)[0]
     room = BALANCING[1] - abs(float(following[0] + AHEAD * following[1]))
     assert room >= 0.5 * (BALANCING[1] - abs(ahead)) - 1e-3

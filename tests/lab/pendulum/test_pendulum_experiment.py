@@ -25,17 +25,22 @@ from safedpa.safety import MarginCalibration
 from safedpa.safety.batch.barriers import CompiledBatchBarriers
 from safedpa.safety.batch.filter import BatchFilter
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments import pendulum_payload
-from safedpa_lab.experiments.advantages import advantages
-from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.pendulum import PendulumExperiment, pendulum_experiment
-from safedpa_lab.experiments.pendulum_episodes import DEVELOPMENT, Choice, Work, accounts, best_penalty
-from safedpa_lab.experiments.pendulum_payload import PayloadCases, diagnosed_payload
-from safedpa_lab.experiments.pendulum_report import markdown_of, write_report
-from safedpa_lab.experiments.pendulum_story import PendulumStory, pendulum_story
-from safedpa_lab.experiments.pendulum_story_report import story_markdown
-from safedpa_lab.experiments.seeds import SEEDS
-from safedpa_lab.experiments.statistics import wilson_interval
+from safedpa_lab.experiments.common.seeds import SEEDS
+from safedpa_lab.experiments.common.statistics import advantages, wilson_interval
+from safedpa_lab.experiments.common.workers import Workers
+from safedpa_lab.experiments.pendulum import story as pendulum_payload
+from safedpa_lab.experiments.pendulum.episodes import DEVELOPMENT, Choice, Work, accounts, best_penalty
+from safedpa_lab.experiments.pendulum.experiment import PendulumExperiment, pendulum_experiment
+from safedpa_lab.experiments.pendulum.report import markdown_of
+from safedpa_lab.experiments.pendulum.story import (
+    PayloadCases,
+    PendulumStory,
+    diagnosed_payload,
+    pendulum_story,
+    story_markdown,
+)
+from safedpa_lab.experiments.report import write_report
+from safedpa_lab.experiments.table import EXPERIMENTS
 from safedpa_lab.pendulum.balancing import balanced, balanced_account, sensors_of
 from safedpa_lab.pendulum.crossing import crossed, crossed_account
 from safedpa_lab.pendulum.difficulty import AXES, Difficulty, Episodes
@@ -65,7 +70,7 @@ def test_with_a_margin_that_is_not_its_own_a_fixed_wind_fails() -> None:
 
 @dataclass
 class Small:
-    """The whole experiment, run once: what came of it, how far it said that it was, and the seeds that it drew from."""
+    """The whole experiment, run once: its result, the progress that it reported, and the seeds that it drew from."""
 
     reported: list[tuple[int, int]] = field(default_factory=list)
     calibrated: set[int] = field(default_factory=set)
@@ -101,11 +106,11 @@ def small() -> Small:
             return best_penalty(choice)
 
     with pytest.MonkeyPatch.context() as patch, Workers(1) as workers:
-        patch.setattr("safedpa_lab.experiments.pendulum.measured_margins", margins)
+        patch.setattr("safedpa_lab.experiments.pendulum.experiment.measured_margins", margins)
         account = each_once(workers)
-        for module in ("pendulum", "pendulum_sweeps"):
-            patch.setattr(f"safedpa_lab.experiments.{module}.accounts", lambda work, _: map(account, work))
-            patch.setattr(f"safedpa_lab.experiments.{module}.best_penalty", penalty)
+        for module in ("experiment", "sweeps"):
+            patch.setattr(f"safedpa_lab.experiments.pendulum.{module}.accounts", lambda work, _: map(account, work))
+            patch.setattr(f"safedpa_lab.experiments.pendulum.{module}.best_penalty", penalty)
         found.result = pendulum_experiment(asked, lambda done, every: found.reported.append((done, every)))
     return found
 
@@ -244,7 +249,7 @@ def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
     whole = (8 + 15) + (7 + 8) + 7 + (7 + 4)  # with own margins, with the same one, and both questions of the sweeps
     assert reported == [(done + 1, whole) for done in range(whole)]
     assert "| SafeDPA | " in markdown_of(result)
-    write_report(result, tmp_path)
+    write_report(EXPERIMENTS["pendulum"], result, {"out": tmp_path})
     written = json.loads((tmp_path / "pendulum.json").read_text())
     assert written["tables"]["own"]["hazard"]["safedpa"]["both"] == 4
     assert all(row["safe"] == 4 for name, row in written["tables"]["own"]["balancing"].items() if name != "unfiltered")

@@ -12,14 +12,16 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.seeding import np_random
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments import point, point_episodes, point_learning, point_relinearised
-from safedpa_lab.experiments.point import PointExperiment, point_experiment
-from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
-from safedpa_lab.experiments.point_learning import PointLearning
-from safedpa_lab.experiments.point_learning_report import driven_table
-from safedpa_lab.experiments.point_report import against_table, short_table
-from safedpa_lab.experiments.seeds import SEEDS
-from safedpa_lab.experiments.statistics import ratio_interval, wilson_interval
+from safedpa_lab.experiments.common.seeds import SEEDS
+from safedpa_lab.experiments.common.statistics import ratio_interval, wilson_interval
+from safedpa_lab.experiments.point import episodes as point_episodes
+from safedpa_lab.experiments.point import experiment as point
+from safedpa_lab.experiments.point import learning as point_learning
+from safedpa_lab.experiments.point import relinearised as point_relinearised
+from safedpa_lab.experiments.point.episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
+from safedpa_lab.experiments.point.experiment import PointExperiment, point_experiment
+from safedpa_lab.experiments.point.learning import PointLearning, driven_table
+from safedpa_lab.experiments.point.report import against_table, short_table
 from safedpa_lab.point import drivers, margin
 from safedpa_lab.point.driven import Driven, PolicyDriver, driven, windy_task
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
@@ -437,6 +439,7 @@ def test_a_filter_with_the_wrong_wind_needs_more_room(monkeypatch: pytest.Monkey
         assert all(seed in SEEDS["calibration"] for seed in row["seeds"])
 
 
+@pytest.mark.long
 def test_errors_are_what_was_predicted_less_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the truth known the steering's lag alone is left; without the wind the filter is off by more."""
     monkeypatch.setattr(margin, "COVERAGE", 0.6)

@@ -13,13 +13,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of, load_weights
 from safedpa.records.writers.tables import write_columns
-from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
-from safedpa_lab.experiments.point_story import PointStory, point_story, point_story_markdown
+from safedpa_lab.experiments.point.heat_map import heat_map_markdown, write_figure
+from safedpa_lab.experiments.point.story import PointStory, point_story, point_story_markdown
 from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action
 from safedpa_lab.point.driven import driven, windy_task
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
@@ -32,20 +32,20 @@ from safedpa_lab.point.sensed_belief import sensed_weights
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.weights import weights_named
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.belief import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
 from safedpa_sim.point.filtering import PointFilter, minimum_barrier
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.observation import entries_seen
-from safedpa_sim.point.policy_task import PointPractice
-from safedpa_sim.point.sensed import ENTRIES, GROUPS, decode_state, decoding_slopes, sensed, without_goal
+from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel, to_task_action
+from safedpa_sim.point.policy_task import PointEnvironment
+from safedpa_sim.point.sensor_state import ENTRIES, GROUPS, decode_state, decoding_jacobian, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.phases.sensed_state import draw_sensed
 from safedpa_sim.training.pipeline import run_pipeline
-from safedpa_sim.training.sensed_training import draw_sensed
-from safedpa_sim.training.simulator import BatchedCars
 
 FORCE = 0.008
 
@@ -81,7 +81,7 @@ def test_a_point_robot_turned_elsewhere_moves_alike(seed: int, angle: float) -> 
 
 
 def test_the_body_in_training_is_nearly_the_model_that_people_read() -> None:
-    cars = BatchedCars(load_configuration("point"))
+    cars = BatchedSimulator(load_configuration("point"))
     generator = cars.generator(0)
     environment, state, action = (
         draw(500, generator) for draw in (cars.draw_environments, cars.draw_states, cars.draw_actions)
@@ -101,7 +101,7 @@ def test_the_true_belief_predicts_what_the_simulator_does() -> None:
     action = np.c_[random.uniform(-1, 1, 60), random.uniform(-0.6, 0.6, 60)]
     done = action * ACTION_SCALE
     following, _ = after_one_period(state, done, done[:, 1], simulation.force.T / simulation.body.mass)
-    reported = SimulatedPointModel(simulation).believed(state, np.zeros((60, 0))).next_state(action)
+    reported = SimulatedPointModel(simulation).predict(state, np.zeros((60, 0))).next_state(action)
     assert np.abs(reported - following).max() < 2e-3
 
 
@@ -109,19 +109,19 @@ def test_models_and_networks_show_at_the_probes_how_the_robot_moves() -> None:
     random, state = np.random.default_rng(2), _states(30, 1)
     simulation = PointSimulation(30)
     simulation.force[:] = random.uniform(-0.005, 0.005, (2, 30))
-    true = SimulatedPointModel(simulation).believed(state, np.zeros((30, 0)))
+    true = SimulatedPointModel(simulation).predict(state, np.zeros((30, 0)))
     weights = weights_named("learned")
     latent = LearnedNetworks(weights).encode(simulation.force.T / simulation.body.mass)
-    learned = LearnedBelief(weights).believed(state, latent)
+    learned = LearnedBelief(weights).predict(state, latent)
     assert np.abs(learned.motion.wind - true.motion.wind).max() < 0.1
     assert np.abs(learned.motion.strongest - true.motion.strongest).max() < 0.1
     assert np.abs(learned.motion.drag - true.motion.drag).max() < 0.15
     action = random.uniform(-1, 1, (30, 2))
     assert np.abs(learned.next_state(action) - true.next_state(action)).max() < 8e-3
-    plain = ModelBelief(load_model("point")).believed(state, np.zeros((30, 0)))
+    plain = ModelBelief(load_model("point")).predict(state, np.zeros((30, 0)))
     assert plain.motion.wind == pytest.approx([0.0, 0.0], abs=1e-9)
     assert plain.motion.strongest == pytest.approx(0.015 / 0.005189, rel=1e-3)
-    alone = LearnedBelief(weights_named("fix_135")).believed(state, np.zeros((30, 0)))
+    alone = LearnedBelief(weights_named("fix_135")).predict(state, np.zeros((30, 0)))
     assert alone.motion.wind == pytest.approx([-1.089, 1.089], abs=0.1)
 
 
@@ -164,7 +164,7 @@ def test_recovery_takes_the_action_that_leaves_most_room() -> None:
     simulation = PointSimulation(8)
     state = _states(8, 5)
     hazards = state[:, np.newaxis, :2] + np.array([[[0.12, 0.02], [2.0, 2.0]]])
-    believed = SimulatedPointModel(simulation).believed(state, np.zeros((8, 0)))
+    believed = SimulatedPointModel(simulation).predict(state, np.zeros((8, 0)))
     chosen = PointFilter(0.0).decide(state, np.ones((8, 2)), hazards, believed)
     reached = minimum_barrier(believed.next_state(chosen.action), hazards, believed.motion)
     lost = chosen.relaxed
@@ -210,7 +210,7 @@ def test_the_heat_map_of_safedpa_is_that_of_the_simulator(small_map: dict[str, A
 @pytest.mark.long
 def test_a_heat_map_is_drawn(small_map: dict[str, Any], tmp_path: Path) -> None:
     result = {"date": "today", **small_map}
-    write_heat_map(result, tmp_path)
+    write_figure(result, tmp_path)
     assert (tmp_path / "point_heat_map.png").stat().st_size > 10_000
     assert heat_map_markdown(result).count("\n| ") == 7
 
@@ -262,8 +262,8 @@ def test_robots_that_practise_behind_the_stand_in_never_enter_a_hazard() -> None
     configuration = load_configuration("point_small")
     weights = weights_named("learned")
     contacts = []
-    for sheltered in (True, False):
-        robots = PointPractice(configuration, weights, 24, 0, sheltered=sheltered, calm=True)
+    for with_filter in (True, False):
+        robots = PointEnvironment(configuration, weights, 24, 0, with_filter=with_filter, calm=True)
         chosen, began = np.tile(np.array([1.0, 0.1], np.float32), (24, 1)), 0
         for _ in range(80):
             moved = robots.advance(chosen)
@@ -274,7 +274,7 @@ def test_robots_that_practise_behind_the_stand_in_never_enter_a_hazard() -> None
 
 def test_the_latent_in_view_is_that_of_the_wind() -> None:
     weights = weights_named("learned")
-    robots = PointPractice(load_configuration("point_small"), weights, 5, 1)
+    robots = PointEnvironment(load_configuration("point_small"), weights, 5, 1)
     wind = robots.task.simulation.force.T / robots.task.simulation.body.mass
     assert robots.latent == pytest.approx(LearnedNetworks(weights).encode(wind), abs=1e-5)
     assert robots.observation().shape == (5, entries_seen(2))
@@ -341,7 +341,7 @@ def test_decoding_what_is_sensed_gives_the_state_back() -> None:
 def test_slopes_of_the_decoding_are_its_differences() -> None:
     simulation, control, goal = _robots(50, 2)
     seen = sensed(simulation, control, goal) + 0.02 * np.random.default_rng(3).normal(size=(50, len(ENTRIES)))
-    slopes, nudge = decoding_slopes(seen), 1e-6
+    slopes, nudge = decoding_jacobian(seen), 1e-6
     assert slopes.shape == (50, 5, 15)
     for entry in range(len(ENTRIES)):
         step = nudge * np.eye(len(ENTRIES))[entry]
@@ -363,7 +363,7 @@ def test_the_sensed_state_is_what_the_benchmark_observes_without_its_lidar() -> 
 
 
 def test_pairs_are_steps_of_the_body_with_goals_all_over_the_field() -> None:
-    cars = BatchedCars(load_configuration("point_small"))
+    cars = BatchedSimulator(load_configuration("point_small"))
     environment, state, action, change = draw_sensed(cars, 4000, cars.generator(5))
     distance = state[:, 14].numpy()
     assert distance.min() >= 0.299

@@ -1,4 +1,4 @@
-"""A policy that goes on learning: counts by hand, who is told what, the same beginning without the filter, going on."""
+"""A policy that goes on learning: counts by hand, inputs of the policies, the same start without the filter."""
 
 import json
 from dataclasses import replace
@@ -11,10 +11,17 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments import point_learning as experiment
-from safedpa_lab.experiments.point_learning import MARGIN, PointLearning, point_learning
-from safedpa_lab.experiments.point_learning_report import driven_table, judged_table, per_thousand, smoothed
-from safedpa_lab.experiments.seeds import SEEDS
+from safedpa_lab.experiments.common.seeds import SEEDS
+from safedpa_lab.experiments.point import learning as experiment
+from safedpa_lab.experiments.point.learning import (
+    MARGIN,
+    PointLearning,
+    driven_table,
+    judged_table,
+    per_thousand,
+    point_learning,
+    smoothed,
+)
 from safedpa_lab.point import online_learning
 from safedpa_lab.point.baseline_set import baseline_named
 from safedpa_lab.point.baselines import policy_of
@@ -154,6 +161,7 @@ def test_each_episode_has_a_wind_of_full_force_towards_one_of_the_directions() -
     assert len(np.unique(np.round(steps) % 24)) == 24
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("start", "moves"), [("shipped", False), ("nothing", True)])
 def test_a_trained_policy_stays_as_it_is_while_its_critic_is_learned(start, moves, short, monkeypatch) -> None:
     retained: list[dict[str, NDArray[np.float32]]] = []

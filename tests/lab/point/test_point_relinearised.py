@@ -11,20 +11,25 @@ from click.testing import CliRunner
 
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, frame_of
-from safedpa_lab.experiments import relinearised_errors
-from safedpa_lab.experiments.point_relinearised import Relinearised
-from safedpa_lab.experiments.point_relinearised_report import car_table
-from safedpa_lab.experiments.relinearised_errors import CarWork, car_errors, thrust_configuration, train_networks
+from safedpa_lab.experiments.point import relinearised as relinearised_errors
+from safedpa_lab.experiments.point.relinearised import (
+    CarWork,
+    Relinearised,
+    car_errors,
+    car_table,
+    thrust_configuration,
+    train_networks,
+)
 from safedpa_lab.point.action_models import COMMANDS, SimulatedBody
 from safedpa_lab.point.free_model import FreeModel, load_free, save_free
 from safedpa_lab.point.free_training import free_hidden, train_free
 from safedpa_lab.point.relinearised_drives import NETWORKS, affine_weights, free_model, model_of, windy
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.belief import to_task_action
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import Transitions, draw_transitions
+from safedpa_sim.point.point_model import to_task_action
+from safedpa_sim.training.data.transitions import Transitions, draw_transitions
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
 SHIPPED = Path("no networks here")
 EVERYBODY = np.arange(6)
@@ -91,7 +96,7 @@ def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_doe
 
 @pytest.mark.long
 def test_about_a_saturated_nominal_action_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
-    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the nominal thrust
+    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, given the body itself: the nominal thrust
     has no slope, so that by what is affine no other thrust would help."""
     room = {}
     for about in ("nominal", "own"):
@@ -142,7 +147,7 @@ def test_errors_of_the_networks_are_roots_of_mean_squares_over_one_step(monkeypa
     """Compared with the networks themselves, over the same 300 steps of the training simulator."""
     drawn = []
 
-    def few(cars: BatchedCars, _: int, generator: torch.Generator) -> Transitions:
+    def few(cars: BatchedSimulator, _: int, generator: torch.Generator) -> Transitions:
         drawn.append(draw_transitions(cars, 300, generator))
         return drawn[-1]
 

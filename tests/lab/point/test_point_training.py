@@ -1,4 +1,4 @@
-"""Baselines' training: what policies are told, the constrained step, the multiplier, files that are left alone."""
+"""Baselines' training: inputs of the policies, the constrained step, the multiplier, files that are left alone."""
 
 import tempfile
 from pathlib import Path
@@ -14,7 +14,7 @@ from sb3_contrib import TRPO
 from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.point_baselines import markdown_of
+from safedpa_lab.experiments.point.baselines import markdown_of
 from safedpa_lab.point import baselines, constrained, fisher
 from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
 from safedpa_lab.point.baselines import algorithm_of, evaluate_policy
@@ -30,8 +30,8 @@ from safedpa_lab.point.vector_environment import PointEnvironment
 from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.body_steps import actions_of, controls_of
 from safedpa_sim.point.observation import policy_seen
+from safedpa_sim.point.route_planner import RoutePlanner
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import RoutePlanner
 
 
 def environment_of(plan: Plan) -> PointEnvironment:
@@ -120,6 +120,7 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(t
         baseline_named("none_still", tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [[], [30.0, 40.0]])
 @pytest.mark.parametrize("limit", [0.0, 36.0])
 def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(known, limit, monkeypatch) -> None:

@@ -1,4 +1,4 @@
-"""The table of tunings: its metrics and ratios by hand, errors over drives and logs, and a run in small."""
+"""The table of tunings: metrics and ratios checked by hand, errors over drives and logs, and a small run."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,29 +11,28 @@ import torch
 from safedpa.dynamics import load_model, shipped_models
 from safedpa.errors import InputError
 from safedpa.safety.margins.conformal import split_conformal_margin
-from safedpa_lab.experiments import tuning_real
-from safedpa_lab.experiments.tuning import CarTuning, car_tuning
-from safedpa_lab.experiments.tuning_errors import errors_of_drive, metrics_of, ratios_of
-from safedpa_lab.experiments.tuning_page import tuning_page
-from safedpa_lab.experiments.tuning_real import RealTuning, parts_of, real_tuning
-from safedpa_lab.experiments.tuning_retained import Retained, key_of
-from safedpa_sim.training.paper_tuning import lived_of
-from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
-from safedpa_sim.training.tuning_data import TuningDrive, record_circles
+from safedpa_lab.experiments.tuning import real_car as tuning_real
+from safedpa_lab.experiments.tuning.errors import errors_of_drive, metrics_of, ratios_of
+from safedpa_lab.experiments.tuning.experiment import CarTuning, car_tuning, tuning_page
+from safedpa_lab.experiments.tuning.models import Retained, key_of
+from safedpa_lab.experiments.tuning.real_car import RealTuning, parts_of, real_tuning
+from safedpa_lab.tuning.paper import sequence_of
+from safedpa_lab.tuning.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
+from safedpa_sim.training.data.recorded_runs import TuningDrive, record_circles
 
 WEIGHTS = load_model("car_simulated").base.weights
 
 
 def errors_at(predictor: AbstractPredictor, drive: TuningDrive, starts: list[int], steps: int) -> np.ndarray:
-    """Own-frame errors (starts, states) after so many steps."""
-    seen = predictor.seen(lived_of(predictor.networks, [drive]))
+    """Returns own-frame errors (starts, states) after some steps."""
+    seen = predictor.seen(sequence_of(predictor.networks, [drive]))
     with torch.no_grad():
         return open_loop_errors(predictor, seen, torch.tensor(starts), steps)[-1].double().numpy()
 
 
 @pytest.mark.long
 def test_errors_of_a_drive_are_added_up_over_its_starts() -> None:
-    """Of 100 transitions those from tick 60 on; over a second (20) every fifth that still fits."""
+    """Of 100 transitions those from tick 60 on count; over a horizon of 20 every fifth that still fits."""
     (run,), predictor = record_circles(100, 3, 100), NetworkPredictor(WEIGHTS)
     drive = TuningDrive(run.states, run.actions[:-1])
     found = errors_of_drive(predictor, drive)
@@ -69,8 +68,9 @@ def test_parts_of_drives_share_the_state_at_the_cut(share: float, cuts: tuple[in
         assert before.states[-1] == after.states[0] == len(before.actions)
 
 
+@pytest.mark.long
 def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_quarters(tmp_path, monkeypatch) -> None:
-    """Logs of 332 and 720 transitions; no training is looked at: each gives the weights that ship."""
+    """Logs of 332 and 720 transitions; trainings are faked and return the shipped weights."""
     logs = {name: record_circles(rows, rows, rows)[0] for name, rows in (("a" * 19, 332), ("b" * 19, 720))}
     drives = {name: TuningDrive(run.states, run.actions[:-1]) for name, run in logs.items()}
     for name in logs:
@@ -146,7 +146,7 @@ def test_a_kept_result_is_made_once_for_each_key(tmp_path):
     numbers = (np.arange(3.0), np.eye(2))
     again = [retained.arrays("drive", "a", lambda: numbers) for _ in range(2)][1]
     np.testing.assert_array_equal(again[1], numbers[1])
-    module = "safedpa_sim.training.paper_tuning"
+    module = "safedpa_lab.tuning.paper"
     assert key_of(module, 0) == key_of(module, 0)
     assert key_of(module, 0) != key_of(module, 1)
 

@@ -1,8 +1,8 @@
-"""What the processes say to each other: frozen, typed, stamped, in SI units and radians.
+"""The message types of the bus: frozen dataclasses with validated fields, in SI units and radians.
 
-Rules of evolution: a field is never renamed or given another meaning; a new field has a default; a field that is not
-needed any more stays. ``version`` counts up when a receiver must know the difference. Unknown fields are ignored, so
-that older programs read newer messages.
+Compatibility rules: a field is never renamed and never changes its meaning. A new field has a default, and an obsolete
+field stays. ``version`` is incremented when a receiver must be able to distinguish the two. Receivers ignore unknown
+fields, so that older programs can read newer messages.
 """
 
 from __future__ import annotations
@@ -32,123 +32,125 @@ __all__ = [
 ]
 
 LARGEST_NUMBER = 1e12
-"""No quantity of these robots comes near it, and with numbers below it no equation of a model overflows."""
+"""Largest magnitude that a received number may have."""
+# No measured quantity of these robots comes near 1e12, and squares and products of such numbers stay far below the
+# largest float (1.8e308): no model equation overflows on an accepted message.
 
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
-"""What is NaN, infinite or larger is refused on receipt."""
+"""A finite number; NaN, infinity and larger magnitudes are rejected on receipt."""
 Positive = Annotated[float, Meta(gt=0.0, le=LARGEST_NUMBER)]
-"""Refused on receipt when it is 0 or below."""
+"""A number above 0; anything else is rejected on receipt."""
 Vector = tuple[Number, ...]
 Rows = tuple[Vector, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """The stamp that every message carries."""
+    """The header fields that every message has."""
 
     version: Count = 2
     epoch: Count
-    """Redrawn by the robot at each of its starts, carried along by everything computed from its states."""
+    """Random number that the robot draws at each start. Everything computed from its states carries the same epoch."""
     tick: Count
-    """Counts the robot's periods from 0; the tick of the state from which this message was computed."""
+    """Control period of the robot, counted from 0: the tick of the state from which this message was computed."""
     robot_time: Number
-    """s since the robot's start, by the robot's clock."""
+    """Time since the robot started in s, by the robot's clock."""
     publish_time: Number
-    """s since 1970, by the sender's clock; for people and recordings, never for decisions."""
+    """Unix time of sending in s, by the sender's clock; for logs and recordings, not used for decisions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateMessage(Message):
-    """What the robot measures now, and what it perceives around it."""
+    """The measured state of a robot, and what it perceives around it."""
 
     values: Vector
     """(states,) in the order of the robot's system."""
     applied: Vector
-    """(actions,) the action in force over the period that ended now."""
+    """(actions,) action applied during the period that has just ended."""
     applied_by: str
-    """Who chose it: ``filter``, ``watchdog`` (the robot braked by itself) or ``none`` (first tick)."""
+    """Source of ``applied``: ``filter``, ``watchdog`` (the robot braked by itself) or ``none`` (first tick)."""
     period: Positive
-    """s between two ticks."""
+    """Control period in s."""
     lockstep: bool
-    """True when the robot waits for the action of this tick, however long it takes."""
+    """True if the robot waits for the action of this tick, however long that takes."""
     goal: Vector
-    """Car: (2,) m; pendulum: (1,) rad; empty without one."""
+    """Car: (2,) in m; pendulum: (1,) in rad; empty without a goal."""
     obstacles: Rows
-    """(obstacles, 3): x, y, radius in m."""
+    """(obstacles, 3): x, y and radius in m."""
     field: Vector
-    """(4,): lowest x, highest x, lowest y, highest y in m; empty of a robot that does not drive."""
+    """(4,): minimum x, maximum x, minimum y and maximum y in m; empty for a robot that does not drive."""
     footprint: Vector
-    """(3,): how far the body (and what it tows) reaches behind and ahead of the reference point along the heading, and
-    the radius around that line, in m; empty of a robot that does not drive."""
+    """(3,): how far the body, with any towed load, extends behind and ahead of the reference point along the heading,
+    and the radius around that segment, in m; empty for a robot that does not drive."""
     load_pose: Vector = ()
-    """(5,): x, y, yaw, length, width of a towed load, empty without one; for pictures only."""
+    """(5,): x, y, yaw, length and width of a towed load, for display only; empty without a load."""
     goals_reached: Count = 0
     collisions: Count = 0
-    """Contacts of body or load with an obstacle or the field's wall since the start, or times that the corridor was
-    left, each counted once."""
+    """Number of contacts of the body or load with an obstacle or the field boundary since the start, or number of
+    times that the corridor was left."""
     corridor: Vector = ()
-    """(2,) the angles between which the first entry of the state must stay, whose rate is the second; in rad, turns
-    counted. Empty of a robot without one."""
+    """(2,): minimum and maximum angle in rad for the first state, whose rate is the second state. The angle is not
+    wrapped. Empty for a robot without a corridor."""
     towed: Vector = ()
-    """(3,) of what hangs on a hitch at the footprint's rear end: the net ways driven backwards after which it begins to
-    leave the footprint, and after which it may stand at any angle, and how far it reaches from the hitch, in m. Empty
-    of a robot that tows nothing."""
+    """(3,) in m, for a load on a hitch at the rear end of the footprint: the net distance driven in reverse after which
+    the load begins to leave the footprint, the net distance after which it can have any angle, and its reach from the
+    hitch. Empty for a robot that tows nothing."""
     until_action: Number = 0.0
-    """s from the moment to which ``values`` belong until this tick's action is put in force, by the robot's own clock:
-    how old the measurement is, and the time from sense to act. The last command stays until then. 0: none, as in
-    lockstep, or not told."""
+    """Time in s from the measurement of ``values`` until this tick's action is applied, by the robot's clock: the age
+    of the measurement plus the sense-to-act latency. The previous action stays applied until then. 0: no delay (as in
+    lockstep), or not reported."""
     distance_reversed: Number = -1.0
-    """m that a robot with something ``towed`` was driven backwards, net of forwards, by its own odometry. -1: not told;
-    then the filter counts itself, and one that was restarted has to take what is towed for folded up."""
+    """Net distance in m that a robot with ``towed`` has driven in reverse, by its own odometry. -1: not reported; the
+    filter then integrates the distance itself, and after a restart has to assume that the load is fully folded."""
     sources: tuple[str, ...] = ()
-    """Names of the sensors that see its surroundings: each sends scans, ``obstacles`` is empty, and neither policy nor
-    filter looks at ``field`` as something solid. Empty: ``obstacles`` and ``field`` are what there is."""
+    """Names of the sensors that observe the surroundings. Each sends scans, ``obstacles`` is empty, and neither policy
+    nor filter treats the boundary of ``field`` as solid. Empty: ``obstacles`` and ``field`` describe everything."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanMessage(Message):
-    """One turn of a laser scanner, as it measured at ``robot_time``; ``tick`` is that of the last state before it."""
+    """One scan of a laser scanner, measured at ``robot_time``; ``tick`` is that of the last state before it."""
 
     source: str
     """Name of the sensor, one of the state's ``sources``."""
     mount: Vector
-    """(3,) where it sits in the frame of the body: x ahead of the reference point, y to its left in m, and the yaw in
-    rad of its own angle 0."""
+    """(3,) pose of the sensor in the body frame: x ahead of the reference point and y to its left in m, and the yaw of
+    the sensor's zero angle in rad."""
     first_angle: Number
-    """rad of the first ray, to the left of the sensor's own angle 0."""
+    """Angle of the first ray in rad, counter-clockwise from the sensor's zero angle."""
     angle_step: Number
-    """rad from one ray to the next; below 0 of a sensor that turns clockwise or is mounted upside down."""
+    """Angle between consecutive rays in rad; negative for a sensor that turns clockwise or is mounted upside down."""
     ranges: Vector
-    """(rays,) m. Below 0: the ray measured nothing that can be believed; ``farthest`` or more: nothing came back."""
+    """(rays,) in m. Negative: invalid measurement; ``farthest`` or more: no return."""
     nearest: Number
-    """m; what is nearer is not seen."""
+    """Minimum range in m; closer objects are not detected."""
     farthest: Number
-    """m; what is farther is not seen."""
+    """Maximum range in m; more distant objects are not detected."""
     number: Count
-    """Counts the scans of this sensor since the robot's start."""
+    """Sequence number of the sensor's scans since the robot started."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComputedMessage(Message):
-    """What a service computed in one step, and from what: so a recording can be replayed through the same code."""
+    """Header of a computed message: which step produced it, from which inputs, so that a recording can be replayed."""
 
     step: Count = 0
-    """Counts the service's steps for this robot since it met the robot, from 1; 0: not told. A number that is left out
-    in a recording is a message that was lost on the way to it."""
+    """Step number of the service for this robot, counted from 1 since the service first received its state; 0: not
+    reported. A missing number in a recording is a message that the recorder did not receive."""
     consumed: Rows = ()
-    """(inputs, 2): of each input besides the state, in the order in which the service names them, the age in ticks of
-    what was used and its publish time. A stale one has the age alone and 0; the age is -1 where there never was one."""
+    """(inputs, 2): age in ticks and publish time of each input besides the state, in the service's order of inputs. A
+    stale input has its age and a publish time of 0; an input that never arrived has age -1."""
     skipped: Vector = ()
-    """Ticks since the last step whose states the service took up, but did not step: a newer one came first."""
+    """Ticks since the last step whose states the service prepared but did not step, because a newer state arrived."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatentMessage(ComputedMessage):
-    """The adaptation's estimate of the model's free parameters."""
+    """The adaptation's estimate of the model's latent parameters."""
 
     model: str
-    """Fingerprint of the model to whose latent this belongs."""
+    """Fingerprint of the model to which the latent belongs."""
     values: Vector
     """(latents,)."""
     deviations: Vector
@@ -157,52 +159,52 @@ class LatentMessage(ComputedMessage):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurroundingsMessage(ComputedMessage):
-    """What the sensors of a robot know of what is around it, moved to the moment of the tick's state.
+    """What a robot's sensors know of its surroundings, propagated to the time of the tick's state.
 
-    All in the frame of the state's position. Discs hold what is there for certain: noise, the room between two rays and
-    the way since it was seen are within their radii.
+    Coordinates are in the frame of the state's position. The radii include measurement noise, the gap between two rays
+    and the motion since the measurement, so that each object lies inside its disc.
     """
 
     points: Rows
-    """(points, 3): x, y, radius in m of discs that cover what is at rest; nearest first."""
+    """(points, 3): x, y and radius in m of discs that cover stationary objects; nearest first."""
     movers: Rows
-    """(movers, 6): x, y, radius in m, velocity along x and y in m/s, and the speed in m/s that it may have in any
-    direction from now on; nearest first."""
+    """(movers, 6): x, y and radius in m, velocity in x and y in m/s, and the maximum speed in m/s that the object may
+    reach in any direction from now on; nearest first."""
     hidden: Rows
-    """(places, 4): x, y, radius in m of places that no one sees, where something may stand that moves, and the speed in
-    m/s that it may have."""
+    """(places, 4): x, y and radius in m of occluded areas that may contain a moving object, and the maximum speed of
+    that object in m/s."""
     ages: Vector
-    """(sources,) s since each of the state's sources measured what was heard of it last; -1: nothing was heard. Of one
-    that is switched off, the age of the oldest of the others: what is told rests on those."""
+    """(sources,) age in s of the newest measurement of each of the state's sources; -1: none was received. For a
+    source that is switched off: the largest age of the others, because the message relies on those."""
     problems: tuple[str, ...] = ()
-    """What is wrong with a source, a sentence each; while there is one, what is told here is not believed."""
+    """Problems with the sources, one sentence each. While there is one, receivers must not trust this message."""
     scans: Rows = ()
-    """(scans, 2): of each scan that was heard since the step before, in the order in which they came, which of the
-    state's sources it is from and its number."""
+    """(scans, 2): index of the source and sequence number of each scan received since the previous step, in order of
+    arrival."""
     off: tuple[str, ...] = ()
-    """Sources that are not listened to."""
+    """Sources that are switched off."""
     zones: tuple[str, ...] = ()
-    """Kind and name of each zone that a person marked and that counts, such as ``closed dock``."""
+    """Kind and name of each active zone marked by a person, such as ``closed dock``."""
     borders: Rows = ()
-    """(vertices, 3): which of the zones, x and y in m; of so many zones as have 512 vertices, for pictures only."""
+    """(vertices, 3): index of the zone, x and y in m, for display only; limited to 512 vertices."""
     ordered: str = ""
-    """What a person switched while perception runs, and who it was last; empty: all is as its file says."""
+    """What an operator has switched at run time, and who did so last; empty: everything is as configured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NominalMessage(ComputedMessage):
-    """What the policy would do."""
+    """The nominal action, proposed by the policy."""
 
     values: Vector
     """(actions,)."""
     controller: str
     model: str = ""
-    """Fingerprint of the model in force; empty: not told."""
+    """Fingerprint of the active model; empty: not reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionMessage(Message):
-    """What the robot shall do. Only the safety filter sends it."""
+    """The action that the robot applies. Only the safety filter sends it."""
 
     values: Vector
     """(actions,)."""
@@ -210,48 +212,51 @@ class ActionMessage(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerdictMessage(ComputedMessage):
-    """Why the action is what it is."""
+    """The safety filter's decision and the reason for it."""
 
     status: str
     sentence: str
-    """The status in words, with the reason."""
+    """The status as a sentence, with the reason."""
     action: Vector
     nominal: Vector
-    """Empty when there was none."""
+    """Empty without a nominal action."""
     slack: Number
-    """By how much the barrier condition had to be relaxed, in the barrier's unit; 0 when it holds."""
+    """Amount by which the barrier condition was relaxed, in the barrier's unit; 0 if the condition holds."""
     active: tuple[str, ...]
-    """Names of the barriers that bind."""
+    """Names of the active barrier constraints."""
     h_now: Number
     """Smallest barrier value at the measured state."""
     h_next: Number
     """Smallest barrier value that the model predicts for the next state under the action."""
     margin: Number
-    """epsilon by which the condition is tightened."""
+    """The margin epsilon by which the condition is tightened."""
     solver: str
     """Status of the QP solver."""
     microseconds: Number
-    """Time that the decision took."""
+    """Computation time of the decision in us."""
     predicted: Rows = ()
-    """(steps, states) predicted under the action held, one period apart; more than the next one not with every tick."""
+    """(steps, states) predicted with the action held constant, one period apart. Only some ticks have more than one
+    step."""
     coverage: Number = -1.0
-    """Share of the last 500 steps at most near a boundary after which the least barrier value of a kind lay not below
-    its prediction by more than the margin, the least of all kinds; -1: no such step was watched yet."""
+    """Empirical coverage of the margin over the last (at most 500) steps near a boundary: for each kind of barrier the
+    share of steps in which the smallest value was not below its prediction by more than the margin, and of these the
+    minimum over all kinds. -1: no such step yet."""
     promised: Number = -1.0
-    """Share that the margin was calibrated for; -1: not told."""
+    """Coverage for which the margin was calibrated; -1: not reported."""
     model: str = ""
-    """Fingerprint of the model in force; empty: not told."""
+    """Fingerprint of the active model; empty: not reported."""
     ordered: str = ""
-    """Why the robot was ordered to stop; empty: it may drive."""
+    """Reason of the stop order for this robot; empty: it may drive."""
     stationary_for: Number = 0.0
-    """s for which the robot has not moved though something is requested; 0: it moves, nothing is requested, or not told."""
+    """Time in s for which the robot has not moved although the nominal action asks for motion; 0: it moves, no motion
+    is requested, or not reported."""
     stationary_reason: str = ""
-    """Why it stands, once it has for more than 5 s; empty before."""
+    """Why the robot is stationary, once it has been for more than 5 s; empty before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HealthMessage(Message):
-    """A heartbeat, sent by the working loop itself: it proves progress, not only life."""
+    """A heartbeat. The working loop sends it itself, so it proves progress and not only that the process exists."""
 
     service: str
     pid: Count
@@ -260,134 +265,134 @@ class HealthMessage(Message):
     detail: str = ""
     steps: Count = 0
     stale: Count = 0
-    """Steps that ran without some input because it was missing or too old."""
+    """Number of steps that ran with a missing or stale input."""
     refused: Count = 0
-    """Messages that were refused as malformed, foreign or out of order."""
+    """Number of messages rejected as malformed, foreign or out of order."""
     step_microseconds: Number = 0.0
-    """Time of the last step."""
+    """Duration of the last step in us."""
     model: str = ""
-    """Fingerprint of the model in force for this robot; empty of a service without one."""
+    """Fingerprint of the active model for this robot; empty for a service without a model."""
     software: str = ""
-    """Version of safedpa that the service runs; empty: not told."""
+    """Version of safedpa that the service runs; empty: not reported."""
     acknowledged: Count = 0
-    """Recorder: messages that are known to be on disk."""
+    """Recorder: number of messages known to be on disk."""
     free_bytes: Count = 0
-    """Recorder: room left where it writes; 0: not told."""
+    """Recorder: free space in bytes where it writes; 0: not reported."""
     latencies: Vector = ()
-    """Robot: s from publishing a state to accepting its action, by its own clock, of each tick since the last heartbeat
-    (of the newest 100 at most)."""
+    """Robot: latency in s from publishing a state to accepting its action, by its own clock, for each tick since the
+    last heartbeat (the newest 100 at most)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingMessage(Message):
-    """What the watch over the model says: once a second of robot time, and whenever something changes."""
+    """The model monitor's result; sent once a second of robot time and on every change."""
 
     model: str
-    """Fingerprint of the model in force."""
+    """Fingerprint of the active model."""
     stage: str
-    """``learning`` (what the error usually is), ``watching``, ``raised`` (the error left its band), ``searching``,
-    ``candidates`` (effects to accept or reject) or ``nothing`` (the search found no effect that explains it)."""
+    """``learning`` (estimating the usual error), ``watching``, ``raised`` (the error left its band), ``searching``,
+    ``candidates`` (effects to accept or reject) or ``nothing`` (no effect found that explains the error)."""
     sentence: str
-    """The stage in words."""
+    """The stage as a sentence."""
     number: Count
-    """Findings since the start; 0 while there was none."""
+    """Number of findings since the start; 0: none yet."""
     error: Number
-    """Open-loop error over one second of the last stretch, scaled like a report's ``heldout_error``."""
+    """Open-loop prediction error over the last second, scaled like ``heldout_error`` in a report."""
     band: Number
-    """Upper edge of the error's calibrated band; 0 while learning."""
+    """Upper limit of the calibrated error band; 0 while learning."""
     evidence: Number
     """Natural logarithm of the sequential test's e-value."""
     threshold: Number
-    """log(1 / alpha): the finding is raised where the evidence reaches it."""
+    """log(1 / alpha): the finding is raised when the evidence reaches this value."""
     coverage: Number
-    """Share of the last steps whose error stayed within the margin."""
+    """Share of the last steps whose error was within the margin."""
     where: str
-    """Where the model fails, in words; empty while it does not."""
+    """Description of the region where the model fails; empty while it does not."""
     report: str = ""
-    """report.json of the search as text; empty unless the stage is ``candidates`` or ``nothing``."""
+    """Text of the search's report.json; empty unless the stage is ``candidates`` or ``nothing``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelMessage(Message):
-    """One step of a change of the model that a robot's services use; stamped with the newest state's tick."""
+    """One step of a model change for the services of a robot; has the tick of the newest state."""
 
     step: str
-    """``offer`` (load and check it, keep the old one), ``take`` (use it from ``from_tick`` on) or ``drop`` (forget
+    """``offer`` (load and check it, keep the old one), ``take`` (use it from ``from_tick`` on) or ``drop`` (discard
     the offer)."""
     change: Count
-    """Counts up with every change that is offered."""
+    """Number of the change; incremented with every offer."""
     fingerprint: str
-    """Of the model offered."""
+    """Fingerprint of the offered model."""
     replaces: str
-    """Fingerprint of the model in force when it was offered."""
+    """Fingerprint of the model that was active when this one was offered."""
     document: str = ""
-    """With ``offer``: the model file's text."""
+    """With ``offer``: text of the model file."""
     margin: str = ""
-    """With ``offer``: the filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
+    """With ``offer``: the filter's margin for the model as JSON; empty: the margin shipped with this model, or none."""
     from_tick: Count = 0
-    """With ``take``: the first tick, of this message's epoch, at which everyone uses it."""
+    """With ``take``: the first tick of this message's epoch at which all services use the model."""
     who: str = ""
-    """Who asked for it."""
+    """Who requested the change."""
     why: str = ""
-    """What was asked for; with ``drop``: why nothing came of it."""
+    """What was requested; with ``drop``: why the change was abandoned."""
     data: str = ""
-    """Which stretch of which run it was learned from."""
+    """Run and time range from which the model was learned."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TakeoverMessage(Message):
-    """A service's answer to an offered model, stamped with the tick at which it came about."""
+    """A service's answer to a step of a model change, with the tick at which it took effect."""
 
     service: str
-    """Who answers."""
+    """The answering service."""
     change: Count
-    """Number of the change that it answers."""
+    """Number of the change."""
     fingerprint: str
-    """Of the model that the answer is about."""
+    """Fingerprint of the model that the answer is about."""
     state: str
-    """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
+    """``ready`` (loaded and checked), ``taken`` (in use from this message's tick on) or ``refused``."""
     reason: str = ""
     """Why it was refused."""
     expected_effect: str = ""
-    """With ``ready``: what the change will do, such as to the filter's margin; empty: nothing to be told."""
+    """With ``ready``: the expected effect of the change, such as on the filter's margin; empty: none to report."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetupMessage(Message):
-    """With what a process runs: said at its start and every five seconds, byte for byte the same."""
+    """The configuration of a process; sent at its start and every five seconds, always with identical bytes."""
 
     service: str
     instance: str
-    """Redrawn at each start of the process."""
+    """Random identifier, drawn at each start of the process."""
     pid: Count
     software: str
-    """Versions of safedpa and of what its numbers depend on, as JSON text."""
+    """Versions of safedpa and of the packages that affect its numerical results, as JSON."""
     options: str
-    """The command line's options, as JSON text."""
+    """Command line options as JSON."""
     fingerprint: str = ""
-    """Of the model with which it begins; empty of a process without one."""
+    """Fingerprint of the initial model; empty for a process without a model."""
     document: str = ""
-    """That model's file. Weights of networks are named in it, with their digest."""
+    """Text of that model's file. It refers to network weights by file name and digest."""
     settings: str = ""
-    """Safety filter: its settings, as TOML text."""
+    """Safety filter: its settings as TOML."""
     margin: str = ""
-    """Safety filter: the margin for that model, as JSON text; empty: none was calibrated."""
+    """Safety filter: the margin for that model as JSON; empty: none was calibrated."""
     controller: str = ""
-    """Policy: the name of its controller; empty: the one that the model allows."""
+    """Policy: name of its controller; empty: the one that the model allows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AskedMessage(Message):
-    """A request that the diagnosis was asked, and its answer, refused or not; ``status`` is left out."""
+    """A request to the diagnosis and its answer, whether granted or refused; ``status`` requests are left out."""
 
     do: str
-    """``accept``, ``reject`` or ``roll_back``; empty of what was no request."""
+    """``accept``, ``reject`` or ``roll_back``; empty if the payload was not a request."""
     ok: bool
     sentence: str
-    """What is done, or why it is refused."""
+    """What will be done, or why the request was refused."""
     effect: str = ""
     model: str = ""
-    """Fingerprint of the model that the asker saw in force."""
+    """Fingerprint of the model that was active for the requester."""
     finding: Count = 0
     who: str = ""
     change: Count = 0

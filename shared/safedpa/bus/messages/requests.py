@@ -1,4 +1,7 @@
-"""What a person, a page or a service asks of the diagnosis, and what it answers; carried by queries, not by topics."""
+"""Requests to services and their answers, sent as queries instead of topics.
+
+People, web pages and services send requests to the diagnosis, the safety filter and perception.
+"""
 
 from __future__ import annotations
 
@@ -22,92 +25,98 @@ __all__ = [
     "robot_of_request",
 ]
 
+# Each kind of request has a key of its own, because the router grants access by key and cannot look into a payload.
 REQUEST = "request"
-"""Last part of the key under which the diagnosis is asked to change a model, or about it."""
+"""Last part of the key for requests to the diagnosis that may change a model."""
 STATUS = "status"
-"""The same, but only ``status`` may be asked: the services of the loop may ask what is, and change nothing."""
+"""Last part of the key for ``status`` requests to the diagnosis; services may send these, but change nothing."""
 ORDER = "order"
-"""The same of the safety filter, which is told to stop robots or to let them drive: ``stop``, ``go`` or ``status``."""
+"""Last part of the key for orders to the safety filter: ``stop``, ``go`` or ``status``."""
 SENSE = "sense"
-"""The same of perception, which is told to switch sources and zones: ``switch`` or ``status``."""
+"""Last part of the key for requests to perception, which switch sources and zones: ``switch`` or ``status``."""
 AGREED = "agreed"
-"""Last part of the key under which services tell each other what they agreed on, while no diagnosis is there."""
+"""Last part of the key under which services ask each other for the agreed model while no diagnosis is running."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """A question to the diagnosis about one robot."""
+    """A request to a service about one robot."""
 
     do: str
-    """``accept``, ``reject``, ``roll_back`` or ``status``; of the safety filter ``stop``, ``go`` or ``status``; of
-    perception ``switch`` or ``status``."""
+    """To the diagnosis ``accept``, ``reject``, ``roll_back`` or ``status``; to the safety filter ``stop``, ``go`` or
+    ``status``; to perception ``switch`` or ``status``."""
     effect: str = ""
     """Name of the candidate to accept or reject."""
     model: str = ""
-    """Fingerprint of the model that the asker saw in force; a change is refused when it is not that one any more."""
+    """Fingerprint of the model that was active for the requester; a change is refused if another one is active now."""
     finding: Count = 0
-    """Number of the finding whose candidate it is."""
+    """Number of the finding that proposed the candidate."""
     who: str = ""
-    """Who asks, for the recording."""
+    """Name of the requester, for the recording."""
     switches: tuple[str, ...] = ()
-    """Of perception: ``source NAME=on``, ``zone NAME=off``; all of them or none."""
+    """To perception: ``source NAME=on``, ``zone NAME=off``; either all of them are switched or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What came of a request, and which model is in force."""
+    """Result of a request, and the model that is active for the robot."""
 
     ok: bool
     sentence: str
-    """What is done, or why it is refused."""
+    """What will be done, or why the request is refused."""
     change: Count = 0
-    """Number of the change that this is about, or of the last one."""
+    """Number of the change that this answer is about, or of the last one."""
     fingerprint: str = ""
-    """Of the model in force; empty when the robot is not known."""
+    """Fingerprint of the active model; empty if the robot is unknown."""
     document: str = ""
-    """To ``status``: file of the model in force."""
+    """To ``status``: text of the active model's file."""
     margin: str = ""
-    """To ``status``: the filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
+    """To ``status``: the filter's margin for it as JSON; empty: the margin shipped with this model, or none."""
     pending: str = ""
-    """``preparing``, ``offer`` or ``take`` while a change is under way, else empty."""
+    """``preparing``, ``offer`` or ``take`` while a change is pending, else empty."""
     pending_fingerprint: str = ""
-    """Of the model that is being offered or taken."""
+    """Fingerprint of the pending model."""
     pending_document: str = ""
-    """Its file."""
+    """Text of the pending model's file."""
     pending_margin: str = ""
-    """Its margin."""
+    """Margin of the pending model."""
     epoch: Count = 0
     """With a pending ``take``: the robot's epoch at the decision."""
     from_tick: Count = 0
-    """With a pending ``take``: the tick of that epoch from which the pending model is in force."""
+    """With a pending ``take``: the tick of that epoch from which the pending model is active."""
     finding: Count = 0
-    """Number of the newest finding; 0 while there was none."""
+    """Number of the newest finding; 0: none yet."""
     candidates: tuple[str, ...] = ()
     """Effects that can be accepted now, best first."""
     foreseen: tuple[str, ...] = ()
-    """To ``status``: what accepting each candidate would do to the filter's margin, in words; empty: not known yet."""
+    """To ``status``: the expected effect of accepting each candidate on the filter's margin; empty: not known yet."""
     earlier: Count = 0
-    """How many models there are to roll back to."""
+    """Number of earlier models to which one can roll back."""
 
 
 def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:
-    """The key expression ``safedpa/{fleet}/{robot}/request`` (or ``agreed``); ``*`` as robot: every one.
+    """Returns the key expression ``safedpa/{fleet}/{robot}/{name}``; ``*`` as robot matches every robot.
 
-    Raises InputError for names that the bus cannot carry.
+    Raises InputError for names that are not valid in a key.
     """
+    # Built from a topic's key so that the same rules for names apply.
     return key_of(fleet, robot, STATE).removesuffix(STATE.name) + name
 
 
 def robot_of_request(key: str) -> str:
-    """The robot that a request is about. Raises InputError when the key names none, or more than one."""
+    """Returns the robot that a request is about. Raises InputError unless the key names exactly one robot."""
     parts = key.split("/")
+    # A wildcard would let one query address every robot of the fleet.
     if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, SENSE, AGREED) or "*" in key:
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]
 
 
 def asked_message(request: Request | None, answer: Answer) -> AskedMessage:
-    """The message about a request, None where it was none. It belongs to no tick: its stamp has the time alone."""
+    """Returns the audit message about a request, or about a payload that was not a request (None).
+
+    It belongs to no tick; only its publish time is set.
+    """
     return AskedMessage(
         epoch=0,
         tick=0,

@@ -1,7 +1,4 @@
-"""What a process says of itself, for recordings: versions, options, and with what it computes.
-
-Which safedpa a process runs, for heartbeats.
-"""
+"""Description of the running process for recordings and heartbeats: versions and options."""
 
 from __future__ import annotations
 
@@ -24,15 +21,16 @@ __all__ = [
 ]
 
 SETUP_SECONDS = 5.0
-"""Between two tellings of the setup: anyone who joins late knows it soon."""
+"""Interval between setup messages: a recorder that is started later has the setup within this time."""
+# Packages whose versions affect numerical results.
 _DECIDING = ("safedpa", "numpy", "piqp", "pymunk")
-"""Packages on whose versions the numbers depend."""
 
 
 def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
-    """The setup of this process, with an instance redrawn; ``options`` are the command line's (None: not given)
+    """Returns the setup message of this process with a new random instance.
 
-    The fields about model, settings, margin and controller are empty; ``dataclasses.replace`` fills them.
+    ``options`` are those of the command line; None values are left out. The fields about model, settings, margin and
+    controller are empty; fill them with ``dataclasses.replace``.
     """
     reported = {name: _reported(value) for name, value in options.items() if value is not None}
     return SetupMessage(
@@ -49,7 +47,8 @@ def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
 
 
 def _reported(value: object) -> object:
-    """As JSON can say it: lists as such, since what was recorded is taken as options again."""
+    """Converts a value to JSON types."""
+    # Lists stay lists, because a replay passes the recorded options to the command line again.
     if isinstance(value, list | tuple):
         return [_reported(item) for item in value]
     return value if isinstance(value, str | int | float) else str(value)
@@ -60,14 +59,14 @@ def _software() -> dict[str, str]:
     for name in _DECIDING:
         try:
             found[name] = version(name)
-        except PackageNotFoundError:  # an image has only what its role needs
+        except PackageNotFoundError:  # a container image has only the packages that its service needs
             continue
     return found
 
 
 @cache
 def software_version() -> str:
-    """Of the installed package; empty where it runs without having been installed."""
+    """Returns the version of the installed package; empty if it is not installed."""
     try:
         return version("safedpa")
     except PackageNotFoundError:

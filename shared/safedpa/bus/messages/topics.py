@@ -1,6 +1,6 @@
-"""The one table of topics: key, message, writer, how old it may be, how it is delivered, whether it is recorded.
+"""The table of topics: key, message type, writer, maximum age and delivery of each.
 
-Code, staleness checks, recorder, dashboard and docs read this table; a test says that they agree.
+Services, recorder, dashboard, access control and the generated documentation all read this table.
 """
 
 from __future__ import annotations
@@ -52,36 +52,39 @@ __all__ = [
 Delivery = Literal["latest", "all"]
 
 BUNDLE = "+"
-"""Stands for the robot in the key of a bundle, which holds messages about many; no robot can have this name."""
+"""Placeholder for the robot in the key of a bundle, which contains messages about many robots; not a valid name."""
 
+# Limit for messages that contain a model file or the report of a search. They are sent a few times an hour.
 _DOCUMENT_BYTES = 4 * 1024 * 1024
-"""Reports of a search and model files travel in messages, a few times in an hour."""
 
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """One kind of message on the bus."""
+    """One topic of the bus."""
 
     name: str
     message: type[Message]
     writer: str
     """The only service that may send it; ``*``: every service under its own name."""
     delivery: Delivery
-    """``latest``: a newer one replaces an unread one (commands); ``all``: nothing is dropped (audit)."""
+    """``latest``: a newer message replaces an unread one (commands); ``all``: no message is dropped (audit)."""
     largest_age_ticks: int
-    """A consumer treats it as stale when it is older than this many ticks of the robot."""
+    """Consumers treat the message as stale if it is older than this many ticks of the robot."""
     largest_bytes: int = 65536
-    """A message of a few hundred bytes that is larger than this is refused before it is parsed."""
+    """Larger messages are rejected before they are parsed. Typical messages have a few hundred bytes."""
 
     bundles: bool = False
-    """Whether several messages of it, about different robots, may travel as one."""
+    """Whether messages about different robots may be sent as one bundle."""
 
     @property
     def per_service(self) -> bool:
-        """Whether every service writes it under its own name, which then stands at the end of the key."""
+        """Whether every service writes it under its own name, which is then the last part of the key."""
         return self.writer == "*"
 
 
+# Topics of the control loop have a maximum age of 0 ticks: a decision uses the inputs of its own tick, or treats them
+# as stale. Scans, heartbeats and findings are not tied to a tick; 40 ticks are 2 s at 20 Hz.
+# "latest" for what is useless once a newer one exists; "all" for what must appear in a recording.
 STATE = Topic("state", StateMessage, "robot", "latest", 0, bundles=True)
 SCAN = Topic("scan", ScanMessage, "robot", "all", 40)
 SURROUNDINGS = Topic("surroundings", SurroundingsMessage, "perception", "latest", 0)
@@ -118,14 +121,16 @@ TOPICS: dict[str, Topic] = {
 
 
 LONGEST_NAME = 128
-"""Letters of a fleet's, a robot's or a service's name."""
+"""Maximum length of the name of a fleet, robot or service."""
 
 
+# Every published message needs its key. The limit keeps memory bounded when names come from the network; 1000 robots
+# on 8 topics fit.
 @lru_cache(maxsize=8192)
 def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
-    """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health and takeover.
+    """Returns the key ``safedpa/{fleet}/{robot}/{topic}``, followed by ``/{service}`` for topics of every service.
 
-    ``*`` as robot or service means every one. Raises InputError for names that the bus cannot carry.
+    ``*`` as robot or service matches all of them. Raises InputError for names that are not valid in a key.
     """
     names = (fleet, robot, service) if topic.per_service else (fleet, robot)
     for name in names:
@@ -136,23 +141,26 @@ def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
 
 
 def _check_name(name: str) -> None:
+    # Zenoh gives these characters a meaning in key expressions and selectors; keys that begin with @ are its own
+    # administration space.
     if not name or set(name) & set("/*$#?") or name.startswith("@"):
         raise InputError(
-            f"name '{readable(name)}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'"
+            f"name '{readable(name)}': it is empty or contains one of / * $ # ? @; use letters, digits, '-', '_' or '.'"
         )
+    # Names end up in logs, file names and on terminals, where a control character could hide or fake text.
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise InputError(
-            f"name '{readable(name)}': got a character that is not printed, or more than {LONGEST_NAME}; wanted "
-            "letters, digits, '-', '_' or '.'"
+            f"name '{readable(name)}': it has an unprintable character or more than {LONGEST_NAME} characters; "
+            "use letters, digits, '-', '_' or '.'"
         )
 
 
 @lru_cache(maxsize=8192)
 def topic_of(key: str) -> tuple[str, str, Topic]:
-    """(fleet, robot, topic) of a key under which a message was sent.
+    """Returns (fleet, robot, topic) of the key of a received message.
 
-    Raises InputError when the key is not one of this project's, or names more than one robot: anyone who sends under a
-    wildcard speaks for no one, and what comes under a bundle's key and is none, neither.
+    Raises InputError if the key does not belong to this project or does not name exactly one robot: wildcards are
+    rejected, and so is a single message under the key of a bundle.
     """
     parts = key.split("/")
     if len(parts) not in (4, 5) or parts[0] != "safedpa":
@@ -162,10 +170,10 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
     topic = TOPICS[parts[3]]
     if (len(parts) == 5) is not topic.per_service:
         raise InputError(
-            f"key '{readable(key)}': wanted {'a service' if topic.per_service else 'nothing'} behind '{topic.name}'"
+            f"key '{readable(key)}': wanted {'a service' if topic.per_service else 'nothing'} after '{topic.name}'"
         )
     for name in (parts[1], parts[2], *parts[4:]):
         _check_name(name)
     if parts[2] == BUNDLE:
-        raise InputError(f"key '{readable(key)}': got no bundle of messages there, wanted one")
+        raise InputError(f"key '{readable(key)}': wanted a bundle of messages")
     return parts[1], parts[2], topic

@@ -1,4 +1,4 @@
-"""What is not as it should be in a fleet, in words, and whether it is trouble or only worth a look."""
+"""Alerts: sentences about problems in a fleet, with a level."""
 
 from __future__ import annotations
 
@@ -10,73 +10,77 @@ from safedpa.bus.monitor.fleet_state import FleetOverview, RobotOverview, Servic
 
 __all__ = ["Alert", "fleet_alerts", "robot_alerts"]
 
+# Services send four heartbeats a second, the recorder two: three or more are missing.
 _SILENT_SECONDS = 1.5
-"""Heartbeats come four times a second, the recorder's twice."""
+# Share of late ticks from which an alert is trouble: one in a hundred, 0.2 per second at 20 Hz.
 _LATE_SHARE = 0.01
+# Deficit from the promised coverage that counts: five standard deviations. Over 500 steps at 99 %, one is 0.4 %.
 _MISSED_COVERAGE = 0.02
-"""Less coverage than promised by so much: of 500 steps at 99 % chance alone brings 0.4 % (one standard deviation)."""
+# With fewer steps the measured coverage is too uncertain.
 _WATCHED_STEPS = 500
-"""Before so many steps the share says little."""
-_LITTLE_ROOM_BYTES = 1 << 30
+_LOW_DISK_BYTES = 1 << 30
 _LOOP = ("adaptation", "policy", "safety_filter")
 
 
 @dataclass(frozen=True, slots=True)
 class Alert:
-    """One thing that is not as it should be."""
+    """One problem."""
 
     level: Literal["trouble", "attention"]
-    """``trouble``: not healthy; ``attention``: a person may want to look."""
+    """``trouble``: not healthy; ``attention``: worth a look."""
     sentence: str
     robot: str = ""
     service: str = ""
     kind: str = ""
-    """What concerns of several robots have in common, where their numbers differ."""
+    """Groups equal alerts of several robots whose sentences differ only in a number; empty: grouped by sentence."""
     size: float = 0.0
-    """How bad it is among those of its kind."""
+    """Severity among the alerts of one kind."""
 
 
 def robot_alerts(robot: RobotOverview, now: float) -> list[Alert]:
-    """Everything about one robot at the time ``now`` [s], trouble first."""
+    """Returns all alerts about one robot at time ``now`` [s], trouble first."""
     own = robot.health.get("robot")
+    # The last heartbeat of a robot that was shut down properly: its silence is not trouble.
     if own is not None and own[0].state == "braked" and robot.silent_for(now) > 0.5:
-        return [Alert("attention", "ended in order", robot.name)]
+        return [Alert("attention", "was shut down", robot.name)]
     found = [*_about_driving(robot, now), *_about_services(robot, now), *_about_model(robot)]
-    return sorted(found, key=lambda concern: concern.level != "trouble")
+    return sorted(found, key=lambda alert: alert.level != "trouble")
 
 
 def fleet_alerts(fleet: FleetOverview) -> list[Alert]:
-    """Everything about the fleet and each of its robots now, trouble first."""
+    """Returns all alerts about the fleet and its robots now, trouble first."""
     now = fleet.clock()
-    found = [concern for robot in fleet.robots.values() for concern in robot_alerts(robot, now)]
-    found += [concern for service in fleet.services.values() for concern in _about_process(service, now, fleet)]
+    found = [alert for robot in fleet.robots.values() for alert in robot_alerts(robot, now)]
+    found += [alert for service in fleet.services.values() for alert in _about_process(service, now, fleet)]
     if fleet.robot not in ("*", *fleet.robots):
-        found.append(Alert("trouble", "is not heard", fleet.robot))
+        found.append(Alert("trouble", "sends nothing", fleet.robot))
     if not any(service.name == "recorder" for service in fleet.services.values()):
-        found.append(Alert("attention", "no one records", service="recorder"))
+        found.append(Alert("attention", "no recorder is running", service="recorder"))
+    # Different versions may read each other's messages, but not decide identically: a mistake after an update.
     versions = sorted({known.health.software for known in fleet.services.values() if known.health.software})
     if len(versions) > 1:
         found.append(Alert("attention", f"processes of different versions: {', '.join(versions)}"))
-    return sorted(found, key=lambda concern: (concern.level != "trouble", concern.robot))
+    return sorted(found, key=lambda alert: (alert.level != "trouble", alert.robot))
 
 
 def _about_driving(robot: RobotOverview, now: float) -> Iterator[Alert]:
     state, verdict, name = robot.state, robot.verdict, robot.name
-    patience = _SILENT_SECONDS if state is None else max(_SILENT_SECONDS, 5.0 * state.period)
-    if robot.silent_for(now) > patience:
+    timeout = _SILENT_SECONDS if state is None else max(_SILENT_SECONDS, 5.0 * state.period)
+    # Everything else would follow from the silence and hide it.
+    if robot.silent_for(now) > timeout:
         sentence = f"silent for {robot.silent_for(now):.0f} s"
         yield Alert("trouble", sentence, name, kind="silent", size=robot.silent_for(now))
         return
-    if state is None or now - robot.state_at > patience:
-        yield Alert("trouble", "alive, but it tells no state", name)
-    if verdict is None or now - robot.verdict_at > patience:
-        yield Alert("trouble", "no verdict: no one filters", name, "safety_filter")
+    if state is None or now - robot.state_at > timeout:
+        yield Alert("trouble", "alive, but sends no state", name)
+    if verdict is None or now - robot.verdict_at > timeout:
+        yield Alert("trouble", "no verdict: the robot has no safety filter", name, "safety_filter")
     else:
         yield from _about_verdict(robot, now)
     late = robot.recent_ticks.share("watchdog", now)
     if late > 0.0:
         level: Literal["trouble", "attention"] = "trouble" if late > _LATE_SHARE else "attention"
-        sentence = f"{100.0 * late:.1f} % of the last ticks were late: the robot braked by itself"
+        sentence = f"{100.0 * late:.1f} % of the last ticks were late: the robot's watchdog braked"
         yield Alert(level, sentence, name, kind="late", size=late)
     if state is not None and state.collisions:
         sentence = f"{state.collisions} collision{'s' if state.collisions > 1 else ''}"
@@ -101,10 +105,11 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Alert]:
         if robot.seen.ordered:
             yield Alert("attention", f"switched: {robot.seen.ordered}", name, "perception")
     if verdict.stationary_reason:
-        sentence = f"stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}"
-        yield Alert("attention", sentence, name, "safety_filter", "stands", verdict.stationary_for)
+        sentence = f"stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}"
+        yield Alert("attention", sentence, name, "safety_filter", "stationary", verdict.stationary_for)
     for status in ("fallback", "violated", "relaxed"):
         share = robot.recent_verdicts.share(status, now)
+        # During a fallback, which is reported above, the shares only repeat it.
         if share > 0.0 and verdict.status != "fallback":
             sentence = f"{100.0 * share:.1f} % of the last verdicts {status}"
             yield Alert("attention", sentence, name, "safety_filter", status, share)
@@ -127,7 +132,7 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
     models = {service: robot.health[service][0].model for service in _LOOP if service in robot.health}
     if len({model for model in models.values() if model}) > 1:
         reported = ", ".join(f"{service} {model}" for service, model in models.items())
-        yield Alert("trouble", f"not all use one model: {reported}", robot.name)
+        yield Alert("trouble", f"services use different models: {reported}", robot.name)
 
 
 def _about_model(robot: RobotOverview) -> Iterator[Alert]:
@@ -137,14 +142,16 @@ def _about_model(robot: RobotOverview) -> Iterator[Alert]:
 
 
 def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Alert]:
+    # Services of the loop are reported per robot, in `_about_services`.
     name, health, reported = service.name, service.health, service.name not in _LOOP
     if service.age(now) > _SILENT_SECONDS:
         if reported and not fleet.replaced(service):
+            # A drive without a recording cannot be examined later; other processes are often stopped on purpose.
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
             yield Alert(level, f"{name}: silent for {service.age(now):.0f} s", service=name)
     elif reported and service.failing:
         yield Alert("trouble", f"{name}: failing, {service.detail}", service=name)
-    elif name == "recorder" and 0 < health.free_bytes < _LITTLE_ROOM_BYTES:
+    elif name == "recorder" and 0 < health.free_bytes < _LOW_DISK_BYTES:
         yield Alert("attention", f"recorder: {health.free_bytes / 1e6:.0f} MB of disk left", service=name)
     elif name == "router" and service.refused:
-        yield Alert("attention", f"router: {service.refused} refused or denied", service=name)
+        yield Alert("attention", f"router: {service.refused} messages refused or denied", service=name)

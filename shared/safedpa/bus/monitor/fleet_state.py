@@ -1,10 +1,7 @@
-"""The whole fleet as one listener knows it: robots by name, processes by service and number.
+"""The state of a fleet as a listener on the bus knows it: robots by name, processes by service and pid.
 
-Counts over the last seconds, in memory that does not grow with the rate.
-
-What is known of one robot of a fleet from what is said on the bus.
-
-What is known of one process of a fleet from its heartbeats.
+``FleetOverview`` listens to the bus and holds a ``RobotOverview`` per robot and a ``ServiceOverview`` per process.
+``SlidingCounter`` counts events over the last seconds in bounded memory.
 """
 
 from __future__ import annotations
@@ -35,12 +32,13 @@ __all__ = [
 ]
 
 RECENT_SECONDS = 10.0
-"""s; shares and rates are told over so long: long enough for a share of a percent, short enough to be the present."""
+"""Window of shares and rates in s: long enough to resolve a percent at 20 Hz, short enough to show the present."""
+# Width of a counter's slices. A counter holds 20 of them, however many events there are.
 _SLICE_SECONDS = 0.5
 
 
 class SlidingCounter:
-    """How often each kind of thing happened within the last ``seconds``, kept in slices of half a second."""
+    """Counts events by kind over the last ``seconds``, with a resolution of half a second."""
 
     def __init__(self, seconds: float = RECENT_SECONDS) -> None:
         self._seconds = seconds
@@ -48,7 +46,7 @@ class SlidingCounter:
         self._first: float | None = None
 
     def add(self, kind: str, at: float) -> None:
-        """One more of ``kind`` at the time ``at`` [s], which does not run backwards."""
+        """Counts one event of ``kind`` at time ``at`` [s], which must not decrease."""
         if self._first is None:
             self._first = at
         begin = at - at % _SLICE_SECONDS
@@ -58,7 +56,7 @@ class SlidingCounter:
         self._drop(at)
 
     def counts(self, now: float) -> Counter[str]:
-        """The counts by kind within the last seconds before ``now`` [s]."""
+        """Returns the counts by kind within the window before ``now`` [s]."""
         self._drop(now)
         total: Counter[str] = Counter()
         for _, counted in self._slices:
@@ -66,12 +64,13 @@ class SlidingCounter:
         return total
 
     def share(self, kind: str, now: float) -> float:
-        """count(kind) / count(all); 0 while nothing was counted."""
+        """Returns count(kind) / count(all); 0 without events."""
         counted = self.counts(now)
         return counted[kind] / counted.total() if counted else 0.0
 
     def rate(self, now: float) -> float:
-        """Everything counted over the time in which it was, in 1/s; 0 while that is shorter than a slice."""
+        """Returns the rate of all events in 1/s; 0 until the first slice is over."""
+        # The window begins with the first event, so that the rate is right from the start.
         counted = self.counts(now).total()
         span = min(self._seconds, now - self._first) if self._first is not None else 0.0
         return counted / span if span >= _SLICE_SECONDS else 0.0
@@ -81,50 +80,50 @@ class SlidingCounter:
             self._slices.popleft()
 
 
+# 20 s at 20 Hz.
 _RETAINED_LATENCIES = 400
-"""20 s at 20 Hz."""
 
 
 @dataclass
 class RobotOverview:
-    """Newest messages, counts since this listener heard the robot first, shares over the last ten seconds."""
+    """One robot: newest messages, counts since its first message, and counts over the last ten seconds."""
 
     name: str
     since: float
-    """s; when it was heard first."""
+    """Time [s] of the first message."""
     state: StateMessage | None = None
     state_at: float = 0.0
     verdict: VerdictMessage | None = None
     verdict_at: float = 0.0
     finding: FindingMessage | None = None
     seen: SurroundingsMessage | None = None
-    """What its sensors see; None of a robot without any."""
+    """What its sensors perceive; None for a robot without sensors."""
     health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
-    """By service: the newest heartbeat about this robot, and when it came."""
+    """By service: the newest heartbeat about this robot, and its time of arrival [s]."""
     verdicts: Counter[str] = field(default_factory=Counter)
     """Verdicts by status."""
     ticks: int = 0
     late_ticks: int = 0
-    """Ticks before which the robot's watchdog acted because no action had arrived in time."""
+    """Ticks in which the robot's watchdog acted because no action arrived in time."""
     recent_verdicts: SlidingCounter = field(default_factory=SlidingCounter)
     recent_ticks: SlidingCounter = field(default_factory=SlidingCounter)
-    """Kinds: who chose the action that was in force (``filter``, ``watchdog``, ``none``)."""
+    """Kinds: the source of the applied action (``filter``, ``watchdog``, ``none``)."""
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_RETAINED_LATENCIES))
-    """s from publishing a state to accepting its action, as the robot measured it, newest last."""
+    """Latencies in s from publishing a state to accepting its action, measured by the robot, newest last."""
     new_latencies: list[float] = field(default_factory=list)
-    """The same since someone emptied the list; for histograms."""
+    """The same since a reader last emptied the list; for histograms."""
 
     def heard_at(self) -> float:
-        """s; when anything came last that the robot itself said."""
+        """Returns the time [s] of the last message from the robot itself."""
         own = self.health.get("robot")
         return max(self.state_at, own[1] if own else 0.0, self.since)
 
     def silent_for(self, now: float) -> float:
-        """Seconds since the robot said anything."""
+        """Returns the time in s since the last message from the robot itself."""
         return max(0.0, now - self.heard_at())
 
     def hear(self, message: Message, at: float) -> None:
-        """Takes one message about this robot that came at the time ``at`` [s]; repetitions count once."""
+        """Handles one message about this robot that arrived at time ``at`` [s]; repetitions count once."""
         if isinstance(message, StateMessage):
             self._hear_state(message, at)
         elif isinstance(message, VerdictMessage):
@@ -139,6 +138,7 @@ class RobotOverview:
             self.seen = message
 
     def _hear_state(self, message: StateMessage, at: float) -> None:
+        # A robot repeats its state while it waits for an action; a repetition is not another tick.
         known = self.state
         if known is not None and (known.epoch, known.tick) == (message.epoch, message.tick):
             return
@@ -156,14 +156,14 @@ class RobotOverview:
         self.recent_verdicts.add(message.status, at)
 
     def sources(self) -> dict[str, float | None]:
-        """s since each of its sources measured what was looked at last, by its clock; None: nothing was."""
+        """Returns the age in s of the newest measurement of each source; None: no measurement arrived."""
         names = () if self.state is None else self.state.sources
         ages = () if self.seen is None else self.seen.ages
         reported = dict(zip(names, ages, strict=False))
         return {name: reported[name] if reported.get(name, -1.0) >= 0.0 else None for name in names}
 
     def latency(self, share: float) -> float | None:
-        """The ``share``-quantile of the kept latencies [s]: the smallest one that so many do not exceed."""
+        """Returns the ``share`` quantile of the retained latencies [s]; None without any."""
         ordered = sorted(self.latencies)
         return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else None
 
@@ -173,16 +173,16 @@ _SAMPLE_SECONDS = 0.25
 
 @dataclass
 class ServiceOverview:
-    """One process, by service and process number. It sends one heartbeat for each robot, which counts that robot's."""
+    """One process of a service. It sends a separate heartbeat, with separate counts, about each robot."""
 
     name: str
     pid: int
     health: HealthMessage
-    """The newest heartbeat, about whichever robot."""
+    """The newest heartbeat about any robot."""
     at: float
-    """s; when it came."""
+    """Time of its arrival [s]."""
     retained: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
-    """By robot (``-``: none): the newest heartbeat about it, and when it came."""
+    """By robot (``-``: none): the newest heartbeat about it, and its time of arrival [s]."""
 
     def __post_init__(self) -> None:
         self._gone_steps = self._gone_stale = self._seen_steps = 0
@@ -190,46 +190,48 @@ class ServiceOverview:
 
     @property
     def robots(self) -> list[str]:
-        """Those that it serves."""
+        """Names of the robots that the process serves."""
         return [name for name in self.retained if name != "-"]
 
     @property
     def steps(self) -> int:
-        """Of all robots together; never falls while the process lives."""
+        """Steps for all robots; never decreases while the process lives."""
         return self._gone_steps + sum(message.steps for message, _ in self.retained.values())
 
     @property
     def stale(self) -> int:
-        """Steps without some input, of all robots together; never falls while the process lives."""
+        """Steps with a missing input for all robots; never decreases while the process lives."""
         return self._gone_stale + sum(message.stale for message, _ in self.retained.values())
 
     @property
     def refused(self) -> int:
-        """Refused messages: the most that it tells of one robot, those of no one included; at least so many."""
+        """Lower bound of the number of rejected messages: the maximum over the robots."""
+        # Each heartbeat includes the messages that belong to no robot, so a sum would count those several times.
         return max((message.refused for message, _ in self.retained.values()), default=0)
 
     @property
     def failing(self) -> HealthMessage | None:
-        """A heartbeat that tells of a failure; None while there is none."""
+        """A heartbeat that reports a failure; None without one."""
         return next((message for message, _ in self.retained.values() if message.state == "failing"), None)
 
     @property
     def state(self) -> str:
-        """``failing`` when it is so for one of its robots, else what the newest heartbeat says."""
+        """``failing`` if that is so for one of its robots, else the state in the newest heartbeat."""
         return "failing" if self.failing else self.health.state
 
     @property
     def detail(self) -> str:
-        """What the failure, or the newest heartbeat, says."""
+        """Detail of the failure, or of the newest heartbeat."""
         return (self.failing or self.health).detail
 
     def hear(self, robot: str, message: HealthMessage, at: float) -> None:
-        """Takes one heartbeat; one that was overtaken by a newer one is left out."""
+        """Handles one heartbeat; ignores one that arrives after a newer one."""
         before = self.retained.get(robot)
+        # Heartbeats may arrive out of order: a bundle and a single message travel under different keys.
         if before is not None and message.publish_time < before[0].publish_time:
             return
         if before is not None and (message.steps < before[0].steps or message.stale < before[0].stale):
-            self._remember(before[0])  # the robot began again, and with it the counts
+            self._remember(before[0])  # the robot restarted, and its counts started at 0 again
         elif before is not None:
             self._seen_steps += message.steps - before[0].steps
         self.retained[robot] = (message, at)
@@ -240,7 +242,7 @@ class ServiceOverview:
             self._samples.popleft()
 
     def forget(self, oldest: float) -> None:
-        """Leaves out robots of which it told nothing since ``oldest`` [s]; what was counted for them stays."""
+        """Drops robots without a heartbeat since ``oldest`` [s]; their counts remain in the totals."""
         for robot in [name for name, (_, at) in self.retained.items() if at < oldest]:
             self._remember(self.retained.pop(robot)[0])
 
@@ -249,39 +251,40 @@ class ServiceOverview:
         self._gone_stale += message.stale
 
     def age(self, now: float) -> float:
-        """Seconds since the newest heartbeat."""
+        """Returns the time in s since the newest heartbeat."""
         return max(0.0, now - self.at)
 
     def steps_per_second(self) -> float:
-        """Of all robots together over the last seconds; 0 while there is only one heartbeat."""
+        """Returns the rate of steps for all robots over the last seconds; 0 with a single heartbeat."""
         (begin, first), (end, last) = self._samples[0], self._samples[-1]
         return (last - first) / (end - begin) if end > begin else 0.0
 
 
+# A robot or process that was silent for this long has left; until then its silence is an alert.
 _FORGET_SECONDS = 300.0
-"""What was silent for so long has left; until then its silence is told."""
+# A service without a heartbeat about a robot for this long no longer serves it.
 _LEFT_SECONDS = 5.0
-"""A service that tells nothing of a robot for so long does not serve it any more."""
 _NO_ROBOT = "-"
 _SILENT_SECONDS = 1.5
 
 
 @dataclass
 class FleetOverview:
-    """Listens to a fleet from now on; ``listen`` must be called often. It holds at most one entry a robot."""
+    """Listens to a fleet and holds one entry per robot and process. Call ``listen`` often."""
 
     bus: Bus
     robot: str = "*"
     clock: Callable[[], float] = time.monotonic
     robots: dict[str, RobotOverview] = field(default_factory=dict)
     services: dict[tuple[str, int], ServiceOverview] = field(default_factory=dict)
-    """By service and process number."""
+    """By service and pid."""
     refused: int = 0
-    """What arrived and was no message of this project."""
+    """Number of rejected messages."""
 
     def __post_init__(self) -> None:
         topics = (STATE, VERDICT, HEALTH, FINDING, SURROUNDINGS)
         self._inbox = self.bus.inbox(topics, self.robot, keep_all=True, clock=self.clock)
+        # Processes that serve no robot send their heartbeats under "-", which a subscription to one robot excludes.
         self._fleet_wide = None
         if self.robot != "*":
             self._fleet_wide = self.bus.inbox((HEALTH,), _NO_ROBOT, keep_all=True, clock=self.clock)
@@ -289,19 +292,21 @@ class FleetOverview:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing at all was heard so far."""
+        """Whether no message has arrived yet."""
         return not self.robots and not self.services
 
     def replaced(self, service: ServiceOverview) -> bool:
-        """Whether a process fell silent and another one of the same service was heard since."""
+        """Whether a process is silent and another one of the same service has sent a heartbeat since."""
         others = [known for known in self.services.values() if known.name == service.name and known.at > service.at]
         return service.age(self.clock()) > _SILENT_SECONDS and bool(others)
 
     def listen(self, wait: float) -> None:
-        """Takes in what arrived, after ``wait`` [s] at most; not woken by every message."""
+        """Waits for ``wait`` [s], then handles all messages that arrived."""
         end = self.clock() + wait
+        # Sleep instead of waiting for messages, which would wake this process for each one and take CPU time from the
+        # control loop.
         while (rest := end - self.clock()) > 0.0:
-            time.sleep(min(rest, 0.05))  # the loop has the processor first
+            time.sleep(min(rest, 0.05))
         for inbox in (self._inbox, self._fleet_wide):
             for item in inbox.take(0.0) if inbox is not None else ():
                 if isinstance(item, ReceivedMessage):
@@ -311,7 +316,7 @@ class FleetOverview:
         self._forget()
 
     def hear(self, item: ReceivedMessage) -> None:
-        """Takes one message."""
+        """Handles one message."""
         message = item.message
         if isinstance(message, HealthMessage) and message.service != "robot":
             self._hear_service(item.robot, message, item.at)

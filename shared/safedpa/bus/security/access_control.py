@@ -1,8 +1,8 @@
-"""Who may do what on the bus: one table of roles, and from it and the table of topics the router's access control.
+"""Access control of the bus: the table of roles, and the router's configuration derived from it.
 
-A role is the common name of a certificate. Who may put under a topic is that topic's writer, under the names of the
-fleet's own robots and no one else's; health and takeover are put under the own service name only. What no line
-allows is denied, in both directions: anyone who may not read a topic is sent nothing of it.
+A role is the common name of a certificate. Only the writer of a topic may publish it, and only for the fleet's own
+robots. Topics of every service may be published under the service's own name only. Everything else is denied, in both
+directions: the router does not send a topic to a client without the right to read it.
 """
 
 from __future__ import annotations
@@ -48,44 +48,46 @@ __all__ = [
 ]
 
 NO_ONE = "-"
-"""Stands for the robot in the keys of a service that serves the whole fleet."""
+"""Placeholder for the robot in the keys of a service that serves the whole fleet."""
 ROBOT = "robot"
 ROUTER = "router"
+# Hz per key. Robots tick at 500 Hz at most, in lockstep as fast as they are answered. Zenoh drops every message within
+# 1/4000 s of the previous one under its key. That may affect a legitimate message that a busy machine delayed by a
+# whole period and released together with the next one; the later of the two is lost then, and the robot brakes for one
+# more period. A lower rate would make this more likely.
 _MOST_RATE = 4000.0
-"""Hz under one key. Robots tick at 500 at most, in lockstep as fast as they are answered. Zenoh passes over whatever
-follows within a quarter of a millisecond, also an honest message that a busy machine held up for a whole period and let
-go together with the next one of its key: then the later of the two is lost, and its robot brakes for one period more.
-"""
-_MOST_BEATS = 100.0
-"""Hz of heartbeats under one key, of which there are four a second, and another when a state changes."""
+# Hz of heartbeats per key. There are four a second, and one at each change of state.
+_MOST_HEARTBEATS = 100.0
 _IN, _OUT = "ingress", "egress"
-_CARRIED = ("put", "query", "reply", "liveliness_token")
-_WANTED = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
-"""Together all but delete, which no one may."""
+# All message types of Zenoh's access control except "delete", which no role may send.
+_DATA = ("put", "query", "reply", "liveliness_token")
+_DECLARATIONS = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
 _EVERYTHING = tuple(TOPICS.values())
 
 
 @dataclass(frozen=True)
 class Role:
-    """What a kind of process does on the bus besides writing the topics whose writer it is."""
+    """Rights of a kind of process, besides publishing the topics that it writes."""
 
     name: str
     reads: tuple[Topic, ...]
-    """Topics; of every robot, but a robot those of its own alone."""
+    """Topics that it may read, of every robot; a robot reads only its own."""
     asks: tuple[str, ...] = ()
-    """Kinds of questions."""
+    """Kinds of requests that it may send."""
     answers: tuple[str, ...] = ()
+    """Kinds of requests that it answers."""
     lives: bool = True
-    """Whether it announces itself and sends heartbeats."""
+    """Whether it declares itself alive and sends heartbeats."""
     looks: bool = False
-    """Whether it may ask who lives."""
+    """Whether it may ask which processes are alive."""
     takes_over: bool = False
-    """Whether it holds models, which change while it runs."""
+    """Whether it has models, which may change while it runs."""
 
 
 ROLES: dict[str, Role] = {
     role.name: role
     for role in (
+        # A robot reads its own state to notice another robot under its name.
         Role(ROBOT, (STATE, ACTION, VERDICT), looks=True),
         Role("adaptation", (STATE, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
         Role("perception", (STATE, SCAN), answers=(SENSE,)),
@@ -101,41 +103,43 @@ ROLES: dict[str, Role] = {
         Role("recorder", _EVERYTHING),
         Role("metrics", _EVERYTHING),
         Role("dashboard", _EVERYTHING, looks=True),
+        # A web page may change models, but only the operator's certificate may stop robots or switch sensors.
         Role("workbench", _EVERYTHING, asks=(REQUEST, STATUS), looks=True),
         Role("operator", _EVERYTHING, asks=(REQUEST, STATUS, ORDER, SENSE), lives=False, looks=True),
         Role("healthcheck", (HEALTH,), lives=False, looks=True),
     )
 }
-"""Every role but the router's own; a robot reads its own topics alone."""
+"""Every role but the router's own, by name."""
 
 
 @dataclass(frozen=True)
 class _AccessRule:
-    """One kind of right of one role, as Zenoh names it: messages that may flow one way under keys."""
+    """A right of a role in Zenoh's terms: types of messages that may flow in one direction under some keys."""
 
     what: str
     messages: tuple[str, ...]
     flow: str
-    """``ingress``: what the router takes from it; ``egress``: what the router sends to it."""
+    """``ingress``: from the client to the router; ``egress``: from the router to the client."""
     keys: tuple[str, ...]
 
 
 def role_of_robot(name: str) -> str:
-    """Common name of a robot's certificate."""
+    """Returns the common name of a robot's certificate."""
     return f"{ROBOT}.{name}"
 
 
 def roles_of(robots: Iterable[str]) -> tuple[str, ...]:
-    """Every role of a fleet, the router's among them: whose certificates there are."""
+    """Returns all roles of a fleet including the router's: one certificate each."""
     return (*map(role_of_robot, robots), *(name for name in ROLES if name != ROBOT), ROUTER)
 
 
 def check_names(fleet: str, robots: tuple[str, ...]) -> None:
-    """Raises InputError unless these can be the names of one fleet and of different robots, each of one robot."""
+    """Raises InputError unless these are valid names of one fleet and of different robots."""
     for name in (fleet, *robots):
-        key_of(name, name, STATE)
+        key_of(name, name, STATE)  # raises for characters that are not valid in a key
+        # With such a name, the rules of one robot would match others.
         if name in ("*", NO_ONE, BUNDLE):
-            raise InputError(f"name '{name}': stands for every robot, none or many, wanted one")
+            raise InputError(f"name '{name}': it is a placeholder for several robots or none, wanted one robot")
     if len(set(robots)) < len(robots):
         raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
 
@@ -143,12 +147,12 @@ def check_names(fleet: str, robots: tuple[str, ...]) -> None:
 def access_control(
     fleet: str, robots: Iterable[str], links: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """Zenoh's ``access_control`` for the router of a fleet with these robots.
+    """Returns Zenoh's ``access_control`` for the router of a fleet with these robots.
 
-    ``links`` names further routers that may be linked to this one, by the common names of their certificates, each with
-    the robots of which it may bring messages; none: all. One that shows the same name as this one may bring all.
+    ``links`` has the routers that may be linked to this one: common name of the certificate, and the robots whose
+    messages it may forward (an empty tuple: all robots). A router with the same name as this one may forward all.
 
-    Raises InputError for names that the bus cannot carry, or a robot named twice.
+    Raises InputError for invalid names and for a robot named twice.
     """
     names = tuple(robots)
     check_names(fleet, names)
@@ -159,7 +163,7 @@ def access_control(
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [subject]})
     return {
-        "enabled": True,  # left out, everything is allowed, and Zenoh says nothing
+        "enabled": True,  # without this key, Zenoh 1.10 permits everything, without a warning
         "default_permission": "deny",
         "rules": [*rules, _rule(_EVERYBODY, _NOTHING)],
         "subjects": [
@@ -171,8 +175,9 @@ def access_control(
 
 
 _EVERYBODY = "everybody"
+# A rule for a key that does not exist, granted to every TLS client. Zenoh's log names the client of a denied message
+# only if at least one rule applies to that client.
 _NOTHING = _AccessRule("", ("query",), _IN, ("safedpa/-/-/nothing",))
-"""A right to nothing, since Zenoh does not name in its log those who have no rights at all."""
 
 
 def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_AccessRule]]]:
@@ -203,15 +208,17 @@ def _rule(name: str, right: _AccessRule) -> dict[str, Any]:
 
 
 def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) -> list[_AccessRule]:
-    """Of one role that writes for some robots and reads of one, or with ``*`` of all."""
+    """Returns the rights of a role that writes for some robots and reads of one robot, or with ``*`` of all."""
     puts = tuple(
         key_of(fleet, robot, topic, role.name)
         for topic in TOPICS.values()
         for robot in writes_for
         if may_write(role, topic, robot)
     )
+    # A Zenoh publisher sends nothing until it has learned of a subscriber, so a writer must see the declarations of its
+    # readers. Access control compares key expressions, and readers subscribe with wildcards.
     written = tuple(
-        key_of(fleet, "*", topic, "*")  # as readers subscribe to it: a publisher who hears of no reader sends nothing
+        key_of(fleet, "*", topic, "*")
         for topic in TOPICS.values()
         if any(may_write(role, topic, robot) for robot in writes_for)
     )
@@ -236,8 +243,10 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
 
 
 def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
-    """Whether a role writes a topic, of a robot or, with the robot ``-``, of a service for the whole fleet; with ``+``
-    about many robots in one message."""
+    """Whether a role writes a topic about a robot.
+
+    The robot ``-`` means a service of the whole fleet, ``+`` a bundle of messages about many robots.
+    """
     if robot == BUNDLE and not topic.bundles:
         return False
     if not topic.per_service:
@@ -250,31 +259,32 @@ def _alive(fleet: str, robot: str, service: str) -> str:
 
 
 def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule]:
-    """Another router of the same fleet has judged its own clients; no one deletes, not even it.
+    """Returns the rights of another router of the same fleet, which enforces the rights of its own clients.
 
-    Where it may bring messages of some robots only, it may still tell what its clients want to read and ask.
+    With ``robots`` it may forward the messages of these robots only, but still all declarations of its clients.
     """
     everything = (f"safedpa/{fleet}/**",)
     brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NO_ONE)) if robots else everything
     return [
-        _AccessRule("brings", _CARRIED, _IN, brings),
-        _AccessRule("wants", _WANTED, _IN, everything),
-        _AccessRule("takes away", (*_CARRIED, *_WANTED), _OUT, everything),
+        _AccessRule("brings", _DATA, _IN, brings),
+        _AccessRule("wants", _DECLARATIONS, _IN, everything),
+        _AccessRule("takes away", (*_DATA, *_DECLARATIONS), _OUT, everything),
     ]
 
 
 def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
-    """Zenoh's ``downsampling``: how often each member may put under one key; what comes faster goes no further.
+    """Returns Zenoh's ``downsampling``: the maximum rate of messages per client and key; the router drops the rest.
 
-    Of every tick's topics, of each robot and of bundles, and of heartbeats. Each member is counted for itself.
+    Applies to topics with one message per tick, for each robot and for bundles, and to heartbeats.
     """
     names = tuple(robots)
     ticking = [topic for topic in TOPICS.values() if topic.delivery == "latest" and not topic.per_service]
     rules = [{"key_expr": key_of(fleet, robot, topic), "freq": _MOST_RATE} for topic in ticking for robot in names]
     rules += [{"key_expr": key_of(fleet, BUNDLE, topic), "freq": _MOST_RATE} for topic in ticking if topic.bundles]
+    # Exact keys instead of wildcards: Zenoh counts per rule, so all robots under a wildcard would share one limit.
     lives = [role.name for role in ROLES.values() if role.lives] + [ROUTER]
     rules += [
-        {"key_expr": key_of(fleet, robot, HEALTH, service), "freq": _MOST_BEATS}
+        {"key_expr": key_of(fleet, robot, HEALTH, service), "freq": _MOST_HEARTBEATS}
         for robot in (*names, NO_ONE, BUNDLE)
         for service in lives
     ]
@@ -282,10 +292,7 @@ def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
 
 
 def size_limits(fleet: str) -> list[dict[str, Any]]:
-    """Zenoh's ``low_pass_filter``: what is larger than its topic allows goes no further than the router.
-
-    Zenoh counts what goes next to a message, too.
-    """
+    """Returns Zenoh's ``low_pass_filter``: the router drops messages above the size limit of their topic."""
     by_size: dict[int, list[str]] = {}
     for topic in TOPICS.values():
         by_size.setdefault(topic.largest_bytes, []).append(key_of(fleet, "*", topic, "*"))
@@ -295,7 +302,7 @@ def size_limits(fleet: str) -> list[dict[str, Any]]:
             "flows": [_IN],
             "messages": ["put"],
             "key_exprs": keys,
-            "size_limit": size + STAMP_BYTES,
+            "size_limit": size + STAMP_BYTES,  # Zenoh counts the attachment, too
         }
         for size, keys in by_size.items()
     ]

@@ -1,7 +1,7 @@
-"""A certificate authority of a fleet's own, in a folder: enough for development and for a closed network.
+"""A certificate authority for one fleet, stored in a folder; sufficient for development and closed networks.
 
-Keys are on the curve P-256 (a handshake costs little), certificates are signed with SHA-256. A certificate of a robot
-or a service may open connections; only a router's may also accept them, under the host names written into it.
+Keys are on the curve P-256, which makes handshakes fast; certificates are signed with SHA-256. With the certificate of
+a robot or service, a process may open connections. Only that of a router may also accept them, under its host names.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 __all__ = ["HOSTS", "Authority", "check_days"]
 
 HOSTS = ("localhost", "127.0.0.1", "::1", "router")
-"""Names under which a router may be reached unless others are given."""
+"""Default host names and addresses in a router's certificate."""
 _AUTHORITY_DAYS = 3650
 _LARGEST_DAYS = 3650
+# Certificates are valid from this long before they are made, because the clocks of robots differ.
 _SKEW = datetime.timedelta(minutes=5)
-"""Clocks of robots differ; a certificate is good from so long before it was made."""
 
 
 class Authority:
-    """The authority of one fleet, kept in ``folder``; made there if there is none.
+    """The certificate authority of one fleet in ``folder``; created there if it does not exist.
 
-    Raises InputError when the folder cannot be written, or holds the authority of another fleet.
+    Raises InputError if the folder is not writable or has the authority of another fleet.
     """
 
     def __init__(self, folder: Path, fleet: str) -> None:
@@ -47,17 +47,20 @@ class Authority:
             self._key, self._certificate = self._load()
 
     def issue(self, role: str, days: float, hosts: tuple[str, ...] = ()) -> Path:
-        """Writes ``ROLE.pem`` and ``ROLE.key.pem``, good for ``days``; with ``hosts`` it may accept connections there.
+        """Writes ``ROLE.pem`` and ``ROLE.key.pem``, valid for ``days``; returns the path of the certificate.
 
-        Returns the certificate's path. Raises InputError for a role that is no file name, or a foolish number of days.
+        With ``hosts``, the certificate may be used to accept connections under these names. Raises InputError for an
+        invalid role or number of days.
         """
         _check(role, days)
+        # Imported here and below: the package is an optional extra, and slow to import.
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
 
         key = _new_key()
         builder = _builder(_name(role, self.fleet), self._certificate.subject, key.public_key(), days)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        # Without SERVER_AUTH, a stolen key of a robot cannot be used to impersonate the router.
         builder = builder.add_extension(_usage(bool(hosts)), critical=False)
         if hosts:
             builder = builder.add_extension(x509.SubjectAlternativeName(_hosts(hosts)), critical=False)
@@ -67,10 +70,10 @@ class Authority:
         return path
 
     def sign(self, request: bytes, role: str, days: float) -> bytes:
-        """The certificate (PEM) of ``role`` for the key of a certificate signing request (PEM), good for ``days``.
+        """Returns a certificate (PEM) of ``role`` for the key in a certificate signing request (PEM).
 
-        The names in the request count for nothing: who asks, the caller knows. Raises InputError when it is no request,
-        is not signed with the key that it brings, or that key is none on P-256.
+        Ignores the names in the request; the caller has to know who sent it. Raises InputError if the request is
+        malformed, is not signed with its own key, or has a key that is not on P-256.
         """
         _check(role, days)
         from cryptography import x509
@@ -89,6 +92,7 @@ class Authority:
         key = _new_key()
         name = _name(f"{self.fleet} authority", self.fleet)
         builder = _builder(name, name, key.public_key(), _AUTHORITY_DAYS)
+        # path_length=0: it signs certificates of processes, but no further authorities.
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         _write_pair(self.folder / f"{AUTHORITY}.pem", builder.sign(key, hashes.SHA256()), key)
 
@@ -105,11 +109,12 @@ class Authority:
             raise InputError(f"{path}: no certificate and key of an authority; choose another folder") from error
         if not isinstance(key, EllipticCurvePrivateKey):
             raise InputError(f"{path}: got another kind of key, wanted one on P-256; choose another folder")
+        # Roles carry no fleet, so one authority for two fleets would let members of one into the other.
         fleet = _fleet_of(certificate)
         if fleet != self.fleet:
             raise InputError(
-                f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': anyone who belongs to one fleet "
-                "would belong to the other; choose another folder"
+                f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': members of one fleet would be "
+                "members of the other; choose another folder"
             )
         return key, certificate
 
@@ -121,13 +126,14 @@ def _fleet_of(certificate: x509.Certificate) -> str:
 
 
 def _check(role: str, days: float) -> None:
+    # The role becomes a file name; the authority's own name would overwrite its certificate.
     if not role or role == AUTHORITY or not all(letter.isalnum() or letter in "-_." for letter in role):
         raise InputError(f"role '{role}': wanted letters, digits, '-', '_' or '.', and not '{AUTHORITY}'")
     check_days(days)
 
 
 def check_days(days: float) -> None:
-    """Raises InputError for a foolish time [days] that a certificate shall be good."""
+    """Raises InputError unless a certificate may be valid for this time [days]."""
     if not 0.0 < days <= _LARGEST_DAYS:
         raise InputError(f"--days: got {days:g}, wanted more than 0 and at most {_LARGEST_DAYS}")
 
@@ -147,11 +153,12 @@ def _key_of(request: bytes) -> EllipticCurvePublicKey:
         asked = x509.load_pem_x509_csr(request)
         key = asked.public_key()
     except ValueError as error:
-        raise InputError(f"request: got {len(request)} bytes that are none; {wanted}") from error
+        raise InputError(f"request: got {len(request)} bytes that are not a request; {wanted}") from error
     if not isinstance(key, EllipticCurvePublicKey) or not isinstance(key.curve, SECP256R1):
         raise InputError(f"request: got another kind of key; {wanted}")
+    # The signature proves that the sender has the private key, and did not copy another one's public key.
     if not asked.is_signature_valid:
-        raise InputError(f"request: its signature does not fit its key; {wanted}")
+        raise InputError(f"request: its signature does not match its key; {wanted}")
     return key
 
 
@@ -200,7 +207,9 @@ def _hosts(hosts: tuple[str, ...]) -> list[x509.GeneralName]:
 
 
 def _write_pair(path: Path, certificate: x509.Certificate, key: EllipticCurvePrivateKey) -> None:
-    """The key first, and each file whole or not at all: a process may be reading them."""
+    """Writes the key, then the certificate."""
+    # Each file atomically, because a process may be reading them; the key first, so that a process that finds a new
+    # role's certificate also finds its key.
     from cryptography.hazmat.primitives import serialization
 
     private = key.private_bytes(
@@ -219,6 +228,8 @@ def _pem(certificate: x509.Certificate) -> bytes:
 def _write(path: Path, content: bytes, mode: int) -> None:
     new = path.with_name(f"{path.name}.new")
     new.unlink(missing_ok=True)
+    # Created with its final mode: chmod after writing would leave the key readable for a moment. O_EXCL does not follow
+    # a link that another user placed there.
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)

@@ -1,9 +1,9 @@
-"""Who a process is on a secured bus: a folder of certificates and a role in it.
+"""The credentials of a process on a secured bus: certificates in a folder, or in memory.
 
-The folder holds ``authority.pem`` (whom to believe), ``ROLE.pem`` and ``ROLE.key.pem``; the common name of a
-certificate is the role, and that of a robot is ``robot.NAME``. They are made by ``safedpa certificates``.
+The folder has ``authority.pem``, whose signature a process trusts, ``ROLE.pem`` and ``ROLE.key.pem``. The common name
+in a certificate is the role; that of a robot is ``robot.NAME``. ``safedpa certificates`` creates the files.
 
-Where no file should hold a key (``safedpa up --secure``) a process is handed a ``PemCredentials`` by a pipe instead.
+With ``safedpa up --secure`` no key is stored in a file. A process receives ``PemCredentials`` through a pipe instead.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ from safedpa.errors import BusError
 __all__ = ["AUTHORITY", "Certificates", "PemCredentials", "protect_process_memory"]
 
 AUTHORITY = "authority"
-_LONGEST_CARD = 1 << 16
-_PR_SET_DUMPABLE = 4
+# Bytes of credentials read from a pipe, as many as a pipe holds.
+_MOST_BYTES = 1 << 16
+_PR_SET_DUMPABLE = 4  # of <sys/prctl.h>
 
 
 @dataclass(frozen=True)
 class Certificates:
-    """The three files by which a process proves its role.
+    """The three files with which a process authenticates.
 
-    Raises BusError at construction when one of them is missing or cannot be read.
+    Raises BusError at construction if one of them is missing or unreadable.
     """
 
     folder: Path
@@ -39,40 +40,44 @@ class Certificates:
     def __post_init__(self) -> None:
         if not self.role:
             raise BusError(
-                f"--certificates {self.folder}: got no --role, wanted whose certificate to show, such as robot.r1"
+                f"--certificates {self.folder}: --role is missing, wanted the role of the certificate, such as robot.r1"
             )
+        # Checked here, because Zenoh's own error for an unreadable file does not name the file.
         for path in (self.authority, self.certificate, self.key):
             if not os.access(path, os.R_OK):
                 raise BusError(
-                    f"{path}: {'cannot be read by this user' if path.exists() else 'is not there'}; make it with "
-                    f"'safedpa certificates {self.folder}', and hand a process its own key alone"
+                    f"{path}: {'cannot be read by this user' if path.exists() else 'does not exist'}; create it with "
+                    f"'safedpa certificates {self.folder}', and give each process only its own key"
                 )
+        # A warning and no error: mounted volumes often show such modes and cannot be changed.
         if self.key.stat().st_mode & 0o007:
             log_event(
                 "bus.key_exposed",
-                f"{self.key}: every user of this machine can read or write it and pass for {self.role}; chmod 600 it",
+                f"{self.key}: every user of this machine can read or write this key and act as {self.role}; "
+                "use chmod 600",
                 level="warning",
                 service=self.role,
             )
 
     @property
     def authority(self) -> Path:
-        """The certificate that signed those of everybody whom this process believes."""
+        """Certificate of the authority whose signature this process trusts."""
         return self.folder / f"{AUTHORITY}.pem"
 
     @property
     def certificate(self) -> Path:
-        """This process's own."""
+        """This process's own certificate."""
         return self.folder / f"{self.role}.pem"
 
     @property
     def key(self) -> Path:
-        """Its private key."""
+        """The private key of the certificate."""
         return self.folder / f"{self.role}.key.pem"
 
     def tls(self) -> dict[str, str]:
-        """Zenoh's words for them."""
+        """Returns Zenoh's settings for these files."""
         certificate, key = str(self.certificate), str(self.key)
+        # The same certificate for both directions: its extended key usage decides whether it may accept connections.
         return {
             "root_ca_certificate": str(self.authority),
             "listen_private_key": key,
@@ -85,7 +90,7 @@ class Certificates:
 @final
 @dataclass(frozen=True)
 class PemCredentials:
-    """The same three as PEM in memory: no path leads to the key."""
+    """The same three in PEM format in memory, so that the key is in no file."""
 
     role: str
     authority: bytes
@@ -94,37 +99,39 @@ class PemCredentials:
 
     @classmethod
     def of(cls, folder: Path, role: str) -> PemCredentials:
-        """What the files of a role hold; OSError where they cannot be read."""
+        """Reads the files of a role. Raises OSError if that fails."""
         files = Certificates(folder, role)
         return cls(role, *(path.read_bytes() for path in (files.authority, files.certificate, files.key)))
 
     @classmethod
     def from_descriptor(cls, descriptor: int, role: str) -> PemCredentials:
-        """Reads what ``pipe`` put there, and closes it. Raises BusError for anything else."""
+        """Reads what ``pipe`` wrote, and closes the descriptor. Raises BusError for anything else."""
         try:
             with os.fdopen(descriptor, "rb") as pipe:
-                notice = pipe.read(_LONGEST_CARD)
+                content = pipe.read(_MOST_BYTES)
         except OSError as error:
-            raise BusError(f"--card {descriptor}: {error.strerror}; anyone who starts this process sets it") from error
-        parts = notice.split(b"\0")
+            raise BusError(f"--card {descriptor}: {error.strerror}; only a supervisor sets this option") from error
+        parts = content.split(b"\0")  # PEM is text without NUL
         if len(parts) != _PARTS or not all(part.startswith(b"-----BEGIN ") for part in parts):
             raise BusError(
-                f"--card {descriptor}: got {len(notice)} bytes that are no authority, certificate and key in PEM; only "
-                "anyone who starts this process sets it"
+                f"--card {descriptor}: got {len(content)} bytes, wanted authority, certificate and key in PEM format; "
+                "only a supervisor sets this option"
             )
         return cls(role, *parts)
 
     def pipe(self) -> int:
-        """A descriptor from which the card can be read once; the reader's end alone stays open."""
+        """Returns a descriptor from which the credentials can be read once."""
         reading, writing = os.pipe()
         try:
-            os.write(writing, b"\0".join((self.authority, self.certificate, self.key)))  # less than a pipe holds
+            # Does not block although no process reads yet: it is less than a pipe holds. Closing the writing end gives
+            # the reader its end of file.
+            os.write(writing, b"\0".join((self.authority, self.certificate, self.key)))
         finally:
             os.close(writing)
         return reading
 
     def tls(self) -> dict[str, str]:
-        """Zenoh's words for them."""
+        """Returns Zenoh's settings for these credentials."""
         authority, certificate, key = (
             base64.b64encode(part).decode() for part in (self.authority, self.certificate, self.key)
         )
@@ -141,10 +148,12 @@ _PARTS = 3
 
 
 def protect_process_memory() -> bool:
-    """Keeps other processes of this user out of this one's memory, descriptors and environment, and off core dumps.
+    """Prevents other processes of this user from reading this process's memory, descriptors and environment.
 
-    Whether the system knows how (Linux). A process with CAP_SYS_PTRACE, as root has it, reads on.
+    Also disables core dumps. Returns whether the system supports it (Linux only). A process with CAP_SYS_PTRACE, such
+    as root, can still read them.
     """
+    # A process that is not dumpable cannot be traced, and its files in /proc belong to root: prctl(2).
     with contextlib.suppress(OSError, AttributeError):
         return bool(ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0, 0, 0, 0) == 0)
     return False

@@ -1,12 +1,12 @@
-"""Keeps the doors of a listening process free: who connects and says nothing, or never gets in, holds nothing.
+"""Closes connections that do not authenticate in time, so that they cannot exhaust a listening process.
 
-Zenoh accepts a connection before it knows who it is, so many of them could take every descriptor of the process, and
-every place among those that wait to be let in. Three things help, and cost the traffic of those within nothing:
+Zenoh accepts a connection before the client authenticates. Many such connections could occupy all file descriptors of
+the process and all slots for pending handshakes. Three measures prevent that, without overhead for members of the bus:
 
-- the kernel hands a connection over only when its first bytes are there (TCP_DEFER_ACCEPT);
-- who has sent something and is no member of the bus after a while is cut off, sooner where many of them wait;
-- some descriptors are kept back. Where none is left, Zenoh would not even look at those that were cut off, since it
-  first wants to accept the next one: then those kept back are let go for a moment, and taken again.
+- The kernel hands over a connection only once its first bytes have arrived (TCP_DEFER_ACCEPT).
+- A connection that has sent something but is not a member after some time is closed; sooner if there are many.
+- Some descriptors are kept in reserve. If no descriptor is left, Zenoh does not notice closed connections, because it
+  first tries to accept the next one. Releasing the reserve for a moment lets it continue.
 """
 
 from __future__ import annotations
@@ -28,28 +28,31 @@ from safedpa.bus.logging import log_event
 
 __all__ = ["ConnectionReaper", "cut_off", "defer_accept", "listening_ports", "raise_descriptor_limit"]
 
+# How long the kernel keeps a silent connection. It takes some hundred bytes there and nothing in this process.
 _SILENT_SECONDS = 250
-"""For so long the kernel keeps who connected and said nothing; it costs it some hundred bytes, and us nothing."""
-_MOST_WAITING = 65_535
-"""In the kernel, for each socket; it takes the system's own limit (``net.core.somaxconn``) where that is less."""
-_PATIENCE_SECONDS = 3.0
-_HURRIED_SECONDS = 0.4
+# Length of the kernel's queue of a listening socket; the kernel lowers it to ``net.core.somaxconn``.
+_BACKLOG = 65_535
+# Time limit for a connection to become a member. A handshake takes 3 ms; 3 s tolerate a busy machine.
+_TIMEOUT_SECONDS = 3.0
+# Time limit if more connections than this are pending, as in a flood.
+_SHORT_TIMEOUT_SECONDS = 0.4
 _MANY = 32
-"""Connections on their way in, beyond which no one has as long."""
-_SHORT_SECONDS = 0.1
-"""Where no descriptor is left."""
-_RETAINED_BACK = 160
-"""Descriptors: more than Zenoh accepts before it looks at those it has."""
-_ROOM_SECONDS = 0.25
-_LOOK_SECONDS = 0.1
-_REPORTED_SECONDS = 1.0
+# Time limit while no descriptor is left.
+_EXHAUSTED_TIMEOUT_SECONDS = 0.1
+# Descriptors in reserve: more than Zenoh accepts before it handles those that it has.
+_RESERVE = 160
+# How long the reserve is released, for Zenoh to accept and close connections.
+_RELEASE_SECONDS = 0.25
+_CHECK_SECONDS = 0.1
+_REPORT_SECONDS = 1.0
+# Enough for a thousand robots. A soft limit above it would make the scan for descriptors slow.
 _MOST_DESCRIPTORS = 65_536
 
 Address = tuple[str, int]
 
 
 def raise_descriptor_limit() -> None:
-    """Raises this process's own limit to the one that the system sets it."""
+    """Raises this process's soft limit of file descriptors to its hard limit, but not above 65 536."""
     with contextlib.suppress(ValueError, OSError):
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         wanted = min(hard, _MOST_DESCRIPTORS) if hard != resource.RLIM_INFINITY else _MOST_DESCRIPTORS
@@ -58,17 +61,18 @@ def raise_descriptor_limit() -> None:
 
 
 def listening_ports() -> set[int]:
-    """TCP ports on which this process listens."""
+    """Returns the TCP ports on which this process listens."""
     return {port for port, _ in _listening()}
 
 
 def defer_accept(ports: Collection[int]) -> None:
-    """Has the kernel hold back silent connections at these ports, on which this process listens."""
+    """Makes the kernel hold back silent connections to these ports, on which this process listens."""
     for port, found in _listening():
         if port in ports:
             with contextlib.suppress(OSError, AttributeError):
                 found.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_SECONDS)
-                found.listen(_MOST_WAITING)  # of a socket that listens already, this changes the number alone
+                # Zenoh's own backlog is short. On a listening socket, another call of listen only changes the backlog.
+                found.listen(_BACKLOG)
 
 
 def _listening() -> Iterator[tuple[int, socket.socket]]:
@@ -78,12 +82,12 @@ def _listening() -> Iterator[tuple[int, socket.socket]]:
                 yield found.getsockname()[1], found
 
 
-def cut_off(far_ends: Collection[Address]) -> int:
-    """Ends the connections of this process to these addresses; how many there were."""
+def cut_off(addresses: Collection[Address]) -> int:
+    """Shuts down the connections of this process to these addresses; returns their number."""
     count = 0
     for descriptor in _sockets():
         with contextlib.suppress(OSError, IndexError), _borrowed(descriptor) as found:
-            if found.family in _INTERNET and tuple(found.getpeername()[:2]) in far_ends:
+            if found.family in _INTERNET and tuple(found.getpeername()[:2]) in addresses:
                 found.shutdown(socket.SHUT_RDWR)
                 count += 1
     return count
@@ -97,8 +101,12 @@ class _UnauthenticatedConnection:
 
 @final
 class ConnectionReaper:
-    """Looks at the connections of this process to its ``ports``, on a thread of its own, and cuts off those that do not
-    get in. ``members`` names the far ends of those that did. Needs no descriptor of its own."""
+    """A thread that closes connections to ``ports`` of this process which do not become members in time.
+
+    ``members`` returns the remote addresses of the members.
+    """
+
+    # Must work when no descriptor is left, so nothing in here may open one: no /proc, no epoll.
 
     def __init__(
         self,
@@ -107,66 +115,70 @@ class ConnectionReaper:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._ports, self._members, self._clock = ports, members, clock
-        self._strangers: dict[int, _UnauthenticatedConnection] = {}
-        self._retained_back: list[int] = []
-        self._keep_back()
+        self._pending: dict[int, _UnauthenticatedConnection] = {}
+        self._reserve: list[int] = []
+        self._fill_reserve()
         self._ended = threading.Event()
         self._cut, self._reported = 0, clock()
         self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Looks no more."""
+        """Ends the thread."""
         self._ended.set()
         self._thread.join()
-        self._let_go()
+        self._release_reserve()
 
-    def look(self) -> int:
-        """Cuts off who has been on the way in for too long; how many."""
+    def check(self) -> int:
+        """Closes connections that have been pending for too long; returns their number."""
         now, members = self._clock(), set(self._members())
         seen: dict[int, _UnauthenticatedConnection] = {}
         for descriptor, peer in self._connections():
             if peer in members:
                 continue
-            known = self._strangers.get(descriptor)
+            # A descriptor may have been closed and reused since the last check; the peer address distinguishes the two.
+            known = self._pending.get(descriptor)
             seen[descriptor] = (
                 known if known is not None and known.peer == peer else _UnauthenticatedConnection(now, peer)
             )
-        short = not self._keep_back()
-        patience = _SHORT_SECONDS if short else _HURRIED_SECONDS if len(seen) > _MANY else _PATIENCE_SECONDS
-        late = {descriptor for descriptor, stranger in seen.items() if now - stranger.since > patience}
+        exhausted = not self._fill_reserve()
+        many = len(seen) > _MANY
+        timeout = _EXHAUSTED_TIMEOUT_SECONDS if exhausted else _SHORT_TIMEOUT_SECONDS if many else _TIMEOUT_SECONDS
+        late = {descriptor for descriptor, connection in seen.items() if now - connection.since > timeout}
         for descriptor in late:
             with contextlib.suppress(OSError), _borrowed(descriptor) as found:
                 if tuple(found.getpeername()[:2]) == seen[descriptor].peer:
-                    found.shutdown(socket.SHUT_RDWR)  # its owner sees an end, and closes it
-        self._strangers = {descriptor: item for descriptor, item in seen.items() if descriptor not in late}
-        if short:
-            self._let_go()
-            self._ended.wait(_ROOM_SECONDS)
-            self._keep_back()
+                    # Not close: the descriptor belongs to Zenoh, which sees the end of the stream and closes it.
+                    found.shutdown(socket.SHUT_RDWR)
+        self._pending = {descriptor: item for descriptor, item in seen.items() if descriptor not in late}
+        if exhausted:
+            self._release_reserve()
+            self._ended.wait(_RELEASE_SECONDS)
+            self._fill_reserve()
         return len(late)
 
-    def _keep_back(self) -> bool:
-        """Takes descriptors up to the number to be kept back; whether there was one to be had."""
-        highest = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        wanted = min(_RETAINED_BACK, highest // 6)
+    def _fill_reserve(self) -> bool:
+        """Fills the reserve of descriptors; returns whether another descriptor was free."""
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        wanted = min(_RESERVE, limit // 6)
         try:
-            while len(self._retained_back) < wanted:
-                self._retained_back.append(os.dup(2))
+            # Duplicates of standard error: a descriptor that needs no file.
+            while len(self._reserve) < wanted:
+                self._reserve.append(os.dup(2))
             os.close(os.dup(2))
         except OSError:
             return False
         return True
 
-    def _let_go(self) -> None:
-        while self._retained_back:
-            os.close(self._retained_back.pop())
+    def _release_reserve(self) -> None:
+        while self._reserve:
+            os.close(self._reserve.pop())
 
     def _watch(self) -> None:
-        while not self._ended.wait(_LOOK_SECONDS):
-            self._cut += self.look()
-            if self._cut and self._clock() - self._reported > _REPORTED_SECONDS:
-                sentence = f"{self._cut} connections were cut off: they did not prove in time who they are"
+        while not self._ended.wait(_CHECK_SECONDS):
+            self._cut += self.check()
+            if self._cut and self._clock() - self._reported > _REPORT_SECONDS:
+                sentence = f"closed {self._cut} connections that did not authenticate in time"
                 log_event("bus.strangers_cut_off", sentence, level="warning", count=self._cut)
                 self._cut, self._reported = 0, self._clock()
 
@@ -177,7 +189,7 @@ class ConnectionReaper:
                 yield descriptor, peer
 
     def _peer(self, descriptor: int) -> Address | None:
-        """The far end of a connection to our ports; None of what is none, listens, or is gone."""
+        """Returns the remote address of a connection to the watched ports; None for other descriptors."""
         try:
             with _borrowed(descriptor) as found:
                 if found.family in _INTERNET and found.getsockname()[1] in self._ports:
@@ -192,33 +204,36 @@ _INTERNET = (socket.AF_INET, socket.AF_INET6)
 
 
 def _sockets() -> Iterable[int]:
-    """Descriptors of sockets, found by asking for each number: a list of them would want a descriptor itself."""
-    highest = min(resource.getrlimit(resource.RLIMIT_NOFILE)[0], _MOST_DESCRIPTORS)
-    absent = 0
-    for first in range(0, highest, _AT_ONCE):
-        numbers = range(first, min(first + _AT_ONCE, highest))
-        with _ASKING:
-            gone = {number for number, what in _question(numbers).poll(0) if what & select.POLLNVAL}
-        absent = absent + 1 if len(gone) == len(numbers) else 0
-        if absent == _LONGEST_GAP:
+    """Yields the descriptors of this process's sockets."""
+    # Tests every number with poll, which reports POLLNVAL for a closed one. Reading /proc/self/fd would need a free
+    # descriptor.
+    limit = min(resource.getrlimit(resource.RLIMIT_NOFILE)[0], _MOST_DESCRIPTORS)
+    empty_blocks = 0
+    for first in range(0, limit, _BLOCK):
+        numbers = range(first, min(first + _BLOCK, limit))
+        with _POLL_LOCK:
+            closed = {number for number, event in _poll_object(numbers).poll(0) if event & select.POLLNVAL}
+        empty_blocks = empty_blocks + 1 if len(closed) == len(numbers) else 0
+        if empty_blocks == _MOST_EMPTY_BLOCKS:
             return
-        for descriptor in sorted({*numbers} - gone):
-            with contextlib.suppress(OSError):  # closed meanwhile
+        for descriptor in sorted({*numbers} - closed):
+            with contextlib.suppress(OSError):  # closed since the poll
                 if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
                     yield descriptor
 
 
-_AT_ONCE = 512
-"""Numbers that the kernel is asked about by one call: a call for each costs ten times as much."""
-_ASKING = threading.Lock()
-"""Each question is asked by one thread at a time: a second one would be told an error."""
-_LONGEST_GAP = 4
-"""Questions in a row that found no descriptor, after which none is looked for: the kernel gives out the lowest."""
+# Descriptors tested by one system call: one call for each takes ten times as long.
+_BLOCK = 512
+# A poll object raises an error if two threads poll it at the same time.
+_POLL_LOCK = threading.Lock()
+# The kernel assigns the lowest free number, so after this many blocks without a descriptor none follows.
+_MOST_EMPTY_BLOCKS = 4
 
 
 @cache
-def _question(numbers: range) -> select.poll:
-    """Which of the numbers are descriptors, and no event of theirs."""
+def _poll_object(numbers: range) -> select.poll:
+    """Returns a poll object for these descriptors that reports no events but closed descriptors."""
+    # Cached: registering 512 numbers takes longer than polling them.
     asked = select.poll()
     for number in numbers:
         asked.register(number, 0)
@@ -227,7 +242,7 @@ def _question(numbers: range) -> select.poll:
 
 @contextlib.contextmanager
 def _borrowed(descriptor: int) -> Iterator[socket.socket]:
-    """The socket of a descriptor that is someone else's, and is not closed. Raises OSError where it is none now."""
+    """Wraps a descriptor owned by other code as a socket without closing it. Raises OSError if it is not a socket."""
     found = socket.socket(fileno=descriptor)
     try:
         yield found

@@ -1,8 +1,8 @@
-"""Before a service serves a robot that it has not met, it asks which model that robot's services agreed on.
+"""The model handshake: a service asks for a robot's agreed model before it serves that robot for the first time.
 
-A service that was restarted would otherwise begin with the model of its own options while the others have moved on.
-No one waits long: without an answer the service begins with its own model, and the diagnosis offers the right one
-again. While no diagnosis answers, the other services tell what they agreed on.
+Otherwise a restarted service would use the model of its command line while the others use a newer one. It asks the
+diagnosis and, if that does not answer, the other services. Without an answer it starts with its own model after a short
+time, and the diagnosis offers the agreed model again.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from safedpa.bus.transport.inbox import Inbox, ReceivedMessage
 
 __all__ = ["ModelHandshake"]
 
-_PATIENCE_SECONDS = 0.3
-"""With the diagnosis, then with the other services. A process on the same machine answers in a few milliseconds, and
-where there is none the bus says so at once."""
+# Time-out for the diagnosis, and again for the other services. A process on the same machine answers in milliseconds;
+# if no process answers such questions, the bus reports that immediately.
+_TIMEOUT_SECONDS = 0.3
 
 
 @dataclass
 class _Waiting:
     newest: dict[Topic, ReceivedMessage]
-    """The newest message of every topic."""
+    """The newest message by topic."""
     give_up: float
 
 
 class ModelHandshake:
-    """Holds back what robots say whose model is being asked for; a node that holds no model waits for nothing.
+    """Holds back messages of robots whose agreed model is still unknown. A node without models never waits.
 
-    ``failed(robot, error)`` is told what the node raises about one of them; the others are welcomed all the same.
+    Exceptions of the node about one robot go to ``failed(robot, error)``; the other robots are served all the same.
     """
 
     def __init__(
@@ -52,37 +52,40 @@ class ModelHandshake:
         self._waiting: dict[str, _Waiting] = {}
 
     def holds(self, item: ReceivedMessage) -> bool:
-        """Whether a message of a tick must wait; it comes back from ``ready``, if it is still the newest."""
+        """Whether a message has to wait. ``ready`` returns it later, if it is still the newest of its topic."""
         if MODEL not in self._node.listens or item.robot in self._met:
             return False
         waiting = self._waiting.get(item.robot)
         if waiting is not None:
             waiting.newest[item.topic] = item
             return True
+        # Only a state proves that there is a robot to serve. Other inputs are useless without one.
         if item.topic is not STATE:
             return False
-        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 3.0 * _PATIENCE_SECONDS)
-        self._bus.ask_model(self._inbox, item.robot, self._node.name, _PATIENCE_SECONDS)
+        # Two questions of one time-out each, and one in reserve for a busy machine.
+        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 3.0 * _TIMEOUT_SECONDS)
+        self._bus.ask_model(self._inbox, item.robot, self._node.name, _TIMEOUT_SECONDS)
         return True
 
     def ready(self) -> list[ReceivedMessage]:
-        """What robots that can be served from now on have said, states first; the node was told of their models."""
+        """Returns the held messages of robots that can be served now, states first; the node has their models."""
         answers: dict[str, Answer | None] = {item.robot: item.answer for item in self._inbox.take_answers()}
         now = self._clock()
         served: list[ReceivedMessage] = []
         for robot in [name for name, item in self._waiting.items() if name in answers or now >= item.give_up]:
             self._met.add(robot)
             try:
-                self._node.welcome(robot, answers.get(robot))
-            except Exception as error:  # noqa: BLE001  it is served with the model of our own options then
+                self._node.adopt_model(robot, answers.get(robot))
+            except Exception as error:  # noqa: BLE001
+                # Serve the robot with the model of the command line rather than not at all.
                 self._failed(robot, error)
             served += self._waiting.pop(robot).newest.values()
         return served
 
     def deadline(self) -> float:
-        """s; when the patience with the next unanswered question ends."""
+        """Returns the time [s] of the next time-out; infinite if no question is open."""
         return min((item.give_up for item in self._waiting.values()), default=float("inf"))
 
     def forget(self, robot: str) -> None:
-        """The robot left; it is asked for again when it returns."""
+        """Forgets a robot that left; its model is asked for again when it returns."""
         self._met.discard(robot)

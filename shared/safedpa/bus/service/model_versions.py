@@ -1,9 +1,9 @@
-"""Which model a service uses for each robot while models change: offered, prepared, taken at a tick, or dropped.
+"""The models of a service by robot, and the two-phase protocol by which they change.
 
-A change has two phases, so that all services of a robot use the new model from the same tick on, or none does. An
-offer is prepared next to the model in force in the pause behind a tick; it is used only after a ``take``, from the first
-state of the named tick on, and forgotten with a ``drop``. The service answers every step. Once it has answered that it
-is ready it does not refuse any more: the others may be using the new model already.
+Model changes use a two-phase commit, so that either all services of a robot use the new model from the same tick on, or
+none does. After an ``offer``, a service prepares the new model alongside the active one, in the pause after a tick. It
+uses the new model after a ``take``, from the named tick on, and discards it after a ``drop``. The service answers every
+step. Once it has answered ``ready`` it no longer refuses, because others may already use the new model.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from safedpa.limits import limit, too_much
 __all__ = ["ModelVersions"]
 
 Held = TypeVar("Held")
-"""What the service makes of a model; the same is shared by all robots that have it."""
+"""The object that the service creates from a model; robots with the same model share it."""
 
+# Characters of a reason. It may quote a foreign document, and ends up in messages, logs and web pages.
 _LONGEST_REASON = 300
-"""Characters."""
 
 
 @dataclass(frozen=True)
@@ -35,32 +35,32 @@ class _Version(Generic[Held]):
     margin: str = ""
     change: int = 0
     document: str = ""
-    """Empty of the model of the process's own options, of which no one told."""
+    """Empty for the model of the command line, which was not offered by the diagnosis."""
 
 
 @dataclass
 class _RobotModels(Generic[Held]):
-    """One robot's model, and what is about to replace it."""
+    """A robot's active model, and the one that may replace it."""
 
     version: _Version[Held]
     offer: ModelMessage | None = None
-    """Not ready yet."""
+    """The offer while it is not ready yet."""
     ticket: AbstractJobHandle | None = None
-    """While the offer is tried in a process of its own."""
+    """The trial of the offer in the sandbox."""
     prepared: _Version[Held] | None = None
     take: ModelMessage | None = None
-    """For the prepared version: from when on it is used."""
+    """The decision from which tick on the prepared version is active."""
     answers: deque[tuple[ModelMessage, str, str]] = field(default_factory=deque)
-    """(message that is answered, state, why it is refused or what it will do), to be sent one a tick."""
+    """Queued answers: (message to answer, state, reason of a refusal or expected effect); one is sent per tick."""
 
 
 @final
 class ModelVersions(Generic[Held]):
-    """Keeps the model of every robot, and the one that was offered, through the steps of a change.
+    """Holds the active model of every robot and carries out model changes.
 
-    ``load(robot, offer)`` makes of an offered model what the service needs, and raises whatever it likes when it
-    cannot: the offer is refused with that reason then. ``foretell(robot, made)`` says what the change will do, before
-    it is decided. ``first`` is what every robot begins with.
+    ``load(robot, offer)`` creates the service's object from an offered model. If it raises, the offer is refused with
+    that reason. ``predict_effect(robot, held)`` describes the expected effect of a change before it is decided.
+    ``first`` is the initial model of every robot.
     """
 
     def __init__(
@@ -69,35 +69,35 @@ class ModelVersions(Generic[Held]):
         first: Held,
         fingerprint: str,
         load: Callable[[str, ModelMessage], Held],
-        foretell: Callable[[str, Held], str] | None = None,
+        predict_effect: Callable[[str, Held], str] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._service, self._load, self._foretell, self._clock = service, load, foretell, clock
+        self._service, self._load, self._predict_effect, self._clock = service, load, predict_effect, clock
         self._next_load = clock()
-        """s; trials of several robots' offers may end at once, and each load takes up to 14 ms of the loop: after one
-        the loop has as long for others."""
+        """Earliest time [s] of the next load. Trials for several robots may end together, and a load blocks the loop
+        for up to 14 ms; after each one, the loop has the same time for its other work."""
         self._first = _Version(first, fingerprint)
         self._robots: dict[str, _RobotModels[Held]] = {}
-        self.hand_in: Callable[[str, ModelMessage], AbstractJobHandle] | None = None
-        """Tries an offer in a process of its own; None: offers are loaded at once, as between trusted nodes."""
+        self.submit: Callable[[str, ModelMessage], AbstractJobHandle] | None = None
+        """Tries an offer in the sandbox; None loads offers directly, for trusted senders in the same process."""
 
     def of(self, robot: str) -> Held:
-        """What is in force for the robot."""
+        """Returns the active model of the robot."""
         known = self._robots.get(robot)
         return self._first.held if known is None else known.version.held
 
     def fingerprint(self, robot: str) -> str:
-        """Of the model in force for the robot."""
+        """Returns the fingerprint of the robot's active model."""
         known = self._robots.get(robot)
         return self._first.fingerprint if known is None else known.version.fingerprint
 
     def prepared(self, robot: str) -> Held | None:
-        """What was offered and is ready, while it is not in force yet."""
+        """Returns the offered model that is ready but not active yet."""
         known = self._robots.get(robot)
         return None if known is None or known.prepared is None else known.prepared.held
 
     def agreed(self, robot: str) -> Answer | None:
-        """For a service that was restarted while no diagnosis answers: the model in force, if others agreed on it."""
+        """Returns the active model for a service that was restarted; None if it was not agreed with others."""
         known = self._robots.get(robot)
         version = None if known is None else known.version
         if version is None or not version.document:
@@ -112,7 +112,7 @@ class ModelVersions(Generic[Held]):
         )
 
     def hear(self, robot: str, message: ModelMessage) -> None:
-        """Takes one step of a change; the answer comes from ``answer``."""
+        """Handles one step of a change; ``answer`` returns the answer later."""
         known = self._robot(robot)
         if message.step == "offer":
             self._hear_offer(known, message)
@@ -121,14 +121,15 @@ class ModelVersions(Generic[Held]):
         elif message.step == "drop":
             self._hear_drop(known, message)
 
-    def welcome(self, robot: str, status: Answer | None) -> None:
-        """Begins with what the diagnosis says is in force, and with a change that is under way.
+    def adopt_model(self, robot: str, status: Answer | None) -> None:
+        """Adopts the active model that the diagnosis reports, and a pending change.
 
-        A model that cannot be used is refused like an offer, and the robot is served with the first one.
+        A model that cannot be loaded is refused like an offer, and the robot is served with the initial one.
         """
         if status is None or not status.ok or not status.fingerprint:
             return
         known = self._robot(robot)
+        # While a change is pending, status.change is the number of that change and not of the active model.
         settled = status.pending != "take" or status.fingerprint == status.pending_fingerprint
         if status.document:
             number = status.change if settled and status.pending != "offer" else 0
@@ -138,30 +139,33 @@ class ModelVersions(Generic[Held]):
             self._take_up(robot, known, status)
 
     def _take_up(self, robot: str, known: _RobotModels[Held], status: Answer) -> None:
-        """A change that is under way."""
+        """Joins a pending change."""
         pending = _offer(
             status, status.pending_fingerprint, status.pending_document, status.pending_margin, status.change
         )
         self._hear_offer(known, pending)
         if status.pending == "take":
-            self._load_offer(robot, known, pending)  # all services said that they can use it
+            # Without a trial in the sandbox: it is decided, so every service has already checked this model, and the
+            # others switch to it at a tick that will not wait.
+            self._load_offer(robot, known, pending)
             known.offer = None
             self._hear_take(known, _take(status, pending))
 
     def begin(self, robot: str, state: StateMessage) -> bool:
-        """To be called once at the start of a tick: True when another model is in force from this tick on."""
+        """Starts a tick; True if another model is active from this tick on. Call it once per tick, first."""
         known = self._robots.get(robot)
         if known is None or known.take is None or known.prepared is None:
             return False
         take = known.take
         if state.epoch == take.epoch and state.tick < take.from_tick:
-            return False  # a robot that restarted begins with the new model
+            return False
+        # A robot that restarted has another epoch, whose ticks begin at 0 again: it uses the new model from the start.
         before, known.version, known.prepared, known.take = known.version, known.prepared, None, None
         known.answers.append((take, "taken", ""))
         return before.held is not known.version.held
 
     def answer(self, robot: str, state: StateMessage) -> TakeoverMessage | None:
-        """To be called in the pause behind a tick: prepares what was offered, and returns the next answer to send."""
+        """Prepares an offer and returns the next answer to send. Call it in the pause after a tick."""
         known = self._robots.get(robot)
         if known is None:
             return None
@@ -183,7 +187,7 @@ class ModelVersions(Generic[Held]):
         )
 
     def forget(self, robot: str) -> None:
-        """The robot left; when it returns it begins with the first model again, unless the others know better."""
+        """Forgets a robot that left. When it returns, it has the initial model until the handshake says otherwise."""
         self._robots.pop(robot, None)
 
     def _robot(self, robot: str) -> _RobotModels[Held]:
@@ -191,7 +195,8 @@ class ModelVersions(Generic[Held]):
 
     def _hear_offer(self, known: _RobotModels[Held], message: ModelMessage) -> None:
         if _is(known.prepared, message):
-            known.answers.append((message, "ready", ""))  # asked twice
+            # The diagnosis repeats a step until it has the answer, since messages may be lost.
+            known.answers.append((message, "ready", ""))
         elif _is(known.version, message):
             known.answers.append((message, "taken", ""))
         else:
@@ -201,13 +206,14 @@ class ModelVersions(Generic[Held]):
         if _is(known.prepared, message):
             known.take = message
         elif _is(known.version, message):
-            known.answers.append((message, "taken", ""))  # asked twice
+            known.answers.append((message, "taken", ""))  # a repeated step, as above
         else:
-            known.answers.append((message, "refused", "it was not offered before, or not to this process"))
+            known.answers.append((message, "refused", "this process did not receive the offer"))
 
     def _hear_drop(self, known: _RobotModels[Held], message: ModelMessage) -> None:
         if known.offer is not None and known.offer.change == message.change:
             known.offer = known.ticket = None
+        # After a take, a late or reordered drop must not undo the decision: others may use the model already.
         if known.prepared is not None and known.prepared.change == message.change and known.take is None:
             known.prepared = None
 
@@ -215,14 +221,14 @@ class ModelVersions(Generic[Held]):
         offer = known.offer
         if offer is None:
             return
-        if self.hand_in is not None and not self._has(known, offer):
+        if self.submit is not None and not self._has(known, offer):
             if known.ticket is None:
                 problem = _too_large(offer)
                 if problem:
                     known.offer = None
                     known.answers.append((offer, "refused", problem))
                     return
-                known.ticket = self.hand_in(robot, offer)
+                known.ticket = self.submit(robot, offer)
             outcome = known.ticket.outcome(wait=wait) if wait or self._clock() >= self._next_load else None
             if outcome is None:
                 return
@@ -231,15 +237,16 @@ class ModelVersions(Generic[Held]):
             if problem:
                 known.answers.append((offer, "refused", problem[:_LONGEST_REASON]))
                 return
+            # The sandbox returns the document in canonical form; only that is parsed in this process.
             offer = replace(offer, document=str(outcome.get("document", offer.document)))
         known.offer, began = None, self._clock()
         self._load_offer(robot, known, offer)
-        self._next_load = 2.0 * self._clock() - began
+        self._next_load = 2.0 * self._clock() - began  # now + the duration of this load
 
     def _load_offer(self, robot: str, known: _RobotModels[Held], offer: ModelMessage) -> None:
         known.prepared = self._made(robot, known, offer)
         if known.prepared is not None:
-            reported = "" if self._foretell is None else self._foretell(robot, known.prepared.held)
+            reported = "" if self._predict_effect is None else self._predict_effect(robot, known.prepared.held)
             known.answers.append((offer, "ready", reported[:_LONGEST_REASON]))
 
     def _has(self, known: _RobotModels[Held], offer: ModelMessage) -> bool:
@@ -247,21 +254,23 @@ class ModelVersions(Generic[Held]):
 
     def _made(self, robot: str, known: _RobotModels[Held], offer: ModelMessage) -> _Version[Held] | None:
         for version in (known.version, self._first):
-            if _same(version, offer.fingerprint, offer.margin):  # nothing to load: only the change gets its number
+            if _same(version, offer.fingerprint, offer.margin):
+                # Already loaded, as in a roll-back to the initial model. Only the number of the change is new.
                 return _Version(version.held, offer.fingerprint, offer.margin, offer.change, offer.document)
         try:
             held = self._load(robot, offer)
             return _Version(held, offer.fingerprint, offer.margin, offer.change, offer.document)
-        except Exception as error:  # noqa: BLE001  whatever a foreign document brings about, the robot drives on
+        except Exception as error:  # noqa: BLE001
+            # A foreign document may cause any exception. The robot continues with its active model.
             reason = " ".join(str(error).split()) or type(error).__name__
             known.answers.append((offer, "refused", reason[:_LONGEST_REASON]))
             return None
 
 
 def _too_large(offer: ModelMessage) -> str:
-    """Why an offer is not even handed on; empty where it is."""
+    """Returns why an offer is too large for the sandbox; empty if it is not."""
     longest = max(len(offer.document), len(offer.margin))
-    return str(too_much("offer_bytes", f"{longest} letters")) if longest > limit("offer_bytes") else ""
+    return str(too_much("offer_bytes", f"{longest} characters")) if longest > limit("offer_bytes") else ""
 
 
 def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:
@@ -269,7 +278,7 @@ def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:
 
 
 def _is(version: _Version[Held] | None, message: ModelMessage) -> bool:
-    """Whether a version came with the change that a message is about."""
+    """Whether a version belongs to the change that a message is about."""
     return version is not None and (version.change, version.fingerprint) == (message.change, message.fingerprint)
 
 
@@ -284,7 +293,7 @@ def _take(status: Answer, offer: ModelMessage) -> ModelMessage:
 def _message(
     step: str, epoch: int, change: int, fingerprint: str, document: str = "", margin: str = "", from_tick: int = 0
 ) -> ModelMessage:
-    """As the diagnosis would have sent it."""
+    """Creates a message as the diagnosis would have sent it."""
     return ModelMessage(
         epoch=epoch,
         tick=0,

@@ -1,4 +1,7 @@
-"""What a service computes: a node, one pure step per tick of each robot. Waiting and publishing is the loop's work."""
+"""The interface of a node, the computing part of a service: one step per tick and robot.
+
+The service loop does the waiting and publishing.
+"""
 
 from __future__ import annotations
 
@@ -17,34 +20,34 @@ __all__ = ["AbstractNode", "Inputs", "Outputs", "Stale"]
 
 @dataclass(frozen=True, slots=True)
 class Stale:
-    """Stands in place of an input that did not arrive in time."""
+    """Replaces an input that did not arrive in time."""
 
     topic: Topic
     age_ticks: int | None
-    """Ticks since the last one that did; None when there never was one."""
+    """Age of the last message in ticks; None if there was none."""
 
     @property
     def sentence(self) -> str:
-        """The finding in words."""
+        """Description for people."""
         if self.age_ticks is None:
             return f"no {self.topic.name} has arrived"
         return f"the {self.topic.name} is {self.age_ticks} ticks old"
 
 
 Inputs = Mapping[Topic, "Message | Stale"]
-"""The inputs besides the state, each of the state's tick or stale."""
+"""The inputs besides the state, each usable or stale."""
 
 Outputs = Mapping[Topic, Message]
-"""What a step publishes."""
+"""The messages that a step publishes."""
 
 
 class AbstractNode(ABC):
-    """The computing part of one service. It serves any number of robots; each has a state of its own inside.
+    """The computing part of a service. It serves any number of robots and keeps separate data for each.
 
     - ``inputs``: topics needed besides the state;
     - ``outputs``: topics published;
-    - ``listens``: topics that are no input of a tick: their messages are handed to ``hear`` as they come;
-    - ``share``: part of the robot's period after which, in real time, the step runs with what is there.
+    - ``listens``: topics that are not inputs of a tick; their messages go to ``hear`` as they arrive;
+    - ``share``: in real time, the fraction of the robot's period after which the step runs with the inputs at hand.
     """
 
     name: ClassVar[str]
@@ -53,85 +56,85 @@ class AbstractNode(ABC):
     share: ClassVar[float]
     listens: ClassVar[tuple[Topic, ...]] = ()
     slack: ClassVar[Mapping[Topic, int]] = {}
-    """By topic, the age in ticks up to which, in real time, an input is as good as that of the tick: no one waits for a
-    newer one, which is taken all the same where it is there. Topics that are not named are waited for."""
-    lingers: ClassVar[bool] = True
-    """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
+    """By topic, the age in ticks up to which an input is good enough in real time: the step does not wait for a newer
+    one, but uses it if it is there. For other topics the step waits for the message of its tick."""
+    defers_afterwards: ClassVar[bool] = True
+    """Whether ``afterwards`` takes so long that the loop defers it to a pause; otherwise it runs right after a step."""
 
     sensor_inputs: ClassVar[tuple[Topic, ...]] = ()
-    """Further inputs, for the ticks of robots whose states name sources."""
+    """Further inputs for robots whose states name sources."""
 
     def needs(self, state: StateMessage) -> tuple[Topic, ...]:
-        """The inputs besides the state that this tick's step is given."""
+        """Returns the inputs besides the state that this tick's step needs."""
         return (*self.inputs, *self.sensor_inputs) if state.sources else self.inputs
 
     @abstractmethod
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        """The outputs of one tick; called once per tick and robot, ticks growing."""
+        """Computes the outputs of one tick. Called at most once per tick and robot, with increasing ticks."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:
-        """What can be done with the state alone while other inputs are still on their way; ``step`` follows."""
+        """Does the work that needs the state only, while other inputs are pending; ``step`` follows."""
         del robot, state
 
     def afterwards(self, robot: str) -> Outputs:
-        """Outputs of the same tick for which no one waits; called when those of ``step`` are on their way."""
+        """Computes outputs of the same tick that are not urgent; called after the outputs of ``step`` were sent."""
         del robot
         return {}
 
     def hear(self, robot: str, message: Message) -> None:
-        """Takes a message of one of the topics in ``listens``; each once, in order, whatever tick it belongs to."""
+        """Handles a message of a topic in ``listens``: each one once, in order, of any tick."""
         del robot, message
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:
-        """From now on offered models are tried by ``hand_in(robot, offer)`` before this process looks into them."""
-        del hand_in
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:
+        """Has offered models tried by ``submit(robot, offer)``, in the sandbox, before this process loads them."""
+        del submit
 
     def newest(self, robot: str) -> StateMessage | None:
-        """The robot's newest state, to try an offered model at; None without one."""
+        """Returns the robot's newest state, at which an offered model is tried; None without one."""
         del robot
         return None
 
-    def welcome(self, robot: str, status: Answer | None) -> None:
-        """Told before the first step for a robot that this process has not met, when MODEL is among ``listens``.
+    def adopt_model(self, robot: str, status: Answer | None) -> None:
+        """Adopts the agreed model of a new robot; called before its first step if MODEL is among ``listens``.
 
-        ``status`` is what the diagnosis says of the robot's model; None when no one answered.
+        ``status`` is the diagnosis's or another service's answer about the model; None without an answer.
         """
         del robot, status
 
     def agreed(self, robot: str) -> Answer | None:
-        """What this service knows of the model that the robot's services agreed on, with its document; None: nothing.
+        """Returns the model that the robot's services agreed on, with its document; None if unknown.
 
-        Called on any thread, when another service was restarted and no diagnosis answers.
+        Called on any thread, when another service was restarted and the diagnosis does not answer.
         """
         del robot
         return None
 
     def model_of(self, robot: str) -> str:
-        """Fingerprint of the model in force for a robot, for the health message; empty without one."""
+        """Returns the fingerprint of the active model of a robot, for heartbeats; empty without a model."""
         del robot
         return ""
 
-    def wind_up(self) -> None:
-        """Told once when the process shall end: what must be done before is begun; the loop goes on meanwhile."""
+    def begin_shutdown(self) -> None:
+        """Begins the shutdown; called once. The loop continues until ``at_rest`` is true for all robots, or 5 s."""
         return
 
     def at_rest(self, robot: str) -> bool:
-        """Asked after ``wind_up``: whether nothing is left to do for a robot."""
+        """Whether a robot no longer needs this service; called after ``begin_shutdown``."""
         del robot
         return True
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """The outputs of a tick whose step failed, for ``reason``; nothing, unless a node knows what is safe then.
+        """Returns the safe outputs of a tick whose step failed with ``reason``; by default none.
 
-        It must not depend on what may have failed: on the robot's memory, on the model.
+        It must not depend on what may have failed, such as the node's data of the robot or the model.
         """
         del robot, state, reason
         return {}
 
     def forget(self, robot: str) -> None:
-        """Drops what is remembered of a robot's drive: it restarted, or left."""
+        """Drops the data of a robot's current drive, because it restarted or left."""
         del robot
 
     def leave(self, robot: str) -> None:
-        """Drops everything that is remembered of a robot: it left, and is asked for its model when it returns."""
+        """Drops all data of a robot that left; the handshake asks for its model again when it returns."""
         self.forget(robot)

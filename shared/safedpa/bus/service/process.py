@@ -1,10 +1,8 @@
-"""The cycle collector of a process that serves robots: asleep, unless what is held grows.
+"""Start and end of a process of the fleet: bus options, signals, exit codes, garbage collection.
 
-How a process of the fleet starts and ends: bus options, one way out, no process left behind.
-
-A process that dies of an error must be seen dying: a thread of the network library would keep it, and its sign of life,
-for ever. So every uncaught error, on any thread, ends the process with exit code 70. A process that was started by a
-supervisor ends when the supervisor does, however that ended, because its standard input then closes.
+Every uncaught exception, on any thread, ends the process with exit code 70. Otherwise a thread of the network library
+would keep the process, and its liveliness token, alive without a working loop. A supervised process ends with its
+supervisor, however that ends, because its standard input then closes.
 """
 
 from __future__ import annotations
@@ -47,37 +45,38 @@ __all__ = [
 ]
 
 GROWTH: Final = 50_000
-"""Containers by which what is held has to grow until the collector looks for cycles. A batch of a hundred robots holds
-more than Python's 700 at once, and windows of measurements that turn over leave it all they hold to look at each time:
-a fifteenth of a fleet's processor time, in stalls of up to 17 ms, for cycles that no one makes. If someone does, they
-are found, but containers are counted and not what they hold."""
+"""Number of new container objects after which Python's garbage collector runs. A batch of a hundred robots allocates
+more than Python's default of 700 at once, and each run then scans the sliding windows of measurements: 7 % of a fleet's
+CPU time, in stalls of up to 17 ms, although the code creates no reference cycles. Cycles are still found, later."""
+# Collections of a generation before the next older one is collected. With Python's default of 10, cycles that survived
+# for a while would stay until a million containers were allocated. A process that does not grow never collects.
 _OLDER: Final = 1
-"""Looks at what is young, then at what is older, between two looks at what is older still. Python's 10 would leave
-cycles that were held for a while to the millionth container; a process that does not grow never looks at all."""
 
 
 def freeze_garbage_collector() -> None:
-    """To be called when what lives has been made: it lives for ever, and the collector need not look at it again."""
+    """Excludes all existing objects from garbage collection; call it after creating the long-lived data."""
     gc.collect()
     gc.freeze()
-    gc.collect()  # of nothing, so that what is new need not grow to a quarter of what was there
+    # CPython runs a full collection only once the new objects exceed a quarter of those that survived the last full
+    # one. This collection of an empty heap sets that count to zero.
+    gc.collect()
     gc.set_threshold(GROWTH, _OLDER, _OLDER)
 
 
-EXIT_CRASHED = 70
+EXIT_CRASHED = 70  # EX_SOFTWARE of sysexits.h
 EXIT_BAD_INPUT = 2
-EXIT_NOT_LET_IN = 75
-"""No one let it join the bus; anyone who started it goes on trying."""
+EXIT_NOT_LET_IN = 75  # EX_TEMPFAIL of sysexits.h
+"""The process could not join the bus; its supervisor retries."""
 EXIT_INTERRUPTED = 130
-"""A second signal: it ended at once, whatever was not finished."""
+"""The process ended immediately at a second signal."""
 
 
 class RealtimePriority(IntEnum):
-    """Who runs first where there is less processor than work: real-time priorities of 1 to 99.
+    """Real-time priorities (1 to 99) that decide who runs first when there is not enough CPU time.
 
-    The kernel's own threads stand above all of them. A state wakes everybody at once; first come those for whom the
-    action waits. The nominal action is computed before the filter prepares, and a latent serves a tick later as well. The robot
-    and a router have little to do, and all others wait for it.
+    All are below the kernel's own threads. A state wakes all services at once; the more urgent a service is for the
+    action, the higher its priority. The policy computes the nominal action while the filter could only prepare, and a
+    latent is still useful one tick later. The robot and the router have little to do, and all others wait for them.
     """
 
     LAST = 9
@@ -89,36 +88,36 @@ class RealtimePriority(IntEnum):
 
 
 class StopSignal:
-    """Says when to end: after SIGTERM or SIGINT, or when the supervisor is gone. ``reason`` tells which."""
+    """A request to end the process: by SIGTERM, by SIGINT, or by the end of the supervisor; see ``reason``."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
-        self._word = threading.Event()
+        self._started = threading.Event()
         self.reason = ""
         self.hurried = False
-        """Whether a second signal came: anyone who ends in order stops doing so."""
+        """Whether a second signal arrived, at which an orderly shutdown is cut short."""
         self._signalled = False
 
     def __call__(self) -> bool:
-        """True once the process shall end."""
+        """Whether the process should end."""
         return self._event.is_set()
 
     def wait(self) -> None:
-        """Returns once the process shall end."""
+        """Blocks until the process should end."""
         self._event.wait()
 
-    def await_word(self) -> None:
-        """Returns once the supervisor said to begin, or the process shall end."""
-        self._word.wait()
+    def wait_for_start(self) -> None:
+        """Blocks until the supervisor gives the start signal, or the process should end."""
+        self._started.wait()
 
-    def begin(self) -> None:
-        """The supervisor's word: anyone who awaits it goes on."""
-        self._word.set()
+    def start(self) -> None:
+        """Gives the start signal."""
+        self._started.set()
 
     def listen_to_signals(self, at_once: Callable[[], None] = lambda: None) -> None:
-        """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it.
+        """Handles SIGTERM and SIGINT by an orderly shutdown; only the main thread may call it.
 
-        At a second signal ``hurried`` is set and ``at_once`` is called.
+        A second signal sets ``hurried`` and calls ``at_once``.
         """
 
         def heard(number: int, _frame: object) -> None:
@@ -131,63 +130,63 @@ class StopSignal:
             signal.signal(number, heard)
 
     def set(self, reason: str) -> None:
-        """Asks the process to end; the first reason stays."""
+        """Requests the end of the process; the first reason is kept."""
         self.reason = self.reason or reason
         self._event.set()
-        self._word.set()
+        self._started.set()  # a process that waits for its start must end, too
 
 
 def add_bus_options(parser: argparse.ArgumentParser) -> None:
-    """The options by which a process joins a fleet."""
+    """Adds the options by which a process joins a fleet."""
     parser.add_argument("--fleet", default="fleet", help="name of the fleet")
     parser.add_argument("--mode", choices=("peer", "client", "router"), help="default: peer, with certificates client")
     parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="such as tcp/0.0.0.0:7447")
     parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="such as tls/router:7447")
     parser.add_argument(
-        "--certificates", type=Path, metavar="DIR", help="prove by the certificates there who this is; see --role"
+        "--certificates", type=Path, metavar="DIR", help="authenticate with the certificates in DIR; see --role"
     )
-    parser.add_argument("--role", default="", help="whose certificate to show, such as robot.r1 or safety_filter")
+    parser.add_argument("--role", default="", help="role of the certificate to use, such as robot.r1 or safety_filter")
     add_credentials_option(parser)
 
 
 def add_credentials_option(parser: argparse.ArgumentParser) -> None:
-    """The option by which a supervisor hands a process its certificate and key."""
-    parser.add_argument("--card", type=int, metavar="DESCRIPTOR", help="read the certificate and key of --role there")
+    """Adds the option by which a supervisor passes a certificate and key to a process."""
+    parser.add_argument(
+        "--card", type=int, metavar="DESCRIPTOR", help="read the certificate and key of --role from this descriptor"
+    )
 
 
 def bus_from_options(options: argparse.Namespace) -> Bus:
-    """The bus that the options describe. Raises BusError when it cannot be opened."""
+    """Opens the bus that the options describe. Raises BusError if that fails."""
     return Bus(ZenohTransport(transport_settings_from_options(options)), options.fleet)
 
 
 def identity_from_options(options: argparse.Namespace) -> PemCredentials | Certificates | None:
-    """Who the options say that this process is; None: no one, in plain text.
-
-    A card is read once and not kept here, since options are told and handed on; from before that on no other process
-    of this user looks into this one. Raises BusError.
-    """
+    """Returns the credentials that the options name; None for a bus in plain text. Raises BusError."""
     if options.card is not None:
+        # Before the key is in memory: from now on, other processes of this user cannot read it there.
         protect_process_memory()
+        # The descriptor can be read once. Options are published in the setup message, so it is removed from them.
         descriptor, options.card = options.card, None
         return PemCredentials.from_descriptor(descriptor, options.role)
     if options.certificates is None and options.role:
-        raise BusError(f"--role {options.role}: got no --certificates, wanted the folder of that role's certificate")
+        raise BusError(f"--role {options.role}: --certificates is missing, wanted the folder of the role's certificate")
     return None if options.certificates is None else Certificates(options.certificates, options.role)
 
 
 @contextlib.contextmanager
 def log_lifetime(service: str, stop: StopSignal) -> Iterator[None]:
-    """Writes to the log that the service is on the bus, and why it ends where it does so in order."""
+    """Logs that the service is on the bus and, unless it crashes, why it ends."""
     log_event("process.started", f"{service} is on the bus", service=service, version=software_version())
     yield
     why = stop.reason or "its work is done"
-    log_event("process.ended", f"{service} ends in order: {why}", service=service)
+    log_event("process.ended", f"{service} shuts down: {why}", service=service)
 
 
 def transport_settings_from_options(options: argparse.Namespace) -> ZenohSettings:
-    """How the options say that this process joins the network.
+    """Returns the network settings that the options describe.
 
-    Raises BusError when the certificates are not there, or do not fit the rest.
+    Raises BusError if the certificates are missing or do not fit the other options.
     """
     certificates = identity_from_options(options)
     mode: Mode = options.mode or ("peer" if certificates is None else "client")
@@ -201,19 +200,20 @@ def run_process(
 ) -> None:
     """Parses the options, runs ``work``, and ends the process with its exit code; never returns.
 
-    ``urgency`` counts where it is started with ``--realtime``.
+    ``urgency`` is the priority of a process started with ``--realtime``.
     """
+    # Before anything else: from here on no exception, on no thread, leaves a half-dead process behind.
     sys.excepthook = _end_at_once
     threading.excepthook = lambda arguments: _end_at_once(
         arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
     )
-    parser.add_argument("--realtime", action="store_true", help="ask for real-time scheduling, where it is permitted")
+    parser.add_argument("--realtime", action="store_true", help="use real-time scheduling if the system permits it")
     parser.add_argument("--log", choices=("text", "json"), help="default: text on a terminal, json in a pipe")
     parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
     options = parser.parse_args()
     if options.log:
-        os.environ["SAFEDPA_LOG"] = options.log  # for what this process starts, too
-    raise_descriptor_limit()
+        os.environ["SAFEDPA_LOG"] = options.log  # the environment, so that child processes inherit the format
+    raise_descriptor_limit()  # before the bus opens, which needs a descriptor per connection
     stop = StopSignal()
     stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:
@@ -229,25 +229,29 @@ def run_process(
 
 
 def _ask_for_real_time(urgency: RealtimePriority) -> None:
-    """Before all ordinary processes and those of less urgency; an ordinary one where that is not permitted."""
+    """Runs this process before ordinary processes and those of lower urgency, if the system permits it."""
+    # SCHED_FIFO needs CAP_SYS_NICE or an rtprio limit. Without it the process works all the same, with more jitter.
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency))
 
 
 def _watch_supervisor(stop: StopSignal) -> None:
+    # The supervisor writes a byte as the start signal. End of file means that it died: the kernel closes its end of the
+    # pipe even after SIGKILL.
     while os.read(sys.stdin.fileno(), 4096):
-        stop.begin()
+        stop.start()
     stop.set("the supervisor is gone")
 
 
 def _end_at_once(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    with contextlib.suppress(OSError, ValueError):  # the supervisor may be gone, and our standard error with it
+    with contextlib.suppress(OSError, ValueError):  # standard error may be a pipe to a supervisor that is gone
         traceback.print_exception(kind, error, trace)
     _leave(EXIT_CRASHED)
 
 
 def _leave(code: int) -> None:
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, broken, or never there
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, a broken pipe, or None
             stream.flush()
-    os._exit(code)  # threads of the network library would delay or prevent an ordinary end
+    # Not sys.exit, which waits for the threads of the network library: they delay the end or prevent it.
+    os._exit(code)

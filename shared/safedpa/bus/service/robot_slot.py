@@ -1,6 +1,6 @@
-"""What the loop of a service knows of one robot.
+"""The service loop's data of one robot: state, inputs, counts for heartbeats, and the trace of consumed inputs.
 
-What a step consumed, written into what it computed: a recording then says which inputs a decision had.
+The trace is written into the computed messages, so that a recording shows which inputs a decision had.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ __all__ = [
 ]
 
 _NEVER = -1.0
+# Messages are frozen dataclasses; this sets a field of one that is not published yet.
 _write = object.__setattr__
 
 
@@ -37,11 +38,9 @@ class ComputationTrace(NamedTuple):
     skipped: tuple[float, ...] = ()
 
     def on(self, outputs: Outputs) -> Outputs:
-        """The outputs, with the trace written into those that carry one.
-
-        In place: the node made these messages for this step, and no one has them yet. A copy of each would cost more
-        than everything else that the loop does between the step and its sending.
-        """
+        """Writes the trace into those outputs that have its fields, and returns the outputs."""
+        # In place: the node created these messages for this step and no other code has seen them. Copying them would
+        # take longer than everything else that the loop does between a step and sending its outputs.
         for message in outputs.values():
             if isinstance(message, ComputedMessage):
                 _write(message, "step", self.step)
@@ -53,7 +52,7 @@ class ComputationTrace(NamedTuple):
 
 
 def consumed(topics: Sequence[Topic], inputs: Inputs, state: StateMessage) -> tuple[tuple[float, ...], ...]:
-    """(inputs, 2): age in ticks and publish time of each input as ``ComputedMessage.consumed`` has them."""
+    """Returns ``ComputedMessage.consumed``: (inputs, 2), age in ticks and publish time of each input."""
     rows = []
     for topic in topics:
         item = inputs[topic]
@@ -65,17 +64,18 @@ def consumed(topics: Sequence[Topic], inputs: Inputs, state: StateMessage) -> tu
 
 
 _NO_SLACK: Mapping[Topic, int] = {}
+# Rate limit of a robot's states, a token bucket. Without it one robot could take the CPU time of all others.
+# States accepted at once: a network that stalled delivers several states together.
 _BURST = 10.0
-"""States that may come at once: a network that was held up delivers what it kept."""
+# Accepted average rate relative to the robot's stated period; 2 tolerates jitter and clock errors.
 _PACE = 2.0
-"""Times faster than it says a robot may sense on average."""
+# s; a shorter stated period counts as this one, so that a robot cannot raise its limit at will.
 _SHORTEST_PERIOD = 0.001
-"""s; a robot that says it senses more often than that is served as if it sensed that often."""
 
 
 @dataclass(slots=True)
 class HeartbeatCounts:
-    """What goes into a heartbeat."""
+    """Counts and times reported in heartbeats."""
 
     steps: int = 0
     stale: int = 0
@@ -87,38 +87,36 @@ class HeartbeatCounts:
 
 @dataclass(slots=True)
 class RobotSlot:
-    """One robot."""
+    """The loop's data of one robot."""
 
     state: StateMessage
     arrived: float
-    """s; when the state of this tick came first: from here the share of the period counts."""
+    """Time [s] at which the state of this tick first arrived; the node's share of the period starts here."""
     heard: float
-    """s; when the robot spoke last, be it a repetition."""
+    """Time [s] of the robot's last message, including repetitions."""
     next_heartbeat: float
     bundled: bool = False
-    """Whether the newest state came among others: then the answer may, too."""
+    """Whether the newest state arrived in a bundle; the outputs may then be bundled, too."""
     reported: bool = False
-    """Whether there was a heartbeat already."""
+    """Whether a heartbeat was sent for this robot."""
     counts: HeartbeatCounts = field(default_factory=HeartbeatCounts)
     inputs: dict[Topic, Message] = field(default_factory=dict)
     outputs: Outputs | None = None
-    """Of the state's tick; None while the step is due."""
+    """Outputs of the state's tick; None while the step is due."""
     unfinished_since: float | None = None
-    """When the step of the state's tick ended, while what comes afterwards is still to be done."""
+    """Time [s] at which the tick's step ended, while ``afterwards`` is still to be called."""
     prepared: bool = False
-    """Whether the node was shown the state before its step."""
+    """Whether the node has prepared the state."""
     trace: ComputationTrace = field(default_factory=ComputationTrace)
-    """Of the newest step."""
+    """Trace of the newest step."""
     skipped: list[float] = field(default_factory=list)
-    """Ticks since then whose states the node was shown, but did not step."""
+    """Ticks since then that the node has prepared but not stepped."""
     _credit: float = _BURST
     _credited: float = float("-inf")
 
     def keeps_pace(self, state: StateMessage, at: float) -> bool:
-        """Whether a new tick may come at ``at`` [s]: not where a robot senses far faster than its period says.
-
-        In lockstep a robot waits for its action, so that it cannot run ahead of those who answer.
-        """
+        """Whether a new tick at time ``at`` [s] is within the rate limit of the robot's stated period."""
+        # A robot in lockstep waits for its action, so it cannot send faster than it is served.
         if state.lockstep:
             return True
         earned = _PACE * max(at - self._credited, 0.0) / max(state.period, _SHORTEST_PERIOD)
@@ -129,18 +127,19 @@ class RobotSlot:
         return True
 
     def is_complete(self, topics: Sequence[Topic], slack: Mapping[Topic, int]) -> bool:
-        """Whether every input is there: of the state's tick, or in real time older by at most its topic's ``slack``."""
+        """Whether all inputs are there: of the state's tick or, in real time, at most ``slack`` ticks older."""
+        # No slack in lockstep: experiments must be reproducible, whatever the timing.
         slack = _NO_SLACK if self.state.lockstep else slack
-        for topic in topics:  # noqa: SIM110  a loop costs half of what `all` does, and every message asks
+        # Called for every message; a loop takes half the time of `all` with a generator.
+        for topic in topics:  # noqa: SIM110
             if not _fits(self.inputs.get(topic), self.state, slack.get(topic, 0)):
                 return False
         return True
 
     def keep(self, topic: Topic, message: Message) -> bool:
-        """Keeps an input that is newer than the one before; False when it is of no use.
-
-        An input of an epoch that ended, or of one that is not heard yet, is repeated if it still matters.
-        """
+        """Stores an input if it is newer than the stored one; returns whether it was."""
+        # Of an earlier start of the robot, or of a new one whose first state has not arrived. An input that still
+        # matters is sent again, because the robot repeats its state until it has an action.
         if message.epoch != self.state.epoch:
             return False
         known = self.inputs.get(topic)
@@ -150,7 +149,7 @@ class RobotSlot:
         return True
 
     def given(self, topics: Sequence[Topic], slack: Mapping[Topic, int]) -> Inputs:
-        """The inputs of a step, stale where they are missing or too old."""
+        """Returns the inputs of a step; missing or outdated ones are ``Stale``."""
         slack, state, found = _NO_SLACK if self.state.lockstep else slack, self.state, dict[Topic, Message | Stale]()
         for topic in topics:
             message = self.inputs.get(topic)
@@ -166,7 +165,7 @@ def _fits(message: Message | None, state: StateMessage, slack: int) -> bool:
 
 
 def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: int) -> Message | Stale:
-    """The message, unless it is of another epoch, of a later tick, or older than the topic and the node allow."""
+    """Returns the message, or ``Stale`` if it is of another epoch or a later tick, or older than allowed."""
     if message is None or message.epoch != state.epoch:
         return Stale(topic, None)
     age = state.tick - message.tick
@@ -174,13 +173,16 @@ def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: i
 
 
 NO_ROBOT = "-"
-"""Stands for the robot in the health key of a service that serves none yet."""
+"""Placeholder for the robot in the health key of a service without robots."""
 
 
-def heartbeat(service: str, slot: RobotSlot | None, strangers: HeartbeatCounts, model: str) -> HealthMessage:
-    """What ``service`` tells of one robot: its own steps, stale inputs and refusals, and those of no one it serves."""
-    counts = strangers if slot is None else slot.counts
-    refused = counts.refused if slot is None else counts.refused + strangers.refused
+def heartbeat(service: str, slot: RobotSlot | None, unserved: HeartbeatCounts, model: str) -> HealthMessage:
+    """Returns the heartbeat of ``service`` about one robot, or about none (``slot`` is None).
+
+    ``unserved`` counts rejected messages that belong to no served robot; they are included for every robot.
+    """
+    counts = unserved if slot is None else slot.counts
+    refused = counts.refused if slot is None else counts.refused + unserved.refused
     return HealthMessage(
         epoch=slot.state.epoch if slot else 0,
         tick=slot.state.tick if slot else 0,

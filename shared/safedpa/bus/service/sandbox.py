@@ -1,8 +1,8 @@
-"""Work on what strangers sent, in a process of its own: with little processor, little memory, and no key.
+"""A sandbox for untrusted input: a separate process with limits on CPU time and memory, and without keys.
 
-The process is started bare and early, while this one is small and has no links; it imports what it needs when the
-first work comes, behind everybody else on the machine. Each work runs in a fork of it that the kernel ends at its
-limits of processor time and memory. What comes back is JSON, and small: anyone who sent the work in cannot choose more.
+The worker process starts early, while this process is small and has no connections. It imports what it needs with the
+first job, at the lowest priority. Each job runs in a fork of the worker, which the kernel kills at its limits of CPU
+time and memory. The result is a small JSON document, so that untrusted input cannot reach this process in another form.
 """
 
 from __future__ import annotations
@@ -31,17 +31,24 @@ if TYPE_CHECKING:
 
 __all__ = ["AbstractJobHandle", "JobProcess", "serve"]
 
-_PROCESSOR_SECONDS = 5
+# Limits of one job. The check of a legitimate model takes a fraction of a second.
+_CPU_SECONDS = 5
 _MEMORY_BYTES = 1 << 30
-_LONGEST_SECONDS = 20.0
-"""For one work, waiting included: on a machine that is busy for so long nothing should be changed anyway."""
+# Time limit of a job including the time in the queue. On a machine that is busy for so long, a model should not be
+# changed anyway.
+_TIMEOUT_SECONDS = 20.0
 _NICENESS = 19
+# Bytes of a result: a model file in canonical form fits.
 _LARGEST_RESULT = 1 << 17
+# Killed workers that have not exited yet (a process in uninterruptible sleep may take long). Beyond this number no
+# other worker is started, so that they cannot accumulate.
 _MOST_DYING = 4
-"""Ended processes that are not gone yet, beyond which no other is started."""
-_WAITING_BYTES = 1 << 20
-"""Of works that the process has not read yet."""
-_LENGTH = struct.Struct("<IQ")
+# Size of the pipe to the worker: jobs that it has not read yet.
+_PIPE_BYTES = 1 << 20
+# Header of a job: its number, and the length of the pickled argument.
+_HEADER = struct.Struct("<IQ")
+# The worker inherits real-time scheduling from a service that has it and gives it up first, before it imports anything.
+# Then it waits for the first byte of a job, so that services without model changes do not pay for the imports.
 _START = (
     "import os,sys;"
     "hasattr(os,'sched_setscheduler') and os.sched_setscheduler(0,os.SCHED_OTHER,os.sched_param(0));"
@@ -51,34 +58,33 @@ _START = (
     "from safedpa.bus.service.sandbox import serve;"
     "first and serve(first,sys.argv[2])"
 )
-"""Below real time before anything else, then asleep until there is work."""
 
 
 class AbstractJobHandle(ABC):
-    """A work that was handed in."""
+    """A submitted job."""
 
     @abstractmethod
     def outcome(self, *, wait: bool = False) -> dict[str, Any] | None:
-        """What came of it; None while it is under way, unless someone waits.
+        """Returns the result, or None while the job is running; with ``wait``, blocks until there is one.
 
-        ``{"problem": "..."}`` where there is nothing else, also because it took too long.
+        A failed job, or one that took too long, has the result ``{"problem": "..."}``.
         """
 
 
 @final
 class _JobHandle(AbstractJobHandle):
-    def __init__(self, apart: JobProcess, number: int, until: float) -> None:
-        self._apart, self._number, self._until = apart, number, until
+    def __init__(self, worker: JobProcess, number: int, until: float) -> None:
+        self._worker, self._number, self._until = worker, number, until
 
     def outcome(self, *, wait: bool = False) -> dict[str, Any] | None:
         while True:
-            found = self._apart.take(self._number)
+            found = self._worker.take(self._number)
             if found is not None:
                 return found
-            if self._apart.clock() > self._until:
-                self._apart.give_up()
-                self._apart.take(self._number)
-                return {"problem": f"it could not be tried within {_LONGEST_SECONDS:.0f} s"}
+            if self._worker.clock() > self._until:
+                self._worker.kill()
+                self._worker.take(self._number)  # discard what kill reported for this job
+                return {"problem": f"it could not be tried within {_TIMEOUT_SECONDS:.0f} s"}
             if not wait:
                 return None
             time.sleep(0.005)
@@ -86,70 +92,71 @@ class _JobHandle(AbstractJobHandle):
 
 @final
 class JobProcess:
-    """Starts the process that carries out ``function`` (``module:name``), of one picklable argument each.
+    """Starts the worker process and submits jobs to it. Not thread-safe.
 
-    ``function`` returns what JSON can say. Not for several threads at once.
+    A job calls ``function`` (``module:name``) with one picklable argument; the result must be JSON serialisable.
     """
 
     def __init__(self, function: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._function, self.clock = function, clock
         self._number = 0
         self._process: subprocess.Popen[bytes] | None = None
-        self._came = b""
-        self._found: dict[int, dict[str, Any]] = {}
+        self._received = b""
+        self._results: dict[int, dict[str, Any]] = {}
         self._pending: set[int] = set()
-        """Works that the process has, or that wait for it."""
+        """Numbers of the jobs that are running or queued."""
         self._dying: list[subprocess.Popen[bytes]] = []
         self._start()
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the worker; 0 without one."""
         return 0 if self._process is None else self._process.pid
 
-    def hand_in(self, work: object) -> AbstractJobHandle:
-        """Begins a work; never waits for it."""
+    def submit(self, work: object) -> AbstractJobHandle:
+        """Submits a job with this argument; never blocks."""
         self._number += 1
+        # Pickle only towards the worker, which already has fewer rights than this process. Results come back as JSON.
         content = pickle.dumps(work)
         try:
             if self._process is None or self._process.poll() is not None:
                 self._start()
-            self._write(_LENGTH.pack(self._number, len(content)) + content)
+            self._write(_HEADER.pack(self._number, len(content)) + content)
             self._pending.add(self._number)
         except OSError as error:
-            self.give_up()
-            self._found[self._number] = {"problem": f"it could not be tried ({error.strerror})"}
-        return _JobHandle(self, self._number, self.clock() + _LONGEST_SECONDS)
+            # A job may be written in part; after that the stream has no boundaries the worker could find.
+            self.kill()
+            self._results[self._number] = {"problem": f"it could not be tried ({error.strerror})"}
+        return _JobHandle(self, self._number, self.clock() + _TIMEOUT_SECONDS)
 
     def take(self, number: int) -> dict[str, Any] | None:
-        """The outcome of a work, if it is there."""
+        """Returns and removes the result of a job; None if there is none yet."""
         if self._dying:
             self._reap()
         self._read()
-        return self._found.pop(number, None)
+        return self._results.pop(number, None)
 
-    def give_up(self) -> None:
-        """Ends the process and whatever it does; the next work starts it again.
-
-        No one waits for it to die: at the lowest priority that may take longer than the loop has. Whose work it had is
-        told at once, so that each of them does not end the next process in turn.
-        """
-        process, self._process, self._came = self._process, None, b""
+    def kill(self) -> None:
+        """Kills the worker with all its jobs; the next job starts another worker."""
+        process, self._process, self._received = self._process, None, b""
+        # Fail all queued jobs now. If each of them waited for its own time-out instead, each would kill the next
+        # worker.
         for number in self._pending:
-            self._found[number] = {"problem": "it could not be tried: another work before it took too long"}
+            self._results[number] = {"problem": "it could not be tried: another work before it took too long"}
         self._pending.clear()
         if process is not None:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+                os.killpg(process.pid, signal.SIGKILL)  # the group, which includes the fork that runs the job
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
                     pipe.close()
+            # Not waited for: at the lowest priority its end may take longer than the loop has.
             self._dying.append(process)
         self._reap()
 
     def close(self) -> None:
-        """Gives up, and waits until every process is gone; not for the loop."""
-        self.give_up()
+        """Kills the worker and waits until all workers have exited; blocks, so not for use in a loop."""
+        self.kill()
         for process in self._dying:
             process.wait()
         self._dying.clear()
@@ -158,11 +165,13 @@ class JobProcess:
         self._dying = [process for process in self._dying if process.poll() is None]
 
     def _start(self) -> None:
-        import subprocess  # anyone who only takes tickets does without
+        import subprocess  # slow to import, and not needed by modules that only use job handles
 
-        self.give_up()
+        self.kill()
         if len(self._dying) >= _MOST_DYING:
-            raise OSError(errno.EAGAIN, f"{len(self._dying)} processes that were ended have not ended yet")
+            raise OSError(errno.EAGAIN, f"{len(self._dying)} killed workers have not exited yet")
+        # -S skips site-packages' start-up files; sys.path is passed on explicitly. One thread each for the numerical
+        # libraries: they would otherwise start one per core.
         command = [sys.executable, "-S", "-c", _START, os.pathsep.join(filter(None, sys.path)), self._function]
         environment = {**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
@@ -170,28 +179,31 @@ class JobProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            start_new_session=True,  # a process group of its own, for killpg; and no signals from the terminal
             env=environment,
-            cwd="/",
+            cwd="/",  # keeps no directory busy, and imports nothing from the current one
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         for pipe in (self._process.stdin, self._process.stdout):
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError, AttributeError):  # else the kernel's own 64 KiB
-            fcntl.fcntl(self._process.stdin.fileno(), fcntl.F_SETPIPE_SZ, _WAITING_BYTES)
+        # Linux only, and subject to a per-user limit. Without it the pipe has the default of 64 KiB, and larger jobs
+        # fail more often on a busy machine.
+        with contextlib.suppress(OSError, AttributeError):
+            fcntl.fcntl(self._process.stdin.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def _write(self, content: bytes) -> None:
-        """At once or not at all: who does not read in time is ended, since no one in the loop may wait for it."""
+        """Writes to the worker without blocking. Raises OSError if the worker does not read in time."""
         assert self._process is not None
         assert self._process.stdin is not None
+        # The loop has other robots to serve; 2 ms are enough for a worker that is reading.
         written, until = 0, self.clock() + 0.002
         while written < len(content):
             try:
                 written += os.write(self._process.stdin.fileno(), content[written:])
             except BlockingIOError:
                 if self.clock() > until:
-                    raise OSError(errno.EAGAIN, "its process is busy with others") from None
+                    raise OSError(errno.EAGAIN, "the worker is busy with other jobs") from None
                 time.sleep(0.0002)
 
     def _read(self) -> None:
@@ -199,30 +211,31 @@ class JobProcess:
             return
         with contextlib.suppress(BlockingIOError):
             while piece := os.read(self._process.stdout.fileno(), _LARGEST_RESULT):
-                self._came += piece
-        *lines, self._came = self._came.split(b"\n")
+                self._received += piece
+        *lines, self._received = self._received.split(b"\n")
         for line in lines:
             try:
                 found = parse_json(line)
                 number = int(found.pop("number"))
-                self._pending.remove(number)
-                self._found[number] = found
+                self._pending.remove(number)  # KeyError for a number that was not submitted
+                self._results[number] = found
             except (InputError, KeyError, ValueError, AttributeError):
+                # The worker is not trusted either. A job without a valid result ends with its time-out.
                 continue
 
 
 def serve(first: bytes, function: str) -> None:
-    """The process's own part: reads works from standard input until it closes; one fork each."""
+    """Runs in the worker: reads jobs from standard input until it closes, and runs each in a fork."""
     os.environ["PYTHONSAFEPATH"] = "1"
     module, _, name = function.partition(":")
     work = getattr(import_module(module), name)
     source, sink = sys.stdin.buffer, sys.stdout.buffer
     while True:
-        head = first + source.read(_LENGTH.size - len(first))
+        header = first + source.read(_HEADER.size - len(first))
         first = b""
-        if len(head) < _LENGTH.size:
+        if len(header) < _HEADER.size:
             return
-        number, length = _LENGTH.unpack(head)
+        number, length = _HEADER.unpack(header)
         content = source.read(length)
         found = _forked(work, content)
         sink.write(json.dumps({**found, "number": number}).encode() + b"\n")
@@ -239,31 +252,35 @@ def _forked(work: Callable[[Any], dict[str, Any]], content: bytes) -> dict[str, 
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
-        notice = pipe.read(_LARGEST_RESULT)
+        output = pipe.read(_LARGEST_RESULT)
+    # The pipe is at its end, or has more than the limit: in the second case the child would block on it forever.
     with contextlib.suppress(ProcessLookupError):
-        os.kill(child, signal.SIGKILL)  # it has said everything, or too much
+        os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     try:
-        found = json.loads(notice)
+        found = json.loads(output)
     except ValueError:
-        found = {"problem": _ending(status)}
-    return found if isinstance(found, dict) else {"problem": "it answered nothing that can be read"}
+        found = {"problem": _reason_of_exit(status)}
+    return found if isinstance(found, dict) else {"problem": "its answer cannot be read"}
 
 
 def _carry_out(work: Callable[[Any], dict[str, Any]], content: bytes, pipe: IO[bytes]) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (_PROCESSOR_SECONDS, _PROCESSOR_SECONDS))
+    # Hard limits, which the child cannot raise again. No core dumps and no files: a job only computes.
+    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_SECONDS, _CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     try:
         found = work(pickle.loads(content))
-    except Exception as error:  # noqa: BLE001  whatever a foreign document brings about
+    except Exception as error:  # noqa: BLE001
+        # A foreign document may cause any exception; its text is the reason of the refusal.
         found = {"problem": " ".join(str(error).split())[:300] or type(error).__name__}
     pipe.write(json.dumps(found).encode())
 
 
-def _ending(status: int) -> str:
+def _reason_of_exit(status: int) -> str:
     number = os.waitstatus_to_exitcode(status)
+    # With equal soft and hard limits Linux sends SIGKILL at RLIMIT_CPU, other systems SIGXCPU.
     if number in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"trying it took more than {_PROCESSOR_SECONDS} s of processor time"
+        return f"trying it took more than {_CPU_SECONDS} s of processor time"
     return f"trying it took more than {_MEMORY_BYTES >> 20} MiB of memory, or ended its process (code {number})"

@@ -1,15 +1,13 @@
-"""When a loop looks at which robot, and who turns the loops of a process.
+"""Scheduling of the service loops of a process: timers by robot, batching, and the thread that runs the loops.
 
-A loop looks at those robots alone whose moment came, and at many of them in batches. Batches under load are made as
-network cards make them: with many robots a loop looks a few hundred times a second. A message that wakes a process for
-itself costs several times what it costs among others: two changes of thread, cold caches, a packet of its own for the
-answer. With one robot nothing waits; with many, each of the loops between sense and act adds at most one quantum to a
-latency that may take 0.9 of the period.
+Batching: with many robots, a loop handles messages in batches, a few hundred times a second, like interrupt coalescing
+in network cards. A message that wakes a process on its own takes several times the CPU time of one in a batch: two
+thread switches, cold caches, and a separate packet for the answer. With one robot no message waits. With many, each
+loop between sense and act adds at most one batch interval to the latency, which may reach 0.9 of the period.
 
-Loops are turned by the thread that brings a message, or, for what no message brings, by the main thread. A message that
-has to wake another thread first is on its way for 100 to 150 us longer, at each of the hops from sense to act. So the
-network's thread itself turns the loop when no one else does; it never waits for the loop. With many robots, whose
-messages are gathered without any thread of Python, the main thread turns alone, some hundred times a second.
+Threads: the thread that delivers a message runs the loop itself, unless another thread does so; it never waits for the
+loop. Waking another thread would add 100 to 150 us at each hop from sense to act. Work that no message triggers runs on
+the main thread. In batch mode, messages gather outside Python and only the main thread runs the loops.
 """
 
 from __future__ import annotations
@@ -18,79 +16,80 @@ import heapq
 import threading
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import TYPE_CHECKING, final
+from typing import Protocol, final
 
-if TYPE_CHECKING:
-    from safedpa.bus.service.service_loop import ServiceLoop
+from safedpa.bus.transport.inbox import Inbox
 
 __all__ = ["MAX_HOLD_SECONDS", "Scheduler", "TimerQueue", "batch_interval"]
 
+# Longest wait for a message; also the interval at which `stopped` and the batch interval are checked.
 _LONGEST_WAIT_SECONDS = 0.25
-_LONGEST_END_SECONDS = 5.0
-"""A car brakes from full speed to a stand in 1.2 s; a container gets 10 s before it is killed."""
-_END_TURN_SECONDS = 0.05
+# Time limit of the shutdown: a car brakes from full speed in 1.2 s, and Docker kills a container after 10 s.
+_SHUTDOWN_SECONDS = 5.0
+# Longest wait while shutting down, so that the process ends soon after the last robot has stopped.
+_SHUTDOWN_WAIT_SECONDS = 0.05
 
 
 @final
 class TimerQueue:
-    """Moments [s] by robot. A moment that is not needed any more is not taken back: looking once too often is cheap.
+    """Timers [s] by robot. A timer cannot be cancelled; handling a robot once too often is cheap."""
 
-    Robots that are served together have their moments together, so each moment stands there once.
-    """
+    # Robots that are served together have equal due times, so the heap has one entry for all of them.
 
     def __init__(self) -> None:
-        self._moments: list[float] = []
+        self._times: list[float] = []
         self._robots: dict[float, list[str]] = {}
-        """By moment."""
+        """Robots by due time."""
 
     def at(self, when: float, robot: str) -> None:
-        """Adds a moment; never, where it is infinite."""
+        """Adds a timer; an infinite time is ignored."""
         robots = self._robots.get(when)
         if robots is not None:
             robots.append(robot)
         elif when < inf:
             self._robots[when] = [robot]
-            heapq.heappush(self._moments, when)
+            heapq.heappush(self._times, when)
 
     def due(self, now: float) -> list[str]:
-        """Takes the robots whose moment has come, earliest first; each once."""
-        moments = self._moments
-        if not moments or moments[0] > now:
+        """Removes and returns the robots whose timers are due, earliest first, each once."""
+        times = self._times
+        if not times or times[0] > now:
             return []
         found: dict[str, None] = {}
-        while moments and moments[0] <= now:
-            found.update(dict.fromkeys(self._robots.pop(heapq.heappop(moments))))
+        while times and times[0] <= now:
+            found.update(dict.fromkeys(self._robots.pop(heapq.heappop(times))))
         return list(found)
 
     def next(self, awaited: Callable[[str], bool] | None = None) -> float:
-        """The earliest moment; infinite where there is none.
+        """Returns the earliest due time; infinite without timers.
 
-        A moment at whose coming no robot is ``awaited`` any more is taken back: no one has to wake up for it.
+        Removes timers of which no robot satisfies ``awaited``, so that the loop does not wake up for them.
         """
-        moments = self._moments
-        while awaited is not None and moments and not any(map(awaited, self._robots[moments[0]])):
-            del self._robots[heapq.heappop(moments)]
-        return moments[0] if moments else inf
+        times = self._times
+        while awaited is not None and times and not any(map(awaited, self._robots[times[0]])):
+            del self._robots[heapq.heappop(times)]
+        return times[0] if times else inf
 
     def __len__(self) -> int:
         return sum(map(len, self._robots.values()))
 
 
+# Number of robots from which batching is used, and below which it ends again: hysteresis.
 _MANY, _FEW = 8, 4
-"""Robots from which batches are made, and below which they are not made any more."""
+# Batch interval as a fraction of the shortest period: 1.5 ms at 20 Hz. Four loops wait in sequence. A fraction of 0.08
+# tripled the latency of fifty robots and saved no CPU time.
 _SHARE = 0.03
-"""Of the shortest period: 1.5 ms at 20 Hz. Four loops wait one after the other, each for what came meanwhile as well:
-0.08 cost fifty robots three times the latency and saved no processor. On a crowded machine more would save some."""
+# Below this interval, the overhead of sleeping exceeds the savings.
 _SHORTEST_SECONDS = 0.001
-"""Below, sleeping costs more than it saves."""
 MAX_HOLD_SECONDS = 0.005
-"""An output waits no longer than this for those of other robots."""
+"""Longest time that an output waits for the outputs of other robots."""
 
 
 def batch_interval(periods: Sequence[float], *, coalescing: bool) -> float:
-    """s from one batch to the next, for robots with such periods [s], 0 for one in lockstep; 0: no batches.
+    """Returns the batch interval [s] for robots with these periods [s]; 0: no batching.
 
-    A robot in lockstep stands while it waits, so no one waits then. ``coalescing``: whether batches are made now.
+    The period of a robot in lockstep is 0, which turns batching off, because the robot waits for every answer.
+    ``coalescing`` is whether batching is on now.
     """
     if len(periods) < (_FEW if coalescing else _MANY):
         return 0.0
@@ -98,73 +97,109 @@ def batch_interval(periods: Sequence[float], *, coalescing: bool) -> float:
     return quantum if quantum >= _SHORTEST_SECONDS else 0.0
 
 
+class ScheduledLoop(Protocol):
+    """A service loop as the scheduler drives it."""
+
+    inbox: Inbox
+    clock: Callable[[], float]
+    quantum: float
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether a robot still waits for this loop during a shutdown."""
+
+    @property
+    def preferred_quantum(self) -> float:
+        """The batch interval [s] that its robots need."""
+
+    def begin_shutdown(self) -> None:
+        """Serves the known robots only, from now on."""
+
+    def wait_time(self, longest_wait: float) -> float:
+        """The time [s] until its next timer, at most ``longest_wait``."""
+
+    def turn(self, longest_wait: float) -> None:
+        """Takes messages, steps the robots that are ready, and does periodic work."""
+
+    def serve(self, longest_wait: float) -> None:
+        """Takes messages and steps the robots that are ready."""
+
+    def coalesce(self, quantum: float) -> None:
+        """Sets the batch interval [s]; 0 means none."""
+
+
 @final
 class Scheduler:
-    """Turns service loops of one process together, in the order given, which is that of their data."""
+    """Runs the service loops of one process, in the given order, which is the order of the data flow."""
 
-    def __init__(self, loops: Sequence[ServiceLoop]) -> None:
+    def __init__(self, loops: Sequence[ScheduledLoop]) -> None:
         self._loops = loops
-        self._turns = threading.Lock()
-        """Held by the thread that turns."""
-        self._next_look = 0.0
-        """s; when it is asked again whether batches are worth it."""
+        self._running = threading.Lock()
+        """Held by the thread that runs the loops."""
+        self._next_check = 0.0
+        """Time [s] at which the batch interval is computed again."""
         self._changed = threading.Event()
-        """Another thread turned: the moments at which something is due may be others now."""
+        """Set when another thread has run the loops, after which other timers may be due first."""
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Turns until ``stopped``, then until nothing is left to do for any robot that still speaks, 5 s at most.
+        """Runs until ``stopped``, then until no active robot needs a service, for at most 5 s.
 
-        Looks at ``stopped`` four times a second.
+        Checks ``stopped`` four times a second.
         """
         for loop in self._loops:
-            loop.inbox.lead(self._came)
+            loop.inbox.set_listener(self._on_arrival)
         try:
             while not stopped():
                 self._turn(_LONGEST_WAIT_SECONDS)
             for loop in self._loops:
-                loop.wind_up()
+                loop.begin_shutdown()
+            # The filter keeps braking its robots meanwhile; leaving at once would hand each over to its own watchdog.
             clock = self._loops[0].clock
-            end = clock() + _LONGEST_END_SECONDS
+            end = clock() + _SHUTDOWN_SECONDS
             while clock() < end and any(loop.is_needed for loop in self._loops):
-                self._turn(_END_TURN_SECONDS)
+                self._turn(_SHUTDOWN_WAIT_SECONDS)
         finally:
             for loop in self._loops:
-                loop.inbox.lead(None)
+                loop.inbox.set_listener(None)
 
     def _turn(self, longest_wait: float) -> None:
-        """On the main thread: waits, then does what is due."""
-        with self._turns:  # anyone who turns changes what is due
-            wait = min(loop.patience(longest_wait) for loop in self._loops)
+        """Waits, then runs the loops; on the main thread."""
+        with self._running:  # the thread that runs the loops changes their timers
+            wait = min(loop.wait_time(longest_wait) for loop in self._loops)
+        # In batch mode the first loop's inbox sleeps for the rest of the interval instead.
         if not self._gathers:
+            # If a message arrives between this check and the wait, the event is set and the wait returns at once.
             if not self._waiting:
                 self._changed.wait(wait)
                 self._changed.clear()
             wait = 0.0
-        with self._turns:
+        with self._running:
             for loop in self._loops:
                 loop.turn(wait)
-                wait = 0.0
+                wait = 0.0  # only the first loop waits; the others would wait for the same time again
             self._coalesce()
 
     def _coalesce(self) -> None:
-        """All in the same way, since they wait together."""
-        if self._loops[0].clock() >= self._next_look:
-            self._next_look = self._loops[0].clock() + _LONGEST_WAIT_SECONDS
-            quantum = max(loop.wanted_quantum for loop in self._loops)
+        """Sets the same batch interval for all loops, because they share one wait."""
+        if self._loops[0].clock() >= self._next_check:
+            self._next_check = self._loops[0].clock() + _LONGEST_WAIT_SECONDS
+            quantum = max(loop.preferred_quantum for loop in self._loops)
             for loop in self._loops:
                 loop.coalesce(quantum)
 
-    def _came(self) -> None:
-        """On the network's thread: something was put into an inbox."""
+    def _on_arrival(self) -> None:
+        """Runs the loops after a message arrived; on the network's thread."""
         if self._gathers:
             return
-        while self._waiting and self._turns.acquire(blocking=False):
+        # Never block the network's thread. If another thread holds the lock, it takes this message, or the main thread
+        # does in its next turn. Checked in a loop, because a message may arrive just before the lock is released.
+        while self._waiting and self._running.acquire(blocking=False):
             try:
                 for loop in self._loops:
                     loop.serve(0.0)
             finally:
-                self._turns.release()
-        self._changed.set()
+                self._running.release()
+        self._changed.set()  # the main thread computes its wait again
 
     @property
     def _gathers(self) -> bool:

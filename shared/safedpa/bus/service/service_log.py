@@ -1,7 +1,7 @@
-"""What one service writes to its log: whom it meets, what it refuses, and how its own outputs change.
+"""Events of a service: robots that come and go, rejected messages, and changes of its outputs.
 
-Only changes are written, never ticks: a filter that falls back for a minute is one line when it begins and one when it
-ends.
+Only changes are logged, not ticks: a filter that is in fallback for a minute logs one line at the start and one at the
+end.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ __all__ = ["ServiceLog"]
 
 _STEPS = {"offer": "model.offered", "take": "model.decided", "drop": "model.dropped"}
 _ANSWERS = {"ready": "model.ready", "taken": "model.taken", "refused": "model.refused"}
-_MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
-_TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
+_STATUS_KINDS = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
+_WARNINGS = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
 
 
-_REPORTED = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
+# Checked by exact type before anything else: most outputs, such as actions, are never logged.
+_LOGGED = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
 
 
 @dataclass
 class _Status:
     name: str
     since: int
-    """Tick at which it came about."""
+    """Tick at which the status began."""
 
 
 class ServiceLog:
-    """Events of the service ``service``, written by ``log``, which is called like ``log_event``."""
+    """Events of the service ``service``, written by ``log``, which has the signature of ``log_event``."""
 
     def __init__(self, service: str, log: Callable[..., None] = log_event) -> None:
         self._service, self._log = service, log
@@ -42,28 +43,29 @@ class ServiceLog:
 
     @classmethod
     def silent(cls) -> ServiceLog:
-        """One that writes nothing: for experiments in one process."""
+        """Returns a log that writes nothing, for experiments in one process."""
         return cls("", lambda *_arguments, **_more: None)
 
     def met(self, robot: str, tick: int, *, again: bool) -> None:
-        """A robot is heard for the first time, or ``again`` with a new epoch."""
-        kind = "robot.began_anew" if again else "robot.met"
-        sentence = f"'{robot}' was started again" if again else f"'{robot}' is heard for the first time"
+        """Logs the first state of a robot, or with ``again`` the first one of a new epoch."""
+        kind = "robot.restarted" if again else "robot.met"
+        sentence = f"'{robot}' was restarted" if again else f"received the first state of '{robot}'"
         self._event(kind, sentence, robot, tick)
         self._drop(robot)
 
     def forgot(self, robot: str) -> None:
-        """A robot left."""
+        """Logs that a robot left."""
         self._event("robot.forgotten", f"'{robot}' was silent for long and is forgotten", robot)
         self._drop(robot)
 
     def refused(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
-        """Something was not taken; ``second``: it came from a second robot under a name in use."""
+        """Logs a rejected message; ``second`` if it came from a second robot under a name in use."""
         kind = "robot.second_refused" if second else "message.refused"
         self._event(kind, reason, robot, tick, level="warning")
 
     def failed(self, reason: str, error: Exception, robot: str = "", tick: int = -1) -> None:
-        """Something went wrong about one robot that no one foresaw; the line names where."""
+        """Logs an unexpected exception about one robot, with its location in the code."""
+        # The innermost frame is where the exception was raised; a whole traceback does not fit on one line.
         trace = error.__traceback__
         while trace is not None and trace.tb_next is not None:
             trace = trace.tb_next
@@ -71,9 +73,9 @@ class ServiceLog:
         self._event("robot.step_failed", reason, robot, tick, level="error", where=where)
 
     def notice(self, robot: str, outputs: Outputs) -> None:
-        """What the service publishes about a robot; told where it differs from what it said before."""
+        """Logs published messages about a robot that differ from the previous ones."""
         for message in outputs.values():
-            if type(message) in _REPORTED:
+            if type(message) in _LOGGED:
                 self._message(robot, message)
 
     def _message(self, robot: str, message: Message) -> None:
@@ -97,8 +99,8 @@ class ServiceLog:
         self._statuses[robot] = _Status(name, message.tick)
         if name == "fallback":
             self._event("filter.fallback_entered", message.sentence, robot, message.tick)
-        elif name in _MARKED:
-            self._event(_MARKED[name], message.sentence, robot, message.tick)
+        elif name in _STATUS_KINDS:
+            self._event(_STATUS_KINDS[name], message.sentence, robot, message.tick)
         if before is not None and before.name == "fallback":
             lasted = message.tick - before.since
             self._event("filter.fallback_left", f"decides again after {lasted} ticks", robot, message.tick)
@@ -110,5 +112,5 @@ class ServiceLog:
         self._stages.pop(robot, None)
 
     def _event(self, kind: str, sentence: str, robot: str, tick: int = -1, *, level: str = "", **more: Any) -> None:
-        chosen = level or ("warning" if kind in _TROUBLE else "info")
+        chosen = level or ("warning" if kind in _WARNINGS else "info")
         self._log(kind, sentence, level=chosen, robot=robot, tick=tick, service=self._service, **more)

@@ -1,13 +1,13 @@
-"""The loop of every service, written once: collect the inputs of a tick, step, publish, tell the own health.
+"""The loop of every service: collect the inputs of a tick, step the node, publish its outputs, send heartbeats.
 
-In lockstep a node steps when every input of the state's tick is there, however long it takes; the robot repeats its
-state meanwhile and a repeated tick is answered with the same output again. In real time it steps at the latest when its
-share of the period is over, with the missing inputs named as stale. A robot that restarts has a new epoch; messages
-of a second robot under a name in use are refused.
+In lockstep, a node steps once every input of the state's tick is there, however long that takes. The robot repeats its
+state meanwhile, and a repeated state is answered with the same outputs. In real time, the node steps at the latest
+when its share of the period is over; missing inputs are then marked as stale. A robot that restarts has a new epoch.
+Messages of a second robot under a name in use are rejected.
 
-Any number of robots is served, each for itself. In one turn every robot gets at most one step and a few messages are
-taken of each, those that wait longest first; only robots of which something came, or whose moment has come, are looked
-at. What one of them says, and whatever its step raises, is refused, counted and told under its own name.
+The loop serves any number of robots independently. In one turn every robot gets at most one step, and only a few
+messages per robot and topic are read, oldest first. Only robots with new messages or due timers are handled. Invalid
+messages and exceptions of a step are counted and logged for the robot concerned and do not affect the others.
 """
 
 from __future__ import annotations
@@ -30,29 +30,30 @@ from safedpa.errors import BusError, InputError
 __all__ = ["NO_ROBOT", "ServiceLoop"]
 
 _HEARTBEAT_SECONDS = 0.25
+# A name may be taken over by a new epoch (a restarted robot) after this silence. A second robot cannot displace one
+# that is still sending.
 _SILENCE_SECONDS = 0.3
-"""A robot that was silent for so long may restart under its name; one that speaks is not replaced."""
 
+# Fractions of the period after a step. `afterwards` runs after the first: by then the urgent work of the tick is
+# usually done in all services. Up to the second it also yields to unread messages.
 _FINISH_SHARE = 0.1
-"""Of the period: the pause after a step before what no one waits for; the tick is usually over by then."""
 _LATEST_FINISH_SHARE = 0.5
-"""Of the period: until then it also gives way to whatever waits in the inbox."""
 
+# A robot that was silent for this long has left.
 _FORGET_SECONDS = 30.0
-"""A robot that was silent for so long has left."""
+# Robots served at once. The names come from the network, and each takes memory.
 _MOST_ROBOTS = 1000
-"""Names of robots that are served at once; further ones are refused, anyone who makes them up."""
+# Messages read in one turn per topic and robot, so that one robot's backlog does not delay the others.
 _MOST_PER_KEY = 4
-"""Messages of one topic of one robot that are taken in one turn."""
+# The golden ratio: multiples of it modulo 1 are evenly spread for any number of robots, and so are their heartbeats.
 _SPREAD = 0.618
-"""Golden ratio: so many heartbeats spread over their period best, however many robots there are."""
 _NO_INPUTS: Inputs = {}
-_NOT_A_ROBOTS = (BusError, MemoryError)
-"""Errors of the process itself: it ends, and anyone who watches it starts it again."""
+# Errors of the process, not of one robot: they end the process, so that its supervisor restarts it.
+_PROCESS_ERRORS = (BusError, MemoryError)
 
 
 class ServiceLoop:
-    """Runs one node for every robot that appears in the bus's fleet (or for one robot by name)."""
+    """Runs one node for every robot of the fleet, or for one robot by name."""
 
     def __init__(
         self,
@@ -72,44 +73,47 @@ class ServiceLoop:
         )
         self._handshake = ModelHandshake(node, bus, self.inbox, clock, self._failed)
         self._slots: dict[str, RobotSlot] = {}
-        self._spoken_of: dict[str, float] = {}
-        """s; when a robot that was not heard itself was spoken of last."""
+        self._mentioned: dict[str, float] = {}
+        """Robots that messages were about, but which sent no state themselves: time [s] of the last such message."""
         self._timers = TimerQueue()
         self._touched: dict[str, None] = {}
-        """Robots of which something came since the last look, in that order."""
-        self._strangers = HeartbeatCounts()
-        """What came from no one who is served."""
+        """Robots with new messages or due timers; a dict, because it is ordered."""
+        self._unserved = HeartbeatCounts()
+        """Counts of messages that belong to no served robot."""
         self._next_heartbeat = clock()
         self.quantum = 0.0
-        """s from one batch to the next; 0: each message as it comes."""
+        """Batch interval in s; 0: each message is handled as it arrives."""
         self._setup, self._next_setup = setup, clock()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Turns until ``stopped`` says so, then until the node may end, 5 s at most; looks four times a second."""
+        """Runs until ``stopped`` returns true (checked four times a second) and the node has shut down, at most 5 s."""
         Scheduler((self,)).run(stopped)
 
-    def wind_up(self) -> None:
-        """Tells the node that the process shall end."""
-        self._node.wind_up()
+    def begin_shutdown(self) -> None:
+        """Begins the shutdown of the node."""
+        # Published a last time: a recorder whose link was established late has not received it on a short drive.
+        self._next_setup = self.clock()
+        self._report_setup()
+        self._node.begin_shutdown()
 
     @property
     def is_needed(self) -> bool:
-        """After ``wind_up``: whether something is left to do for any robot that still speaks."""
-        return any(map(self._needs_us, self._slots))
+        """Whether an active robot still needs the node after ``begin_shutdown``."""
+        return any(map(self._is_needed_by, self._slots))
 
-    def _needs_us(self, robot: str) -> bool:
+    def _is_needed_by(self, robot: str) -> bool:
         slot = self._slots[robot]
-        speaks = self.clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
-        return speaks and not self._node.at_rest(robot)
+        active = self.clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
+        return active and not self._node.at_rest(robot)
 
     def turn(self, longest_wait: float) -> None:
-        """Takes what arrived, steps what is due, sends heartbeats and forgets who left when it is time."""
+        """Serves robots as ``serve`` does, then sends due heartbeats and forgets robots that left."""
         self.serve(longest_wait)
-        self._keep_house()
+        self._housekeeping()
 
     def serve(self, longest_wait: float) -> None:
-        """Takes what arrived, steps what is due, and does what no one waits for when its moment has come."""
-        wait = self.patience(longest_wait) if longest_wait > 0.0 else 0.0
+        """Reads messages, steps the robots that are due, and does deferred work."""
+        wait = self.wait_time(longest_wait) if longest_wait > 0.0 else 0.0
         for item in self.inbox.take(wait, _MOST_PER_KEY):
             if isinstance(item, RejectedMessage):
                 self._refuse(item.reason, item.robot)
@@ -123,40 +127,43 @@ class ServiceLoop:
             touched, self._touched = self._touched, {}
             self._serve([(robot, slots[robot]) for robot in touched if robot in slots])
 
-    def _keep_house(self) -> None:
+    def _housekeeping(self) -> None:
         if self.clock() >= self._next_heartbeat:
             self._next_heartbeat = self.clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
             if not self._slots:
                 self._report_health(NO_ROBOT, None)
-            self._report_of_silent()
+            self._report_quiet_robots()
             self._report_setup()
 
-    def _report_of_silent(self) -> None:
-        """Who speaks is told of when it speaks; waking up for each heartbeat would cost more than the heartbeat."""
+    def _report_quiet_robots(self) -> None:
+        """Sends due heartbeats about robots that are silent."""
+        # Those of active robots go out while their messages are handled: a wake-up takes longer than the heartbeat.
         silent = [entry for entry in self._slots.items() if entry[1].next_heartbeat <= self.clock()]
         self._hold_for(silent)
         for robot, slot in silent:
             self._report_health(robot, slot)
         self._bus.flush()
 
-    def patience(self, longest_wait: float) -> float:
-        """s until something is due, at most ``longest_wait``."""
+    def wait_time(self, longest_wait: float) -> float:
+        """Returns the time in s until something is due, at most ``longest_wait``."""
         moment = min(self._timers.next(self._is_awaited), self._handshake.deadline(), self._next_heartbeat)
         return max(0.0, min(longest_wait, moment - self.clock()))
 
     def _is_awaited(self, robot: str) -> bool:
-        """Whether something is left to do for the robot in the tick of its state."""
+        """Whether the step of the robot's tick, or the deferred work after it, is still due."""
         slot = self._slots.get(robot)
         return slot is not None and (slot.outputs is None or slot.unfinished_since is not None)
 
     def _serve(self, touched: list[tuple[str, RobotSlot]]) -> None:
-        """Steps first, of robots that do not wait for us before those that do; then what no one waits for."""
+        """Steps all robots that are due, then does deferred work and sends heartbeats."""
         self._step_all(touched)
         self._hold_for(touched)
         now = self.clock()
         for robot, slot in touched:
             if slot.unfinished_since is not None and now >= slot.unfinished_since + _FINISH_SHARE * slot.state.period:
+                # A waiting message may be a state whose action is urgent. Deferred work is not, until it is half a
+                # period late.
                 if self.inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
                     self._timers.at(now, robot)
                     continue
@@ -166,51 +173,56 @@ class ServiceLoop:
         self._bus.flush()
 
     def _step_all(self, touched: list[tuple[str, RobotSlot]]) -> None:
-        """Steps what is due. With many robots the outputs go out together, but no later than the limit."""
+        """Steps all robots that are due, and sends the outputs in bundles."""
         due = [entry for entry in touched if entry[1].outputs is None]
+        # Robots in real time first (False < True): one in lockstep waits for its action as long as it takes.
         if len(due) > 1:
             due.sort(key=lambda entry: entry[1].state.lockstep)
         self._hold_for(due)
         held_since = self.clock()
         for robot, slot in due:
             self._advance(robot, slot)
+            # Outputs of the first robots must not wait for the steps of hundreds of others.
             if self.clock() - held_since >= MAX_HOLD_SECONDS:
                 self._bus.flush()
                 self._hold_for(due)
                 held_since = self.clock()
         self._bus.flush()
-        now = self.clock()  # one moment for all of them: what comes afterwards comes together, too
+        # The same time for all of them, so that their deferred work is due together and its outputs form bundles.
+        now = self.clock()
         for robot, slot in due:
-            if slot.unfinished_since is not None and not self._node.lingers:
+            if slot.unfinished_since is not None and not self._node.defers_afterwards:
                 self._finish(robot, slot)
             elif slot.unfinished_since is not None:
                 slot.unfinished_since = now
                 self._timers.at(now + _FINISH_SHARE * slot.state.period, robot)
 
     def _hold_for(self, touched: list[tuple[str, RobotSlot]]) -> None:
-        """Whether what is said now travels together: while batches are made, or of robots that speak together."""
+        """Starts a bundle if batching is on, or if several robots are handled whose states arrived in bundles."""
         if self.quantum > 0.0 or (len(touched) > 1 and any(slot.bundled for _, slot in touched)):
             self._bus.hold()
 
     @property
-    def wanted_quantum(self) -> float:
-        """s from one batch to the next that suits the robots served now; see ``batch_interval``."""
-        apart = [slot.state for slot in self._slots.values() if not slot.bundled]  # the others come in batches anyway
-        periods = [0.0 if state.lockstep else state.period for state in apart]
+    def preferred_quantum(self) -> float:
+        """Batch interval [s] that suits the robots served now; see ``batch_interval``."""
+        # Bundled states arrive in batches already; waiting would only add latency.
+        single = [slot.state for slot in self._slots.values() if not slot.bundled]
+        periods = [0.0 if state.lockstep else state.period for state in single]
         return batch_interval(periods, coalescing=self.quantum > 0.0)
 
     def coalesce(self, quantum: float) -> None:
-        """From now on takes in batches what comes, and sends so what goes out; 0: each message as it comes."""
+        """Sets the batch interval [s] for messages in both directions; 0 handles each message as it arrives."""
         if quantum != self.quantum:
             self.quantum = quantum
             self.inbox.coalesce(quantum)
 
     def _take(self, item: ReceivedMessage) -> None:
         robot, topic, node = item.robot, item.topic, self._node
-        known = robot in self._slots  # then it was greeted, too
+        known = robot in self._slots  # implies that its handshake is done
         if not known and not self._has_room_for(robot):
-            self._refuse(f"got robot '{robot}' next to {_MOST_ROBOTS} others; start another service for some")
+            self._refuse(f"robot '{robot}' exceeds the limit of {_MOST_ROBOTS} robots; start another service for some")
             return
+        # Not delayed by the handshake: steps of a model change must not be missed while it is pending.
         if topic in node.listens:
             self._hear(item)
         if (topic is STATE or topic in node.inputs or topic in node.sensor_inputs) and (
@@ -219,9 +231,10 @@ class ServiceLoop:
             self._take_known(item)
 
     def _has_room_for(self, robot: str) -> bool:
-        if robot not in self._spoken_of and len(self._slots) + len(self._spoken_of) >= _MOST_ROBOTS:
+        # Also counts robots that were only mentioned, because the node may keep data about them.
+        if robot not in self._mentioned and len(self._slots) + len(self._mentioned) >= _MOST_ROBOTS:
             return False
-        self._spoken_of[robot] = self.clock()
+        self._mentioned[robot] = self.clock()
         return True
 
     def _take_known(self, item: ReceivedMessage) -> None:
@@ -235,9 +248,10 @@ class ServiceLoop:
     def _hear(self, item: ReceivedMessage) -> None:
         try:
             self._node.hear(item.robot, item.message)
-        except _NOT_A_ROBOTS:
+        except _PROCESS_ERRORS:
             raise
-        except Exception as error:  # noqa: BLE001  whatever one robot's message brings about, the others are served on
+        except Exception as error:  # noqa: BLE001
+            # An error about one robot must not end the service of the others; the same applies below.
             self._failed(item.robot, error)
 
     def _take_state(self, item: ReceivedMessage) -> None:
@@ -249,32 +263,35 @@ class ServiceLoop:
         elif slot is None or self._is_new_epoch(slot, state, item.at):
             self._begin(item, state, again=slot is not None)
         elif state.epoch != slot.state.epoch:
-            self._refuse(f"a second robot speaks as '{item.robot}'", item.robot, state.tick, second=True)
+            self._refuse(f"a second robot uses the name '{item.robot}'", item.robot, state.tick, second=True)
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}", item.robot, state.tick)
         else:
+            # A repeated state: the robot has no action yet. An output was lost, or a service after this one started
+            # late. Send the outputs again.
             slot.heard = item.at
-            if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
+            if slot.outputs is not None:
                 self._publish(item.robot, slot.outputs)
 
     def _begin(self, item: ReceivedMessage, state: StateMessage, *, again: bool) -> None:
-        """A robot that is new, or restarted."""
+        """Starts serving a robot that is new or has restarted."""
         robot, at = item.robot, item.at
-        self._node.forget(robot)
+        self._node.forget(robot)  # data of an earlier epoch is about another drive
         self._slots[robot] = slot = RobotSlot(state, at, at, self.clock(), item.bundled)
         slot.keeps_pace(state, at)
-        self._spoken_of.pop(robot, None)
+        self._mentioned.pop(robot, None)
         self._service_log.met(robot, state.tick, again=again)
-        self._next_setup = self.clock()  # anyone who records the robot shall know the setup from the first seconds on
+        self._next_setup = self.clock()  # a recording of this robot should have the setup from its first seconds
         self._expect(robot, slot)
 
     def _take_tick(self, item: ReceivedMessage, slot: RobotSlot, state: StateMessage) -> None:
         robot, at = item.robot, item.at
         slot.heard = at
         if not slot.keeps_pace(state, at):
-            reason = f"got states far faster than their period of {state.period:g} s; sense less often, or say so"
+            reason = f"states arrive much faster than their period of {state.period:g} s; send fewer, or correct period"
             self._refuse(reason, robot, state.tick)
             return
+        # Outputs of the previous tick that were deferred until now; a node must not see the new tick before.
         if slot.unfinished_since is not None:
             self._finish(robot, slot)
         if slot.outputs is None and slot.prepared:
@@ -283,10 +300,11 @@ class ServiceLoop:
         self._expect(robot, slot)
 
     def _expect(self, robot: str, slot: RobotSlot) -> None:
-        """Looks at the robot now, and again when in real time its share of the period is over."""
+        """Handles the robot in this turn, and again at the deadline of its step."""
         self._touched[robot] = None
-        if self._node.needs(slot.state):  # else it is stepped now
-            self._timers.at(self._deadline(slot), robot)  # in lockstep never: it waits for its inputs alone
+        # Without further inputs the step runs in this turn. In lockstep the deadline is infinite: no timer.
+        if self._node.needs(slot.state):
+            self._timers.at(self._deadline(slot), robot)
 
     def _deadline(self, slot: RobotSlot) -> float:
         return float("inf") if slot.state.lockstep else slot.arrived + self._node.share * slot.state.period
@@ -301,9 +319,10 @@ class ServiceLoop:
             slot.prepared = True
             try:
                 self._node.prepare(robot, slot.state)
-            except _NOT_A_ROBOTS:
+            except _PROCESS_ERRORS:
                 raise
-            except Exception as error:  # noqa: BLE001  the step will say what it comes to
+            except Exception as error:  # noqa: BLE001
+                # Only logged: the step follows in any case, and if it fails, too, `rescue` decides.
                 self._failed(robot, error, slot.state.tick)
 
     def _step(self, robot: str, slot: RobotSlot) -> None:
@@ -320,10 +339,10 @@ class ServiceLoop:
         try:
             outputs = slot.trace.on(node.step(robot, slot.state, inputs))
             slot.counts.microseconds = 1e6 * (time.perf_counter() - started)
-            self._publish(robot, outputs)
-        except _NOT_A_ROBOTS:
+            self._publish(robot, outputs)  # before all bookkeeping: the robot waits for it
+        except _PROCESS_ERRORS:
             raise
-        except Exception as error:  # noqa: BLE001  what one robot brings about must not end the service of the others
+        except Exception as error:  # noqa: BLE001
             self._rescue(robot, slot, error)
             return
         slot.outputs, counts = outputs, slot.counts
@@ -337,7 +356,8 @@ class ServiceLoop:
             self._finish(robot, slot)
 
     def _rescue(self, robot: str, slot: RobotSlot, error: Exception) -> None:
-        """The step failed: the node says what is right for this robot then, from as little as possible."""
+        """Publishes the node's safe outputs after a failed step."""
+        # Empty outputs, not None: the failed step must not run again for the same tick.
         slot.outputs, slot.unfinished_since, slot.counts.failing = {}, None, True
         reason = self._failed(robot, error, slot.state.tick)
         try:
@@ -345,31 +365,36 @@ class ServiceLoop:
             self._publish(robot, outputs)
             slot.outputs = outputs
             self._service_log.notice(robot, outputs)
-        except _NOT_A_ROBOTS:
+        except _PROCESS_ERRORS:
             raise
-        except Exception as again:  # noqa: BLE001  then the robot's own watchdog acts
+        except Exception as again:  # noqa: BLE001
+            # Without an action, the robot's own watchdog brakes.
             self._failed(robot, again, slot.state.tick)
 
     def _finish(self, robot: str, slot: RobotSlot) -> None:
-        """What no one waits for; in real time a little later, when the processor is not needed by those on the way."""
-        slot.unfinished_since = None
+        """Does the deferred work of a tick and publishes its outputs."""
+        slot.unfinished_since = None  # first: deferred work that fails is not repeated
         try:
             further = self._node.afterwards(robot)
             if further:
                 self._publish(robot, slot.trace.on(further))
-        except _NOT_A_ROBOTS:
+        except _PROCESS_ERRORS:
             raise
-        except Exception as error:  # noqa: BLE001  the action is on its way; the others are served on
+        except Exception as error:  # noqa: BLE001
+            # Only logged: the action of this tick was sent before.
             self._failed(robot, error, slot.state.tick)
             return
         if further:
             self._service_log.notice(robot, further)
+            # Added to the outputs that a repeated state is answered with.
             slot.outputs = {**(slot.outputs or {}), **further}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         publish, service = self._bus.publish, self._node.name
         for topic, message in outputs.items():
-            alone = topic is ACTION and not self._slots[robot].bundled  # a robot may not see what others are told
+            # A robot must not receive bundles, which contain actions of others. One whose states arrive in bundles runs
+            # in a process that simulates many robots, and that process may.
+            alone = topic is ACTION and not self._slots[robot].bundled
             publish(topic, robot, message, service, alone=alone)
 
     def _forget_silent(self) -> None:
@@ -378,8 +403,8 @@ class ServiceLoop:
             del self._slots[robot]
             self._leave(robot)
             self._service_log.forgot(robot)
-        for robot in [robot for robot, at in self._spoken_of.items() if at < oldest]:
-            del self._spoken_of[robot]
+        for robot in [robot for robot, at in self._mentioned.items() if at < oldest]:
+            del self._mentioned[robot]
             self._leave(robot)
 
     def _leave(self, robot: str) -> None:
@@ -388,22 +413,23 @@ class ServiceLoop:
         self._bus.forget(robot)
 
     def _refuse(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
-        """Counts what was not taken: for its robot, or for no one where that one is not served."""
+        """Counts and logs a rejected message, for its robot if that one is served."""
         self._service_log.refused(reason, robot, tick, second=second)
         slot = self._slots.get(robot)
-        counts = self._strangers if slot is None else slot.counts
+        counts = self._unserved if slot is None else slot.counts
         counts.refused += 1
         counts.detail = f"refused: {reason}"
 
     def _failed(self, robot: str, error: Exception, tick: int = -1) -> str:
-        """Counts and tells what a robot brought about; returns it in words."""
+        """Counts and logs an exception about a robot; returns it as text."""
+        # InputError means invalid data from outside; any other exception is a defect of this program.
         if isinstance(error, InputError):
             self._refuse(str(error), robot, tick)
             return str(error)
         reason = f"{type(error).__name__}: {error}"
         self._service_log.failed(reason, error, robot, tick)
         slot = self._slots.get(robot)
-        (self._strangers if slot is None else slot.counts).detail = f"failed: {reason}"
+        (self._unserved if slot is None else slot.counts).detail = f"failed: {reason}"
         return reason
 
     def _report_setup(self) -> None:
@@ -413,7 +439,9 @@ class ServiceLoop:
 
     def _report_health(self, robot: str, slot: RobotSlot | None) -> None:
         if slot is not None:
+            # The first heartbeat of a robot goes out at once, its second after a part of the interval that differs from
+            # robot to robot. The heartbeats of robots that joined together are then spread in time.
             share = 1.0 if slot.reported else (_SPREAD * len(self._slots)) % 1.0
             slot.reported, slot.next_heartbeat = True, self.clock() + share * _HEARTBEAT_SECONDS
-        message = heartbeat(self._node.name, slot, self._strangers, self._node.model_of(robot) if slot else "")
+        message = heartbeat(self._node.name, slot, self._unserved, self._node.model_of(robot) if slot else "")
         self._bus.publish(HEALTH, robot, message, self._node.name)

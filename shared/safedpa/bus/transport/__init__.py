@@ -1,1 +1,6 @@
-"""How it travels: Zenoh or memory, and the inbox in which it waits, measured before it is parsed."""
+"""Transports and the inbox.
+
+``base`` is the interface of a transport, ``zenoh`` and ``memory`` implement it. ``bus`` is what services use: topics
+and messages instead of keys and bytes. ``inbox`` holds received messages, bounded in memory, until the loop reads
+them; ``batching`` packs messages about many robots into one. Read ``base.py`` first, then ``bus.py``.
+"""

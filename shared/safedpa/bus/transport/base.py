@@ -1,4 +1,5 @@
-"""The seam under the bus: bytes under keys, and who is alive. One implementation is Zenoh, one is memory."""
+"""The transport interface: publish and subscribe bytes under keys, queries, and liveliness. Zenoh and memory implement
+it."""
 
 from __future__ import annotations
 
@@ -8,75 +9,76 @@ from collections.abc import Callable
 __all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample", "Subscription"]
 
 OnSample = Callable[[str, bytes], None]
-"""Called with key and payload, on any thread; must return at once and raise nothing."""
+"""Called with key and payload on any thread; must return immediately and must not raise."""
 
 OnQuestion = Callable[[str, bytes], bytes | None]
-"""Called with key and payload of a question, on any thread; returns the answer, or None to leave it to others, soon and
-raises nothing."""
+"""Called with key and payload of a question on any thread. Returns the answer, or None to leave it to others; must
+return soon and must not raise."""
 
 OnAnswer = Callable[[bytes | None], None]
-"""Called once with the first answer, or None when there was none; on any thread."""
+"""Called once, on any thread, with the first answer, or None without an answer."""
 
 
 class Subscription:
-    """What ``subscribe`` returns: its receiver is called for each message as it comes, or, while it gathers, for all of
-    them when the owner says so.
+    """A subscription, which calls its receiver per message, or in batches while it gathers.
 
-    A call into Python for each message costs a wake-up and a struggle with whatever runs there; a transport that can
-    keep messages elsewhere spares both while there are many. One that delivers at once has nothing to gather.
+    A call into Python for each message costs a wake-up of a thread and contention for the interpreter lock. At high
+    rates a transport avoids both by queueing messages outside Python. This base class delivers immediately and has
+    nothing to gather.
     """
 
     def gather(self) -> None:
-        """From now on keeps what comes until ``collect``; of very many messages the oldest are lost."""
+        """Queues messages from now on until ``collect``; when the queue is full, drops the oldest."""
 
     def collect(self) -> None:
-        """Calls the receiver for everything gathered, in order, on the caller's thread; never waits."""
+        """Calls the receiver for every queued message, in order, on the caller's thread; never blocks."""
 
     def pass_on(self) -> None:
-        """From now on calls the receiver as messages come; what was gathered first."""
+        """Delivers the queued messages and calls the receiver per message from now on."""
 
 
 class AbstractTransport(ABC):
-    """Publishes and subscribes bytes under keys like ``safedpa/fleet/robot/state``; ``*`` matches one part of a key."""
+    """Publishes and subscribes bytes under keys such as ``safedpa/fleet/robot/state``; ``*`` matches one key part."""
 
     @abstractmethod
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:
-        """Sends at once and never blocks for long; ``never_drop`` prefers completeness over age.
+        """Sends immediately and never blocks for long.
 
+        If the network is congested, a message with ``never_drop`` waits for it and any other message is dropped.
         Raises BusError after ``close``.
         """
 
-    def release(self, beginning: str) -> None:
-        """Gives back what sending under keys that begin so holds; sending again takes it again."""
-        del beginning
+    def release(self, prefix: str) -> None:
+        """Releases the resources held for sending under keys with this prefix; a later ``put`` allocates them again."""
+        del prefix
 
     @abstractmethod
     def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:
-        """Calls ``on_sample`` for everything that is put under matching keys from now on, until ``close``."""
+        """Calls ``on_sample`` for every message put under matching keys from now on until ``close``."""
 
     @abstractmethod
     def declare_alive(self, key: str) -> None:
-        """Shows ``key`` to everyone who asks ``alive``, until ``close`` or the end of this process."""
+        """Makes ``key`` visible to ``alive`` of all participants until ``close`` or the end of this process."""
 
     @abstractmethod
     def alive(self, key_expression: str) -> list[str]:
-        """Keys now declared alive that match, sorted."""
+        """Returns the matching keys that are declared alive now, sorted."""
 
     @abstractmethod
     def answer(self, key_expression: str, on_question: OnQuestion) -> None:
-        """Answers every question under matching keys with what ``on_question`` returns, until ``close``."""
+        """Answers questions under matching keys with the result of ``on_question``, until ``close``."""
 
     @abstractmethod
     def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:
-        """The first answer to a question, or None: no one answers such keys, or not within ``timeout`` [s].
+        """Returns the first answer to a question, or None if no participant answers within ``timeout`` [s].
 
         Raises BusError after ``close``.
         """
 
     @abstractmethod
     def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:
-        """The same without waiting for it: ``on_answer`` is called with what ``ask`` would have returned."""
+        """Asynchronous ``ask``: returns immediately and passes the result to ``on_answer``."""
 
     @abstractmethod
     def close(self) -> None:
-        """Ends every subscription and declaration. Calling it again does nothing."""
+        """Ends all subscriptions and declarations. Calling it again has no effect."""

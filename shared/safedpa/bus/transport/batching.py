@@ -1,9 +1,10 @@
-"""Many messages of one topic in one: what a process that serves or simulates many robots says at one moment.
+"""Bundles: several messages of one topic about different robots, sent as one message.
 
-A message that travels alone costs a wake-up, a packet and a call at each end, several times what reading it costs. A
-bundle travels under a key of its own, ``safedpa/{fleet}/+/{topic}``, with ``+`` in the place of the robot: only who may
-speak for the whole fleet has the right to it, and a robot, which may read what is said of itself alone, is never sent
-one. Each message in it is then treated as if it had come alone, under the name that stands next to it.
+A separate message has the overhead of a wake-up, a packet and a call at each end, several times the time to decode it.
+Processes that serve or simulate many robots therefore send bundles. A bundle has its own key,
+``safedpa/{fleet}/+/{topic}`` with ``+`` in place of the robot. Only roles that may write for the whole fleet may write
+under it, and a robot, which may read only its own messages, never receives a bundle. Receivers treat each entry like a
+single message about the robot named next to it.
 """
 
 from __future__ import annotations
@@ -18,18 +19,20 @@ from safedpa.errors import MessageError
 __all__ = ["Entry", "pack_bundle", "split_into_bundles", "unpack_bundle"]
 
 Entry = tuple[str, bytes]
-"""Name of the robot, and a message about it as it would travel alone."""
+"""Name of a robot, and the encoded message about it."""
 
 _MOST_ENTRIES = 256
+# Total size of the entries of one bundle. With the overhead of the list it remains below the limit of a topic's
+# messages (64 KiB) and below the size of one Zenoh batch.
 _LARGEST_BYTES = 48 * 1024
-"""Of the messages in one bundle: it stays below what one message may have, and one of Zenoh's batches."""
 
 _pack = msgspec.msgpack.Encoder().encode
+# The decoder rejects a longer list while it reads, before it has allocated the entries.
 _unpack = msgspec.msgpack.Decoder(Annotated[list[tuple[str, bytes]], msgspec.Meta(max_length=_MOST_ENTRIES)]).decode
 
 
 def split_into_bundles(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
-    """The entries in order, in parts of which each fits into one bundle."""
+    """Splits the entries, in order, into parts that each fit into one bundle."""
     part: list[Entry] = []
     size = 0
     for entry in entries:
@@ -44,14 +47,14 @@ def split_into_bundles(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
 
 
 def pack_bundle(entries: Sequence[Entry]) -> bytes:
-    """The payload of one bundle: a msgpack list of pairs."""
+    """Returns the payload of a bundle: a msgpack list of pairs."""
     return _pack(entries)
 
 
 def unpack_bundle(payload: bytes) -> list[Entry]:
-    """The entries of a bundle. Raises MessageError where it is none, or holds more than 256 messages."""
+    """Returns the entries of a bundle. Raises MessageError for malformed bundles and those of more than 256 entries."""
     try:
         entries: list[Entry] = _unpack(payload)
         return entries
     except (ValueError, RecursionError) as error:
-        raise MessageError(f"bundle: got none ({error}), wanted a list of names and messages") from error
+        raise MessageError(f"bundle: malformed ({error}), wanted a list of names and messages") from error

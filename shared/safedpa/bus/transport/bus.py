@@ -1,4 +1,4 @@
-"""The bus as the processes see it: topics instead of keys, messages instead of bytes, inboxes instead of callbacks."""
+"""The bus as services use it: topics instead of keys, messages instead of bytes, inboxes instead of callbacks."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from safedpa.errors import BusError, InputError, MessageError
 __all__ = ["Bus"]
 
 _CLAIM_POLL_SECONDS = 0.05
+# Time for a competing instance to notice that it lost the claim and to leave. It needs up to a second to list the
+# instances and, on a busy machine, some more to close its session.
 _CLAIM_SETTLE_SECONDS = 5.0
-"""The other one looks around for up to a second, sees that it came second, and ends its session, on a busy machine."""
 
 
 def _usable(payload: bytes | None) -> Answer | None:
-    """The answer, unless there is none or it is none; one that refuses to tell is as good as none."""
+    """Decodes an answer; None if it is missing, malformed or a refusal."""
     try:
         answer = None if payload is None else decode(Answer, payload)
     except InputError:
@@ -32,9 +33,10 @@ def _usable(payload: bytes | None) -> Answer | None:
 
 
 class Bus:
-    """One participant of one fleet. Who shares a process with others may share its ``decode`` with them.
+    """A participant of one fleet.
 
-    Of robots for whose name ``serves`` is false nothing gets into an inbox; None: all are served.
+    Participants in one process may share a ``decode``. Inboxes ignore messages about robots for whose name
+    ``serves(name)`` is false; None accepts all robots.
     """
 
     def __init__(
@@ -50,9 +52,9 @@ class Bus:
         self._held: dict[tuple[Topic, str], list[Entry]] = {}
 
     def publish(self, topic: Topic, robot: str, message: Message, service: str = "", *, alone: bool = False) -> None:
-        """Sends one message; ``service`` names the sender where every service writes under its own name.
+        """Sends one message; ``service`` is the sender's name on topics that every service writes.
 
-        ``alone``: at once and not among others, even while messages are held.
+        ``alone`` sends it immediately and outside any bundle, even while messages are held.
         """
         if type(message) is not topic.message:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
@@ -67,23 +69,24 @@ class Bus:
             self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
     def hold(self) -> None:
-        """Keeps what is published until ``flush``: messages of one topic that are sent at one moment travel as one."""
+        """Collects published messages until ``flush``, which sends those of one topic as a bundle."""
         self._holds = True
 
     def flush(self) -> None:
-        """Sends what was held, and holds nothing any more."""
+        """Sends the held messages and ends holding."""
         self._holds = False
         if not self._held:
             return
         held, self._held = self._held, {}
         for (topic, service), entries in held.items():
             for part in split_into_bundles(entries):
+                # A single message goes under the robot's own key, which the robot itself may read.
                 robot, payload = part[0] if len(part) == 1 else (BUNDLE, pack_bundle(part))
                 key = key_of(self.fleet, robot, topic, service)
                 self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
     def forget(self, robot: str) -> None:
-        """Releases what sending about a robot holds: it left."""
+        """Releases the resources held for publishing about a robot that left."""
         self._transport.release(f"safedpa/{self.fleet}/{robot}/")
 
     def inbox(
@@ -95,9 +98,10 @@ class Bus:
         alone: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> Inbox:
-        """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any.
+        """Subscribes to topics of one robot or, with ``*``, of every robot.
 
-        ``alone``: what travels among messages about other robots is not asked for, as a robot may not see it.
+        ``keep_all`` keeps every message of all topics, also of those with delivery ``latest``. ``alone`` leaves out the
+        bundles: a robot has no right to read them.
         """
         inbox = Inbox(clock, decode=self._decode)
         for topic in topics:
@@ -106,7 +110,8 @@ class Bus:
             bundle = (BUNDLE,) if topic.bundles and robot != "*" and not alone else ()
             for wanted in (robot, *bundle):
                 subscription = self._transport.subscribe(key_of(self.fleet, wanted, topic, "*"), accept)
-                if not wait_all:  # what must not be lost has no place in a ring
+                # Gathering uses a ring buffer, which drops the oldest messages; only "latest" topics tolerate that.
+                if not wait_all:
                     inbox.fill_from(subscription)
         return inbox
 
@@ -114,19 +119,20 @@ class Bus:
         return InboxReceiver(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
-        """Asks about one robot; None when no one answers within ``timeout`` [s].
+        """Sends a request about one robot and returns the answer; None if none arrives within ``timeout`` [s].
 
-        Of the default kind the diagnosis is asked, of ``ORDER`` the safety filter. Raises MessageError when the answer
-        is none.
+        ``kind`` selects the service: the diagnosis by default, the safety filter for ``ORDER``. Raises MessageError if
+        the answer is malformed.
         """
         payload = self._transport.ask(request_key(self.fleet, robot, kind), encode(request), timeout)
         return None if payload is None else decode(Answer, payload)
 
     def ask_model(self, inbox: Inbox, robot: str, who: str, timeout: float) -> None:
-        """Asks which model a robot's services agreed on, without waiting; the answer is put into the inbox.
+        """Asks asynchronously which model a robot's services agreed on; puts the answer into ``inbox``.
 
-        First the diagnosis is asked, then, where it does not answer within ``timeout`` [s], the other services.
+        Asks the diagnosis first and, if it does not answer within ``timeout`` [s], the other services.
         """
+        # The diagnosis decides on changes and knows the pending one; the services only know what they use.
         question = encode(Request(do="status", who=who))
 
         def from_services(payload: bytes | None) -> None:
@@ -143,7 +149,7 @@ class Bus:
         self._transport.ask_soon(request_key(self.fleet, robot, STATUS), question, timeout, from_diagnosis)
 
     def answer_agreed(self, agreed: Callable[[str], Answer | None]) -> None:
-        """Tells other services what this one knows by ``agreed(robot)``, called on any thread; None: nothing."""
+        """Answers other services with ``agreed(robot)``, called on any thread; None: this service does not know."""
 
         def on_question(key: str, payload: bytes) -> bytes | None:
             del payload
@@ -164,15 +170,16 @@ class Bus:
     ) -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
-        What is no request, and what ``answer`` refuses by InputError, is answered with the reason; so is all but
-        ``status`` under the key where nothing else may be asked. ``report_progress`` hears of every request (None: it was none)
-        and its answer before the asker does.
+        A malformed request, one that ``answer`` refuses by InputError, and any request but ``status`` under the status
+        key is answered with the reason. ``report_progress(robot, request, answer)`` is called before the answer is
+        sent; the request is None if it was malformed.
         """
 
         def on_question(key: str, payload: bytes) -> bytes:
             about, request = "", None
             try:
                 about, request = robot_of_request(key), decode(Request, payload)
+                # The router grants services the status key only; without this check it would open every request.
                 if key.endswith(f"/{STATUS}") and request.do != STATUS:
                     raise MessageError(f"'{request.do}': got it under '{key}', wanted it under '.../{REQUEST}'")
                 given = answer(about, request)
@@ -186,23 +193,25 @@ class Bus:
             self._transport.answer(request_key(self.fleet, robot, kind), on_question)
 
     def announce(self, robot: str, service: str, instance: str) -> None:
-        """Shows that ``service`` lives; for services of the whole fleet the robot is ``-``."""
+        """Declares that an instance of ``service`` is alive; for services of the whole fleet the robot is ``-``."""
         self._transport.declare_alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/{instance}")
 
     def instances(self, robot: str, service: str) -> list[str]:
-        """Which instances of a service live now."""
+        """Returns the live instances of a service."""
         keys = self._transport.alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/*")
         return [key.rsplit("/", 1)[1] for key in keys]
 
     def claim(self, robot: str, service: str, instance: str, settle_seconds: float = _CLAIM_SETTLE_SECONDS) -> None:
-        """Announces the only instance of a service.
+        """Announces this process as the only instance of a service.
 
-        Of two that start at once the lower instance stays: it waits up to ``settle_seconds`` for the other one to
-        leave, and leaves itself when that one was there first and stays. Raises BusError when another one lives under
-        the same name; the caller then closes the bus.
+        Of two instances that start at the same time the one with the lower identifier stays. It waits up to
+        ``settle_seconds`` for the other one to leave. Raises BusError if another instance is alive; the caller then
+        closes the bus.
         """
         others = self._others(robot, service, instance)
         if not others:
+            # Announce before looking again: of two that start together at least one then sees the other. With the
+            # opposite order both could look, see no instance, and stay.
             self.announce(robot, service, instance)
             others = self._others(robot, service, instance)
             give_up = time.monotonic() + settle_seconds
@@ -211,8 +220,8 @@ class Bus:
                 others = self._others(robot, service, instance)
         if others:
             raise BusError(
-                f"{service} '{robot}' of fleet '{self.fleet}' lives already (instance {others[0]}); "
-                "choose another name, or end the other one first"
+                f"{service} '{robot}' of fleet '{self.fleet}' is already running (instance {others[0]}); "
+                "choose another name, or stop the other instance first"
             )
 
     def _others(self, robot: str, service: str, instance: str) -> list[str]:

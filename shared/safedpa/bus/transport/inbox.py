@@ -1,6 +1,8 @@
-"""What arrived and waits to be read: bounded, anyone who sends, and fair to those who send little.
+"""The inbox: received messages that wait for the loop to read them.
 
-From the transport into an inbox: what is asked for of one topic, alone or out of a bundle.
+``Inbox`` has bounded memory, regardless of the senders, and drops messages of the largest backlog first.
+``InboxReceiver`` is the callback of a transport: it filters the messages of one topic, unpacks bundles, and puts the
+result into an inbox.
 """
 
 from __future__ import annotations
@@ -30,24 +32,26 @@ __all__ = [
     "SharedPayload",
 ]
 
+# Limits of one inbox. A service that reads its inbox is far below them: 1000 robots at 20 Hz reach 100 000 messages
+# only after 5 s without a read. They stop a flood or a stalled reader from exhausting the memory of the machine.
 _LONGEST_QUEUE = 100_000
-"""Messages of topics that must not be dropped, waiting in one inbox."""
 _LARGEST_QUEUE_BYTES = 256 * 1024 * 1024
+# Topics with delivery "latest" keep one message per key, and anyone may send under new names.
 _MOST_KEYS = 16_384
-"""Different keys of topics with delivery ``latest`` that wait in one inbox: names may come from anybody."""
+# Size limit of one message by delivery. A larger message is cut to one byte more than its limit: it is still rejected
+# as too large when it is decoded, and does not occupy memory until then.
 _LARGEST_LATEST, _LARGEST_QUEUED = (
     max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == delivery)
     for delivery in ("latest", "all")
 )
-"""Bytes of one message; what is larger is refused when it is read, and not kept until then."""
 
 
 Decode = Callable[[type[Any], bytes], Any]
-"""As ``codec.decode``."""
+"""Signature of ``codec.decode``."""
 
 
 class ReceivedMessage(NamedTuple):
-    """A message that arrived; ``at`` [s] by the receiver's clock."""
+    """A received and decoded message; ``at`` is the time of arrival [s] by the receiver's clock."""
 
     topic: Topic
     robot: str
@@ -56,22 +60,22 @@ class ReceivedMessage(NamedTuple):
     key: str
     at: float
     bundled: bool = False
-    """Whether it came among others."""
+    """Whether it arrived in a bundle."""
 
 
 @dataclass(frozen=True, slots=True)
 class RejectedMessage:
-    """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
+    """Received bytes that are not a valid message, or whose key does not name a robot and topic."""
 
     key: str
     robot: str
-    """Empty when the key names none."""
+    """Empty if the key does not name a robot."""
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class RequestOutcome:
-    """What came of a question about a robot; None when no one answered in time."""
+    """Result of a question about a robot; the answer is None after a timeout."""
 
     robot: str
     answer: Answer | None
@@ -79,36 +83,35 @@ class RequestOutcome:
 
 @dataclass(slots=True)
 class _Queue:
-    """What waits under one key."""
+    """Waiting messages of one key."""
 
     messages: deque[tuple[bytes, float]] = field(default_factory=deque)
     size: int = 0
-    """Bytes."""
+    """Bytes of all messages."""
 
 
 @final
 class SharedPayload:
-    """A message that several inboxes of one process may hold: it is read for the first who takes it, once for all."""
+    """A received payload that several inboxes of one process may share; the first reader decodes it for all."""
 
     __slots__ = ("bundled", "content", "key", "payload")
 
     def __init__(self, key: str, payload: bytes, *, bundled: bool = False) -> None:
         self.key, self.payload, self.bundled = key, payload, bundled
         self.content: ReceivedMessage | RejectedMessage | None = None
-        """What was read; None until someone did."""
+        """The decoded message; None until the first reader decodes it."""
 
 
+# Key, payload (possibly cut), time of arrival [s], and the cell for the decoded message.
 _Waiting = tuple[str, bytes, float, SharedPayload]
-"""Key, so much of the payload as is kept, when it came, and what holds what is read of it."""
 
 
 class Inbox:
-    """What arrived and was not read yet; filled by network threads, emptied by one loop.
+    """Unread messages, filled by network threads and emptied by one loop.
 
-    Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order. Memory
-    is bounded anyone who sends: ``longest_queue`` messages and 256 MiB wait at most, and beyond either the key that has
-    most waiting loses its oldest, so that a sender of floods loses its own; so many different keys, and of each message
-    so many bytes, that a larger one is seen to be too large.
+    For topics with delivery ``latest`` only the newest message per key waits; for the others all messages wait, in
+    order. Memory is bounded: at most ``longest_queue`` messages and 256 MiB wait. Beyond either limit the key with the
+    most bytes waiting loses its oldest message, so that a flood displaces its own messages and not those of others.
     """
 
     def __init__(
@@ -126,24 +129,24 @@ class Inbox:
         self._answers: list[RequestOutcome] = []
         self._subscriptions: list[Subscription] = []
         self._quantum, self._collected = 0.0, 0.0
-        self._came: Callable[[], None] | None = None
+        self._on_arrival: Callable[[], None] | None = None
         self.dropped = 0
-        """Messages lost because too many were waiting."""
+        """Number of messages lost because too many were waiting."""
 
     @property
     def waiting(self) -> bool:
-        """Whether something can be taken now."""
+        """Whether ``take`` would return something now."""
         self._collect()
         return bool(self._latest or self._queues or self._answers)
 
     def fill_from(self, subscription: Subscription) -> None:
-        """Names a subscription that fills this inbox and may gather while there are many messages."""
+        """Registers a subscription that fills this inbox and may gather messages at high rates."""
         self._subscriptions.append(subscription)
 
     def coalesce(self, quantum: float) -> None:
-        """From now on ``take`` waits until ``quantum`` [s] after it last collected, and takes all as one batch.
+        """Batches messages: ``take`` returns no earlier than ``quantum`` [s] after the last collection.
 
-        With 0 it takes each message as it comes. Meant for the one thread that takes.
+        With 0, ``take`` returns messages as they arrive. To be called on the thread that calls ``take``.
         """
         if (quantum > 0.0) is not (self._quantum > 0.0):
             for subscription in self._subscriptions:
@@ -153,9 +156,9 @@ class Inbox:
                     subscription.pass_on()
         self._quantum = quantum
 
-    def lead(self, came: Callable[[], None] | None) -> None:
-        """From now on calls ``came`` after each message, on the thread that brought it; None: no more."""
-        self._came = came
+    def set_listener(self, on_arrival: Callable[[], None] | None) -> None:
+        """Calls ``on_arrival`` after each message from now on, on the thread that delivered it; None: no callback."""
+        self._on_arrival = on_arrival
 
     def _collect(self) -> None:
         if self._quantum > 0.0:
@@ -163,46 +166,49 @@ class Inbox:
                 subscription.collect()
 
     def keep_latest(self, key: str, payload: bytes) -> None:
-        """Accepts one payload; replaces an unread one of the same key."""
-        self.keep_parcels([SharedPayload(key, payload)], all_of_them=False)
+        """Adds one payload; replaces an unread one of the same key."""
+        self.keep_payloads([SharedPayload(key, payload)], all_of_them=False)
 
     def keep_all(self, key: str, payload: bytes) -> None:
-        """Accepts one payload behind all unread ones."""
-        self.keep_parcels([SharedPayload(key, payload)], all_of_them=True)
+        """Appends one payload to the unread ones."""
+        self.keep_payloads([SharedPayload(key, payload)], all_of_them=True)
 
-    def keep_parcels(self, parcels: Sequence[SharedPayload], *, all_of_them: bool) -> None:
-        """Accepts what came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
-        self.add_parcels(parcels, all_of_them=all_of_them)
+    def keep_payloads(self, payloads: Sequence[SharedPayload], *, all_of_them: bool) -> None:
+        """Adds payloads that arrived together, each as ``keep_latest`` or ``keep_all`` does, and calls the listener."""
+        self.add_payloads(payloads, all_of_them=all_of_them)
         self.announce()
 
-    def add_parcels(self, parcels: Sequence[SharedPayload], *, all_of_them: bool) -> None:
-        """The same, but anyone who leads is not told yet; ``announce`` follows once others have it, too."""
+    def add_payloads(self, payloads: Sequence[SharedPayload], *, all_of_them: bool) -> None:
+        """Adds payloads without calling the listener; call ``announce`` once all inboxes have them."""
         with self._filled:
             now = self._clock()
             if all_of_them:
-                for parcel in parcels:
-                    self._put_last(parcel, now)
+                for shared in payloads:
+                    self._put_last(shared, now)
             else:
-                for parcel in parcels:
-                    self._put_latest(parcel, now)
+                for shared in payloads:
+                    self._put_latest(shared, now)
             self._filled.notify()
 
     def announce(self) -> None:
-        """Tells anyone who leads that something came."""
-        if self._came is not None:
-            self._came()
+        """Calls the listener."""
+        # Outside the lock: the listener runs a service's loop, which takes from this inbox.
+        if self._on_arrival is not None:
+            self._on_arrival()
 
-    def _put_latest(self, parcel: SharedPayload, at: float) -> None:
-        key, payload, latest = parcel.key, parcel.payload, self._latest
+    def _put_latest(self, shared: SharedPayload, at: float) -> None:
+        key, payload, latest = shared.key, shared.payload, self._latest
+        # A full table rejects new keys instead of evicting old ones, so that invented names displace no real robot.
         if len(latest) >= _MOST_KEYS and key not in latest:
             self.dropped += 1
         elif len(payload) <= _LARGEST_LATEST:
-            latest[key] = (key, payload, at, parcel)
+            latest[key] = (key, payload, at, shared)
         else:
-            latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, SharedPayload(key, b"", bundled=parcel.bundled))
+            # A new SharedPayload: the cut copy must not be decoded in place of the complete one in other inboxes.
+            latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, SharedPayload(key, b"", bundled=shared.bundled))
 
-    def _put_last(self, parcel: SharedPayload, at: float) -> None:
-        retained, key = _cut(parcel.payload, _LARGEST_QUEUED), parcel.key
+    def _put_last(self, shared: SharedPayload, at: float) -> None:
+        retained, key = _cut(shared.payload, _LARGEST_QUEUED), shared.key
         queue = self._queues.setdefault(key, _Queue())
         queue.messages.append((retained, at))
         queue.size += len(retained)
@@ -212,7 +218,7 @@ class Inbox:
             self._drop_one()
 
     def _drop_one(self) -> None:
-        """The oldest message of the key that has most bytes waiting."""
+        """Drops the oldest message of the key with the most bytes waiting."""
         self._pop(max(self._queues, key=lambda name: self._queues[name].size))
         self.dropped += 1
 
@@ -227,24 +233,24 @@ class Inbox:
         return payload, at
 
     def keep_answer(self, answered: RequestOutcome) -> None:
-        """Accepts what came of a question."""
+        """Adds the result of a question and calls the listener."""
         with self._filled:
             self._answers.append(answered)
             self._filled.notify()
-        if self._came is not None:
-            self._came()
+        self.announce()
 
     def take_answers(self) -> list[RequestOutcome]:
-        """What came of questions asked since the last call; never waits."""
+        """Returns the results of questions since the last call; never waits."""
         with self._filled:
             answers, self._answers = self._answers, []
         return answers
 
     def take(self, timeout: float, most: int | None = None) -> list[ReceivedMessage | RejectedMessage]:
-        """What is unread, oldest first; waits up to ``timeout`` [s] for the first message or answer.
+        """Returns the unread messages, oldest first; waits up to ``timeout`` [s] for the first message or answer.
 
-        Of each key at most ``most`` messages: who has sent a thousand does not keep the others waiting.
+        Returns at most ``most`` messages per key, so that one sender's backlog does not delay the others.
         """
+        # While coalescing, messages wait in Zenoh's ring and notify no one: sleep, then collect them.
         if self._quantum > 0.0:
             self._sleep(timeout)
             timeout = 0.0
@@ -257,11 +263,12 @@ class Inbox:
                 count = len(queue.messages) if most is None else min(most, len(queue.messages))
                 waiting += [(key, *self._pop(key), SharedPayload(key, b"")) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
+        # Decoding happens outside the lock, so that network threads can continue to add messages.
         taken = []
-        for key, payload, at, parcel in waiting:
-            content = parcel.content
+        for key, payload, at, shared in waiting:
+            content = shared.content
             if content is None:
-                content = parcel.content = self._opened(key, payload, at, parcel.bundled)
+                content = shared.content = self._opened(key, payload, at, shared.bundled)
             taken.append(content)
         return taken
 
@@ -277,7 +284,7 @@ class Inbox:
             return RejectedMessage(key, robot, str(error))
 
     def _sleep(self, timeout: float) -> None:
-        """Until the quantum is over, unless it shall not wait at all; then collects."""
+        """Sleeps until the batch interval is over (not at all for a ``timeout`` of 0), then collects."""
         rest = self._collected + self._quantum - time.monotonic()
         if timeout > 0.0 and rest > 0.0:
             time.sleep(min(rest, self._quantum))
@@ -286,24 +293,25 @@ class Inbox:
 
 
 def _cut(payload: bytes, largest: int) -> bytes:
-    """The payload, or so much of it that it is still seen to be too large."""
+    """Returns the payload, cut to one byte more than ``largest`` if it is longer."""
     return payload if len(payload) <= largest else payload[: largest + 1]
 
 
 def _check_speaker(key: str, message: Message) -> None:
-    """The router vouches for the key's last part, so no one speaks as another service in the message either."""
+    """Raises MessageError if the service named in the message is not the one in its key."""
+    # The router guarantees only that the sender may write under this key. Readers use the name in the message.
     service = key.rsplit("/", 1)[1]
-    notice = getattr(message, "service", service)
-    if notice != service:
-        raise MessageError(f"key '{key}': got a message of service '{notice[:40]}', wanted one of '{service}'")
+    sender = getattr(message, "service", service)
+    if sender != service:
+        raise MessageError(f"key '{key}': got a message of service '{sender[:40]}', wanted one of '{service}'")
 
 
 @final
 class InboxReceiver:
-    """Called by a transport with key and payload; puts what is asked for into ``inbox``.
+    """Callback of a transport that puts the messages of one topic into ``inbox``.
 
-    Of robots for whose name ``serves`` is false nothing gets in; ``wanted`` is the robot asked for, or ``*``;
-    ``all_of_them``: nothing is dropped.
+    ``wanted`` is the robot subscribed to, or ``*``. Messages about robots for whose name ``serves(name)`` is false are
+    ignored. ``all_of_them`` keeps every message instead of the newest per key.
     """
 
     def __init__(
@@ -322,32 +330,36 @@ class InboxReceiver:
         self._bundles = f"safedpa/{fleet}/{BUNDLE}/{topic.name}"
 
     def __call__(self, key: str, payload: bytes) -> None:
-        """Accepts what came under ``key``."""
-        parcels = self.opened(key, payload)
-        if parcels:
-            self.put(parcels)
+        """Handles one received payload."""
+        payloads = self.opened(key, payload)
+        if payloads:
+            self.put(payloads)
             self.announce()
 
     def opened(self, key: str, payload: bytes) -> list[SharedPayload]:
-        """What came under ``key``, as far as it is asked for: alone, or each message of a bundle by itself."""
+        """Returns the wanted messages of a payload: the payload itself, or the entries of a bundle."""
         if key.startswith(self._bundles) and "*" not in key:
             try:
-                return self._parcels(key, payload)
+                return self._payloads(key, payload)
             except InputError:
-                return [SharedPayload(key, payload)]  # is refused where it is read, since its key names no robot
+                # Put the malformed bundle into the inbox: the loop rejects it there, with a reason that is counted.
+                return [SharedPayload(key, payload)]
         served = self._serves is None or self._serves(key[self._begins :].partition("/")[0])
         return [SharedPayload(key, payload)] if served else []
 
-    def put(self, parcels: list[SharedPayload]) -> None:
-        """Into the inbox; parcels may be shared with others where ``asks_as`` is true, and ``announce`` follows."""
-        self._inbox.add_parcels(parcels, all_of_them=self._all_of_them)
+    def put(self, payloads: list[SharedPayload]) -> None:
+        """Puts payloads into the inbox; call ``announce`` afterwards.
+
+        Receivers for which ``asks_as`` is true may share payloads.
+        """
+        self._inbox.add_payloads(payloads, all_of_them=self._all_of_them)
 
     def announce(self) -> None:
-        """What was put there may be acted upon."""
+        """Calls the inbox's listener."""
         self._inbox.announce()
 
     def asks_as(self, other: InboxReceiver) -> bool:
-        """Whether it asks for the same as ``other``, so that what one of them opened is right for both."""
+        """Whether both receivers have the same subscription, so that an unpacked payload is valid for both."""
         return (self._topic, self._fleet, self._wanted, self._serves) == (
             other._topic,
             other._fleet,
@@ -355,10 +367,11 @@ class InboxReceiver:
             other._serves,
         )
 
-    def _parcels(self, key: str, payload: bytes) -> list[SharedPayload]:
-        """Each message of a bundle that is asked for. Raises InputError where it is no bundle."""
+    def _payloads(self, key: str, payload: bytes) -> list[SharedPayload]:
+        """Returns the wanted entries of a bundle. Raises InputError if it is malformed."""
         topic, fleet, wanted, serves = self._topic, self._fleet, self._wanted, self._serves
         service = key.rsplit("/", 1)[1] if topic.per_service else ""
+        # Check the size before unpacking, and the exact key: a longer one would add parts that no one checks.
         if len(payload) > topic.largest_bytes or key != key_of(fleet, BUNDLE, topic, service):
             raise MessageError(f"key '{key}': got {len(payload)} bytes, wanted a bundle of {topic.name}")
         entries = unpack_bundle(payload)

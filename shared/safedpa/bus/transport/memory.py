@@ -1,8 +1,8 @@
-"""Transports inside one process: a bus that is memory alone, and one participant that stands for several services.
+"""Transports inside one process: ``MemoryTransport`` and ``JointTransport``.
 
-The bus in memory is for tests and for experiments faster than real time; delivery is immediate. Of several services in
-one process over one session, what they say to each other does not leave the process to reach them, and all of it goes
-out as well, for anyone who looks on.
+``MemoryTransport`` is for tests and for experiments faster than real time; it delivers messages immediately.
+``JointTransport`` lets several services of one process share one session. It passes messages between them directly, and
+also sends them out for the recorder and other listeners.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["JointTransport", "MemoryBroker", "MemoryTransport"]
 
 
 class MemoryBroker:
-    """The common ground of all ``MemoryTransport`` that shall hear each other."""
+    """Connects all ``MemoryTransport`` that are created with it."""
 
     def __init__(self) -> None:
         self.subscribers: list[tuple[MemoryTransport, str, OnSample]] = []
@@ -27,7 +27,7 @@ class MemoryBroker:
 
 @final
 class MemoryTransport(AbstractTransport):
-    """One participant. ``put`` calls the subscribers before it returns, in the order in which they subscribed."""
+    """A participant in memory. ``put`` calls the subscribers before it returns, in the order of subscription."""
 
     def __init__(self, broker: MemoryBroker) -> None:
         self._broker = broker
@@ -37,6 +37,7 @@ class MemoryTransport(AbstractTransport):
         del never_drop
         if self._closed:
             raise BusError(f"{key}: the bus was closed; open another one to send")
+        # A copy: a subscriber may subscribe or close in its callback.
         for _, expression, on_sample in tuple(self._broker.subscribers):
             if _matches(expression, key):
                 on_sample(key, payload)
@@ -79,11 +80,14 @@ def _matches(expression: str, key: str) -> bool:
 
 @final
 class JointTransport(AbstractTransport):
-    """One participant that stands for several.
+    """One participant of ``outer``, shared by several services of this process.
 
-    Topics named in ``inside`` are heard from this process alone, at once and in order: who else sends them, speaks for
-    a service that lives here. The others come over ``outer``, once for all who subscribe.
+    Topics in ``inside`` are delivered from this process only, immediately and in order. The others are received over
+    ``outer``, with one subscription for all services.
     """
+
+    # Messages of ``inside`` topics from other processes are ignored: their sender pretends to be a service that runs
+    # here.
 
     def __init__(self, outer: AbstractTransport, inside: frozenset[str]) -> None:
         self._outer, self._inside = outer, inside
@@ -95,10 +99,10 @@ class JointTransport(AbstractTransport):
         _, _, robot, topic, *_ = key.split("/")
         local = self._local.get(topic)
         if local:
-            _spread([on_sample for wanted, on_sample in local if wanted in ("*", robot)], key, payload)
+            _deliver([on_sample for wanted, on_sample in local if wanted in ("*", robot)], key, payload)
 
-    def release(self, beginning: str) -> None:  # noqa: D102
-        self._outer.release(beginning)
+    def release(self, prefix: str) -> None:  # noqa: D102
+        self._outer.release(prefix)
 
     def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
         _, _, robot, topic, *_ = key_expression.split("/")
@@ -106,17 +110,19 @@ class JointTransport(AbstractTransport):
             self._local[topic].append((robot, on_sample))
             return Subscription()
         if key_expression not in self._shared:
-            hearers: list[OnSample] = []
-            self._shared[key_expression] = hearers, self._outer.subscribe(key_expression, self._to_all(hearers))
-        hearers, subscription = self._shared[key_expression]
-        hearers.append(on_sample)
+            receivers: list[OnSample] = []
+            self._shared[key_expression] = receivers, self._outer.subscribe(key_expression, self._to_all(receivers))
+        receivers, subscription = self._shared[key_expression]
+        receivers.append(on_sample)
         return subscription
 
-    def _to_all(self, hearers: list[OnSample]) -> OnSample:
-        def heard(key: str, payload: bytes) -> None:
-            _spread(hearers[::-1], key, payload)  # anyone who computes first hears it last: then all have it
+    def _to_all(self, receivers: list[OnSample]) -> OnSample:
+        def on_sample(key: str, payload: bytes) -> None:
+            # Services are created in the order in which they compute. The first of them receives a state last, so that
+            # the others already have it when its result arrives.
+            _deliver(receivers[::-1], key, payload)
 
-        return heard
+        return on_sample
 
     def declare_alive(self, key: str) -> None:  # noqa: D102
         self._outer.declare_alive(key)
@@ -137,23 +143,24 @@ class JointTransport(AbstractTransport):
         self._outer.close()
 
 
-def _spread(hearers: list[OnSample], key: str, payload: bytes) -> None:
-    """To all of them, in order, before any of them acts on it.
+def _deliver(receivers: list[OnSample], key: str, payload: bytes) -> None:
+    """Delivers a message to all receivers, in order, before any of them acts on it.
 
-    A bundle is opened once, and each message in it is read once, for all who ask alike.
+    Receivers with equal subscriptions share the unpacked bundle and its decoded messages.
     """
     first: InboxReceiver | None = None
     shared: list[SharedPayload] = []
     reported: list[InboxReceiver] = []
-    for on_sample in hearers:
+    for on_sample in receivers:
         if not isinstance(on_sample, InboxReceiver):
             on_sample(key, payload)
             continue
         if first is None:
             first, shared = on_sample, on_sample.opened(key, payload)
-        parcels = shared if on_sample is first or on_sample.asks_as(first) else on_sample.opened(key, payload)
-        if parcels:
-            on_sample.put(parcels)
+        payloads = shared if on_sample is first or on_sample.asks_as(first) else on_sample.opened(key, payload)
+        if payloads:
+            on_sample.put(payloads)
             reported.append(on_sample)
-    for accepting in reported:
-        accepting.announce()
+    # Announcing runs a service's loop on this thread. It must not start before every inbox has the message.
+    for receiver in reported:
+        receiver.announce()

@@ -1,4 +1,4 @@
-"""TCP ports for processes that are about to be started."""
+"""Free TCP ports for processes that are about to be started."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from safedpa.errors import InputError
 
 __all__ = ["free_port"]
 
+# Ports are taken from 20000 to 32767: above the registered services in common use, below Linux's default range of
+# ephemeral ports, from which the system takes ports for outgoing connections.
 _LOWEST, _EPHEMERAL = 20000, 32768
-"""Ports that are handed out lie between, where the system's own choice for outgoing connections begins by default."""
+# If the ephemeral range begins lower than this many ports above _LOWEST, the default range is used all the same.
 _FEWEST = 1000
+# Distance between the first candidates of processes with consecutive pids, so that they do not try the same ports. A
+# prime, so that it shares no factor with the size of the range.
 _SPACING = 1009
-"""Ports between where two processes begin to look that were started one after the other."""
 _RANGE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 
 
 def free_port(preferred: Iterable[int] = ()) -> int:
-    """A TCP port of the loopback interface that no one listens on now: the first free one preferred, else any.
+    """Returns a free TCP port of the loopback interface: the first free one of ``preferred``, otherwise any.
 
-    No connection that goes out takes it before it is listened on, for the system gives those its ephemeral ports, and
-    this process does not get it twice. Raises InputError when there is none.
+    The port is outside the ephemeral range, so no outgoing connection takes it before the caller listens on it. The
+    same process does not get the same port again. Raises InputError if no port is free.
     """
     for port in preferred:
         if _is_free(port):
@@ -34,35 +37,36 @@ def free_port(preferred: Iterable[int] = ()) -> int:
     for port in _search.following():
         if _is_free(port):
             return port
-    raise InputError("port: got none from the operating system; end some programs that listen")
+    raise InputError("port: no TCP port is free; stop some programs that listen")
 
 
 @final
 class _Search:
-    """Where to look next; begins elsewhere in every process."""
+    """Sequence of candidate ports; each process starts at another one."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._turns = count()
+        self._offsets = count()
         self._process = 0
 
     def following(self) -> Iterable[int]:
-        """Each port once, from the one behind the last that was handed out."""
+        """Yields each port once, starting after the last one returned."""
         below = _first_ephemeral()
         size = below - _LOWEST
         for _ in range(size):
             with self._lock:
-                if self._process != os.getpid():  # a fork looks from a place of its own
-                    self._process, self._turns = os.getpid(), count(os.getpid() * _SPACING)
-                turn = next(self._turns)
-            yield _LOWEST + turn % size
+                # Also true in a fork, which would otherwise return the same ports as its parent.
+                if self._process != os.getpid():
+                    self._process, self._offsets = os.getpid(), count(os.getpid() * _SPACING)
+                offset = next(self._offsets)
+            yield _LOWEST + offset % size
 
 
 _search = _Search()
 
 
 def _first_ephemeral() -> int:
-    """The system's first ephemeral port; the usual one where those reach so far down that few are left."""
+    """Returns the system's first ephemeral port, or Linux's default if too few ports would remain below it."""
     try:
         first = int(_RANGE.read_text(encoding="ascii").split()[0])
     except (OSError, ValueError, IndexError):

@@ -1,12 +1,12 @@
-"""The bus over eclipse-zenoh.
+"""The transport over Eclipse Zenoh, and the settings of a Zenoh session.
 
-By default every process is a peer on this machine: nothing to install or start. Over several machines the topology is
-static and explicit: ``client`` sessions that connect to a router, over mutual TLS where there are certificates. Peers
-would speak past the router that enforces who may say what. What the settings below defend against was measured:
-a lease of 0.5 s instead of 10 s, so that a partition is noticed and no burst of old commands arrives after it; direct
-callbacks that only append to a queue; no shared memory; sends that drop rather than wait.
+By default every process is a peer on this machine, which needs no installation and no router. Over several machines the
+topology is static and explicit: ``client`` sessions connect to a router, over mutual TLS if there are certificates.
+Peers would exchange messages without the router, which enforces the access control.
 
-Zenoh sessions, opened and closed so that one that is stationary takes no other with it.
+The settings follow from measurements: a lease of 0.5 s instead of 10 s, so that a partition is noticed and no burst of
+old commands arrives after it; callbacks that only append to a queue; no shared memory; sends that drop messages rather
+than wait.
 """
 
 from __future__ import annotations
@@ -41,16 +41,17 @@ __all__ = [
     "zenoh_session_configuration",
 ]
 
+# Threads with which Zenoh opens and closes links, for all sessions of a process. With the default of one thread,
+# sessions deadlocked for good when peers joined and left often: the thread waited for a lock whose holder waited for
+# the thread. https://github.com/eclipse-zenoh/zenoh/issues/2581; ``deploy/zenoh_churn.py`` reproduces it.
 _NET_THREADS = 4
-"""Threads with which Zenoh opens and closes links, for all sessions of a process. By default it is one; where peers
-come and go it waited for a lock whose holder waited for it, and every session of the process was stationary for good.
-https://github.com/eclipse-zenoh/zenoh/issues/2581; ``deploy/zenoh_churn.py`` brings it about."""
+# Sessions that failed to close. If one were garbage collected, Zenoh would try to close it again, for another 10 s, and
+# abort the thread.
 _UNCLOSED: list[Any] = []
-"""Sessions that did not close: letting go of one would close it again, for as long, and abort the thread."""
 
 
 def zenoh_session_configuration(settings: Mapping[str, Any]) -> zenoh.Config:
-    """Zenoh's configuration of paths and values. Raises zenoh.ZError for a value that cannot be."""
+    """Returns Zenoh's configuration for settings by path. Raises zenoh.ZError for invalid values."""
     import zenoh
 
     configuration = zenoh.Config()
@@ -60,63 +61,68 @@ def zenoh_session_configuration(settings: Mapping[str, Any]) -> zenoh.Config:
 
 
 def open_session(configuration: zenoh.Config) -> zenoh.Session:
-    """A session. Raises zenoh.ZError where it cannot be opened."""
+    """Opens a session. Raises zenoh.ZError if that fails."""
     import zenoh
 
-    os.environ.setdefault("ZENOH_RUNTIME", f"(net: (worker_threads: {_NET_THREADS}))")  # read with the first session
+    # Zenoh reads this variable once, when the first session of the process is opened.
+    os.environ.setdefault("ZENOH_RUNTIME", f"(net: (worker_threads: {_NET_THREADS}))")
     return zenoh.open(configuration)
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Closes a session; one that does not close in Zenoh's 10 s is told, and kept: it ends with the process."""
+    """Closes a session. One that does not close within Zenoh's 10 s is logged and kept until the process ends."""
     import zenoh
 
     if session.is_closed():
         return
     try:
         session.close()  # type: ignore[no-untyped-call]
-    except zenoh.ZError as error:  # https://github.com/eclipse-zenoh/zenoh/issues/2675, on a busy machine
+    except zenoh.ZError as error:
+        # Occurs on a busy machine: https://github.com/eclipse-zenoh/zenoh/issues/2675
         _UNCLOSED.append(session)
-        log_event("bus.unclosed", f"the bus could not be closed in peace ({short_error_text(error)})", level="warning")
+        log_event("bus.unclosed", f"the bus could not be closed in time ({short_error_text(error)})", level="warning")
 
 
 def short_error_text(error: Exception) -> str:
-    """What Zenoh says, on one line, without the places in its own sources."""
+    """Returns Zenoh's error message on one line, without the locations in its source code."""
     return " ".join(str(error).split(" at /")[0].split())
 
 
 Mode = Literal["peer", "client", "router"]
 
+# Zenoh closes a link that was silent for this long. Its default of 10 s would hide a network partition, after which a
+# burst of old commands would arrive.
 _LEASE_MILLISECONDS = 500
+# Peers on one machine have no network between them that could fail, but an overloaded machine delays keep-alive
+# messages by 0.5 s and more, and peers that discovered each other do not re-establish a closed link. The end of a
+# process is noticed immediately regardless of the lease, because its socket closes.
 _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
-"""No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
-and more, and a link between peers that found each other is not made again. A process that dies is seen at once anyway.
-"""
+# Prefix of the endpoint of a Unix domain socket. Only users with access to its folder can connect.
 _LOCAL_SOCKET = "unixsock-stream/"
-"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, no one else."""
+# Time for a handshake after its first bytes. It takes 3 ms; Zenoh's default gives an unauthenticated client 5 s.
 _ACCEPT_MILLISECONDS = 1000
-"""For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
-_MOST_ON_THEIR_WAY = 2000
-"""Connections whose handshake goes on; by default 100, and then no one else gets in."""
-_ONE_OF_TWO = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
-"""Of two peers that hear of each other one connects; if both do, one link must go again, and where peers come and go
-a session takes 2 s to close instead of 0.4 s (``deploy/zenoh_churn.py``)."""
+# Concurrent handshakes. With Zenoh's default of 100, a hundred stalled clients would lock out everyone else.
+_MOST_PENDING_HANDSHAKES = 2000
+# Of two peers that discover each other only the one with the greater id connects. If both did, one of the links would
+# be closed again, and with peers joining and leaving often a session would take 2 s to close instead of 0.4 s
+# (``deploy/zenoh_churn.py``).
+_CONNECT_FROM_ONE_SIDE = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
 _ALIVE_TIMEOUT_SECONDS = 1.0
+# Capacity of the ring of one gathering subscription; beyond it the oldest messages are dropped. A thousand robots send
+# as many in four periods, and the loop collects every few milliseconds.
 _MOST_GATHERED = 4096
-"""Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
-in four of their periods, and the loop collects every few milliseconds."""
 
 
 @dataclass(frozen=True)
 class ZenohSettings:
     """How this process joins the network.
 
-    Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
-    finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
-    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and no one is found who was not named. ``access``,
-    ``limits`` and ``rates`` are a router's: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
+    Without endpoints, a peer listens on the loopback interface and discovers others there by multicast. With
+    ``connect``, it discovers others through those endpoints, without multicast. With ``certificates``, every endpoint
+    is ``tls/HOST:PORT``, both sides authenticate, and there is no discovery. ``access``, ``limits`` and ``rates`` are
+    for routers: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
 
-    Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
+    Raises BusError for a peer with certificates, and for certificates with an endpoint that is not TLS.
     """
 
     mode: Mode = "peer"
@@ -126,16 +132,16 @@ class ZenohSettings:
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
     rates: tuple[Mapping[str, Any], ...] = ()
-    patience: float = 10.0
-    """s to go on trying to connect at the start; later, while it runs, it tries for ever."""
+    connect_timeout: float = 10.0
+    """Time in s to retry the first connection. Once connected, the session retries forever."""
 
     def __post_init__(self) -> None:
         if self.certificates is None:
             return
         if self.mode == "peer":
             raise BusError(
-                "bus: got certificates for a peer, wanted --mode client: peers speak past the router, which alone "
-                "enforces who may say what"
+                "bus: got certificates for a peer, wanted --mode client: peers exchange messages without the router, "
+                "which enforces the access control"
             )
         for endpoint in (*self.listen, *self.connect):
             if not endpoint.startswith("tls/"):
@@ -143,7 +149,7 @@ class ZenohSettings:
 
     @property
     def plain_endpoints(self) -> tuple[str, ...]:
-        """Endpoints that other machines can reach and where anybody can listen and speak."""
+        """Endpoints that other machines can reach without authentication or encryption."""
         return tuple(
             endpoint
             for endpoint in (*self.listen, *self.connect)
@@ -155,26 +161,29 @@ class ZenohSettings:
         return self.mode == "peer" and all(map(_is_loopback, (*self.listen, *self.connect)))
 
     def configuration(self) -> dict[str, Any]:
-        """The Zenoh configuration as paths and values."""
+        """Returns the Zenoh configuration by path."""
         alone, among_peers = not self.listen and not self.connect, self._among_peers_of_one_machine
-        listen = self.listen or ((_own_door(self.connect),) if self.mode == "peer" else ())
+        listen = self.listen or ((_default_listen_endpoint(self.connect),) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
-            "listen/endpoints": [*map(_in_haste, listen)],
+            "listen/endpoints": [*map(_with_handshake_timeout, listen)],
             "connect/endpoints": list(self.connect),
-            "connect/timeout_ms": round(1000.0 * self.patience),
+            "connect/timeout_ms": round(1000.0 * self.connect_timeout),
             "connect/exit_on_failure": True,
+            # After a lost link the robot brakes until it is back; Zenoh's default waits up to 4 s between attempts.
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 1.5},
+            # Multicast on the loopback interface only: a process never joins a fleet on the network by accident.
             "scouting/multicast/enabled": alone,
             "scouting/multicast/interface": "lo",
             "scouting/gossip/enabled": self.mode == "peer",
-            # over several machines one of the two may be the only one that reaches the other
-            **({"scouting/gossip/autoconnect_strategy": _ONE_OF_TWO} if among_peers else {}),
+            # Not over several machines, where possibly only the peer with the smaller id can reach the other one.
+            **({"scouting/gossip/autoconnect_strategy": _CONNECT_FROM_ONE_SIDE} if among_peers else {}),
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
             "transport/unicast/accept_timeout": _ACCEPT_MILLISECONDS,
-            "transport/unicast/accept_pending": _MOST_ON_THEIR_WAY,
+            "transport/unicast/accept_pending": _MOST_PENDING_HANDSHAKES,
             "transport/link/tx/lease": _LEASE_ON_ONE_MACHINE_MILLISECONDS if among_peers else _LEASE_MILLISECONDS,
+            # Messages of a few hundred bytes gain nothing from it.
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
@@ -184,8 +193,9 @@ class ZenohSettings:
 
 
 def _tls(certificates: Certificates | PemCredentials) -> dict[str, Any]:
-    """Mutual TLS and nothing else; a connection ends when one of its certificates does."""
+    """Returns the configuration of mutual TLS; a connection closes when one of its certificates expires."""
     return {
+        # No other protocol, so that a mistake in an endpoint does not open an unauthenticated one.
         "transport/link/protocols": ["tls"],
         "transport/link/tls": {
             **certificates.tls(),
@@ -196,22 +206,23 @@ def _tls(certificates: Certificates | PemCredentials) -> dict[str, Any]:
     }
 
 
-def _own_door(connect: tuple[str, ...]) -> str:
-    """Where a peer listens that was not told: next to the socket of those it joins, or on the loopback interface."""
-    alongside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
-    if not alongside:
+def _default_listen_endpoint(connect: tuple[str, ...]) -> str:
+    """Returns where a peer listens by default: next to the Unix socket it connects to, or on the loopback interface."""
+    socket = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
+    if not socket:
         return "tcp/127.0.0.1:0"
-    return f"{alongside.rpartition('/')[0]}/{os.getpid()}-{os.urandom(4).hex()}"
+    # The pid alone is not unique: containers that share the folder have pid namespaces of their own.
+    return f"{socket.rpartition('/')[0]}/{os.getpid()}-{os.urandom(4).hex()}"
 
 
-def _in_haste(endpoint: str) -> str:
-    """An endpoint to listen on where no one has longer for the handshake of TLS."""
+def _with_handshake_timeout(endpoint: str) -> str:
+    """Adds the time limit of the TLS handshake to a TLS endpoint, unless it has options of its own."""
     plain = not endpoint.startswith("tls/") or "#" in endpoint
     return endpoint if plain else f"{endpoint}#tls_handshake_timeout_ms={_ACCEPT_MILLISECONDS}"
 
 
 def _is_loopback(endpoint: str) -> bool:
-    """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
+    """Whether an endpoint such as ``tcp/127.0.0.1:7447`` can be reached only from this machine."""
     if endpoint.startswith(_LOCAL_SOCKET):
         return True
     host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
@@ -225,34 +236,38 @@ def _is_loopback(endpoint: str) -> bool:
 
 @final
 class ZenohTransport(AbstractTransport):
-    """One Zenoh session. Raises BusError when it cannot be opened, InputError for endpoints that are none."""
+    """A Zenoh session. Raises BusError if it cannot be opened, InputError for invalid endpoints."""
 
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
 
-        others = listening_ports()  # whom this process lets in there is nothing to this session
+        # Ports of other sessions and of web servers in this process, whose connections are not ours to watch.
+        others = listening_ports()
         try:
             configuration = zenoh_session_configuration(settings.configuration())
         except zenoh.ZError as error:
             asked = ", ".join((*settings.listen, *settings.connect))
             raise InputError(
-                f"bus: {asked}: got what Zenoh does not take ({short_error_text(error)}); wanted endpoints such as "
+                f"bus: {asked}: Zenoh rejects the endpoint ({short_error_text(error)}); wanted endpoints such as "
                 "tcp/robot:7447"
             ) from error
         try:
             self._session = open_session(configuration)
         except zenoh.ZError as error:
-            kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
+            # A router that is not up yet may come up: the supervisor retries after JoinError. An address to listen on
+            # does not become valid by waiting.
+            kind = JoinError if settings.connect else BusError
             raise kind(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
-                f"({short_error_text(error)}); check the endpoints and whether a router runs there"
+                f"({short_error_text(error)}); check the endpoints and whether a router is running there"
             ) from error
         ports = listening_ports() - others
         defer_accept(ports)
-        # of TLS each one cut off costs Zenoh 0.1 s; at a socket in the file system there are no strangers
+        # Not for TLS: each connection closed during its handshake blocks Zenoh 1.10 for 0.1 s, and the handshake has a
+        # time limit of its own. Not for Unix sockets, which unauthenticated clients cannot open.
         guards = settings.listen and settings.certificates is None and ports
-        self._connection_reaper = ConnectionReaper(ports, self._far_ends) if guards else None
-        _warn_of_plain_text(settings.plain_endpoints)
+        self._connection_reaper = ConnectionReaper(ports, self._peer_addresses) if guards else None
+        _warn_about_plain_text(settings.plain_endpoints)
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
 
@@ -274,14 +289,18 @@ class ZenohTransport(AbstractTransport):
         return self._session.declare_publisher(
             key,
             encoding="application/msgpack",
+            # A new action is worth more than an old one, so commands are dropped under congestion. Audit messages wait.
             congestion_control=control.BLOCK if never_drop else control.DROP,
+            # A queue per priority: a model file of megabytes in transfer must not delay an action.
             priority=zenoh.Priority.DATA_HIGH if never_drop else zenoh.Priority.REAL_TIME,
-            express=False,  # what waits at one moment goes out as one batch: with many robots a tenth of the processor
+            # Zenoh may put messages that wait together into one batch. With many robots this saves 10 % of the CPU
+            # time.
+            express=False,
             reliability=zenoh.Reliability.RELIABLE,
         )
 
-    def release(self, beginning: str) -> None:  # noqa: D102
-        for key, never_drop in [entry for entry in self._publishers if entry[0].startswith(beginning)]:
+    def release(self, prefix: str) -> None:  # noqa: D102
+        for key, never_drop in [entry for entry in self._publishers if entry[0].startswith(prefix)]:
             self._publishers.pop((key, never_drop)).undeclare()  # type: ignore[no-untyped-call]
 
     def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
@@ -300,7 +319,7 @@ class ZenohTransport(AbstractTransport):
         import zenoh
 
         def asked(query: zenoh.Query) -> None:
-            with query:  # ends the answer, whatever happens
+            with query:  # closes the query on every path; otherwise the asker would wait for its timeout
                 try:
                     key, payload = str(query.key_expr), b"" if query.payload is None else query.payload.to_bytes()
                     if _misrouted(key, query.attachment):
@@ -309,8 +328,10 @@ class ZenohTransport(AbstractTransport):
                     if answer is not None:
                         query.reply(query.key_expr, answer, attachment=key_stamp(key))
                 except zenoh.ZError:
-                    return  # the asker is gone, or this session is being closed
-                except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, mute
+                    return  # the asker left, or this session is being closed
+                except Exception as error:  # noqa: BLE001
+                    # Zenoh would print the exception and continue, and the process would never answer again. The hook
+                    # ends the process, so that its supervisor restarts it.
                     sys.excepthook(type(error), error, error.__traceback__)
 
         self._declared.append(self._session.declare_queryable(key_expression, zenoh.handlers.Callback(asked)))
@@ -325,7 +346,8 @@ class ZenohTransport(AbstractTransport):
                 attachment=key_stamp(key),
                 timeout=timeout,
                 target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,  # the first answer at once, not when all have answered
+                # Return the first answer immediately; Zenoh's default waits until all participants have answered.
+                consolidation=zenoh.ConsolidationMode.NONE,
             )
             answers = (reply.ok for reply in replies if reply.ok is not None)
             own = (answer for answer in answers if not _misrouted(str(answer.key_expr), answer.attachment))
@@ -337,28 +359,30 @@ class ZenohTransport(AbstractTransport):
         def ask() -> None:
             try:
                 answer = self.ask(key, payload, timeout)
-            except BusError:  # closed meanwhile: as if no one answered
+            except BusError:  # the session was closed meanwhile; same as no answer
                 answer = None
             on_answer(answer)
 
+        # Asked once per robot that joins, so a thread each is affordable. A daemon: it must not delay the exit.
         threading.Thread(target=ask, daemon=True).start()
 
     def members(self) -> list[tuple[str, str]]:
-        """(Zenoh id, common name of the certificate) of every session linked to this one; no name in plain text."""
+        """Returns (Zenoh id, common name of the certificate) of each linked session; without TLS the name is empty."""
         return [(str(link.zid), str(link.auth_identifier or "")) for link in self._session.info.links()]
 
     def name_of(self, session: str) -> str:
-        """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
+        """Returns the common name in the certificate of a linked session, by Zenoh id; empty if unknown."""
         return dict(self.members()).get(session, "")
 
     def cut_off(self, sessions: Collection[str]) -> int:
-        """Ends the links of these sessions, by their Zenoh ids; how many there were."""
-        ends = self._far_ends(sessions)
-        return cut_off(ends) if ends else 0
+        """Closes the links of the sessions with these Zenoh ids; returns their number."""
+        addresses = self._peer_addresses(sessions)
+        return cut_off(addresses) if addresses else 0
 
-    def _far_ends(self, sessions: Collection[str] | None = None) -> set[tuple[str, int]]:
-        """Addresses of those who are linked to this session, or of some of them."""
+    def _peer_addresses(self, sessions: Collection[str] | None = None) -> set[tuple[str, int]]:
+        """Returns the remote addresses of all linked sessions, or of the given ones."""
         found = set()
+        # Zenoh has no call to close one link, so the caller shuts down the socket with this remote address.
         for link in self._session.info.links():
             host, _, port = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
             if port.isdecimal() and (sessions is None or str(link.zid) in sessions):
@@ -366,6 +390,7 @@ class ZenohTransport(AbstractTransport):
         return found
 
     def close(self) -> None:  # noqa: D102
+        # First: the reaper asks the session for its links.
         if self._connection_reaper is not None:
             self._connection_reaper.close()
         close_session(self._session)
@@ -373,28 +398,31 @@ class ZenohTransport(AbstractTransport):
 
 @final
 class _ZenohSubscription(Subscription):
-    """Called by Zenoh's own thread, or gathering in a ring on Zenoh's side, which needs nothing of Python.
+    """A subscription with a callback on Zenoh's thread, or with a ring buffer in Zenoh, outside Python.
 
-    Measured with 1000 messages a second in groups of 16, processor time of the receiver for each: 125 us by calls,
-    40 us by the ring.
+    CPU time of the receiver per message, measured with 1000 messages a second in groups of 16: 125 us with callbacks,
+    40 us with the ring buffer.
     """
 
     def __init__(self, session: zenoh.Session, key_expression: str, on_sample: OnSample) -> None:
         self._session, self._key_expression, self._on_sample = session, key_expression, on_sample
-        self._calling: Any = self._called()
-        self._gathering: Any = None
+        self._callback_subscriber: Any = self._declare_callback()
+        self._ring_subscriber: Any = None
 
     def gather(self) -> None:
         import zenoh
 
-        if self._gathering is None:  # both for a moment, so that nothing falls between them
+        if self._ring_subscriber is None:
+            # Declare the new subscriber before the old one ends, so that no message is lost between the two. A message
+            # that arrives twice replaces itself in the inbox.
             ring: Any = zenoh.handlers.RingChannel(_MOST_GATHERED)
-            self._gathering = self._session.declare_subscriber(self._key_expression, ring)
-            self._calling.undeclare()
+            self._ring_subscriber = self._session.declare_subscriber(self._key_expression, ring)
+            self._callback_subscriber.undeclare()
 
     def collect(self) -> None:
-        if self._gathering is not None:
-            receive = self._gathering.handler.try_recv
+        if self._ring_subscriber is not None:
+            receive = self._ring_subscriber.handler.try_recv
+            # Bounded, so that a sender that is faster than this loop cannot keep it here forever.
             for _ in range(_MOST_GATHERED):
                 sample = receive()
                 if sample is None:
@@ -402,15 +430,16 @@ class _ZenohSubscription(Subscription):
                 self._received(sample)
 
     def pass_on(self) -> None:
-        if self._gathering is not None:
-            calling = self._called()
+        if self._ring_subscriber is not None:
+            callback_subscriber = self._declare_callback()  # before the ring ends, as in gather
             self.collect()
-            self._gathering.undeclare()
-            self._calling, self._gathering = calling, None
+            self._ring_subscriber.undeclare()
+            self._callback_subscriber, self._ring_subscriber = callback_subscriber, None
 
-    def _called(self) -> Any:
+    def _declare_callback(self) -> Any:
         import zenoh
 
+        # indirect=False calls on Zenoh's own thread; the default hands over to a Python thread, one wake-up more.
         handler: Any = zenoh.handlers.Callback(self._received, indirect=False)
         return self._session.declare_subscriber(self._key_expression, handler)
 
@@ -423,27 +452,28 @@ class _ZenohSubscription(Subscription):
             key = str(sample.key_expr)
             if not _misrouted(key, sample.attachment):
                 self._on_sample(key, sample.payload.to_bytes())
-        except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
+        except Exception as error:  # noqa: BLE001
+            # As in `answer`: Zenoh would print the exception, and this process would receive nothing any more.
             sys.excepthook(type(error), error, error.__traceback__)
 
 
-def _misrouted(key: str, alongside: zenoh.ZBytes | None) -> bool:
-    """Whether what came was sent under another key; that it was is told."""
-    if not is_misrouted(key, None if alongside is None else alongside.to_bytes()):
+def _misrouted(key: str, attachment: zenoh.ZBytes | None) -> bool:
+    """Whether a message was sent under another key than ``key``; if so, logs it."""
+    if not is_misrouted(key, None if attachment is None else attachment.to_bytes()):
         return False
     log_event(
-        "bus.astray",
-        f"passed over what came under {readable(key)} and was sent under another key, as it happens after a lost link",
+        "bus.misrouted",
+        f"ignored a message under {readable(key)} that was sent under another key; this happens after a lost link",
         level="warning",
     )
     return True
 
 
-def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
+def _warn_about_plain_text(endpoints: tuple[str, ...]) -> None:
     if endpoints:
         log_event(
             "bus.plain_text",
-            f"the bus is plain text on {', '.join(endpoints)}: anyone who reaches that network reads and commands every "
-            "robot; make certificates with 'safedpa certificates' and name them by --certificates",
+            f"the bus is plain text on {', '.join(endpoints)}: anyone on that network can read and command every "
+            "robot; create certificates with 'safedpa certificates' and pass them with --certificates",
             level="warning",
         )

@@ -1,1 +1,6 @@
-"""Fitting: windows in, the numbers of named effects out, and how well they hold on data that was not fitted."""
+"""Fitting: estimates parameters of effects from windows of recordings, and their error on data that was not fitted.
+
+Read ``multiple_shooting`` first (the windows and their residuals), then ``least_squares`` (the fit) and
+``cross_validation`` (the held-out error). ``prediction_error_method`` gives the reported values with the Kalman filter
+of ``kalman``. ``horizon`` selects the window length, ``data_checks`` decides whether the data suffice.
+"""

@@ -1,4 +1,4 @@
-"""The held-out error: rollouts of every window by a model that was fitted without the window's fold."""
+"""The held-out error: each window is predicted by a model that was fitted without the window's fold."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from safedpa.records.run import Run
 
 __all__ = ["Heldout", "HeldoutError", "error_with", "heldout_of"]
 
-_MOST_WINDOWS = 1200
+# 1200 rollouts bound the run time; overlapping windows beyond that are too correlated to sharpen the mean.
+_MAX_WINDOWS = 1200
 
 
 @dataclass(frozen=True)
 class Heldout:
-    """Windows of the horizon over all runs, and the fold of each."""
+    """Windows of one horizon over all runs, and the fold of each window."""
 
     windows: Windows
     fold: IndexArray
@@ -30,11 +31,12 @@ class Heldout:
 
 @dataclass(frozen=True)
 class HeldoutError:
-    """value: mean over the states; per_state (states,); by_run (runs,), on the scale of all runs, NaN without windows.
+    """Error on data that was not used for fitting, as a mean and by state, run and fold.
 
-    ``by_run_and_state`` (runs, states): the same state by state. ``by_fold`` (folds,): that of what is held out
-    together, whole runs where there are three or more. ``errors`` (windows, states): predicted - measured at the
-    windows' ends.
+    ``value`` is the mean over the states of ``per_state`` (states,). ``by_run`` (runs,) and ``by_run_and_state``
+    (runs, states) use the scale of all runs; they are NaN for a run without windows. ``by_fold`` (folds,) is the error
+    of each fold; folds are whole runs where there are three or more. ``errors`` (windows, states): predicted - measured
+    at the ends of the windows.
     """
 
     value: float
@@ -46,36 +48,39 @@ class HeldoutError:
 
     @property
     def standard_error(self) -> float:
-        """Of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two."""
-        own = self.by_fold[np.isfinite(self.by_fold)]
-        return float(own.std(ddof=1) / np.sqrt(len(own))) if len(own) > 1 else 0.0
+        """Standard error of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two folds."""
+        finite = self.by_fold[np.isfinite(self.by_fold)]
+        return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else 0.0
 
 
 def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:
-    """Windows from every tenth of a second, fewer where the logs are long."""
+    """Returns overlapping windows that start every 0.1 s, or less often in long recordings."""
     seconds = sum(run.duration for run in runs)
-    windows = windows_of(runs, horizon, every=max(0.1, seconds / _MOST_WINDOWS))
+    windows = windows_of(runs, horizon, every=max(0.1, seconds / _MAX_WINDOWS))
     return Heldout(windows, folds_of(windows, folds))
 
 
 def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutError:
-    """The error of the model when each fold is predicted with parameters fitted without it.
+    """Returns the error of the model when each fold is predicted with parameters fitted without it.
 
-    What such a model cannot predict counts as infinite; folds of which the fit has no windows are predicted by all.
+    A prediction that is not finite counts as an infinite error. Folds without fitting windows are predicted with the
+    parameters of the fit to all data.
     """
     windows = heldout.windows
+    # NaN marks windows that no model predicted: trimmed_rms counts them as infinite errors.
     predicted = np.full((len(windows), len(windows.system.state)), np.nan)
-    left = np.ones(len(windows), dtype=bool)
+    unpredicted = np.ones(len(windows), dtype=bool)
     for fold, values in fitted.without(shooting).items():
-        own = np.flatnonzero(heldout.fold == fold)
-        if len(own):
+        members = np.flatnonzero(heldout.fold == fold)
+        if len(members):
             model = with_values(fitted.model, dict(zip(fitted.paths, values.tolist(), strict=True)))
-            part = windows.select(own)
-            predicted[own], left[own] = rollout_at(model, part, [part.end])[0], False
-    if left.any():
-        part = windows.select(np.flatnonzero(left))
-        predicted[left] = rollout_at(fitted.model, part, [part.end])[0]
+            part = windows.select(members)
+            predicted[members], unpredicted[members] = rollout_at(model, part, [part.end])[0], False
+    if unpredicted.any():
+        part = windows.select(np.flatnonzero(unpredicted))
+        predicted[unpredicted] = rollout_at(fitted.model, part, [part.end])[0]
     errors = prediction_errors(windows, windows.end, predicted)
+    # One scale for all runs, so that the errors of runs, folds and states can be compared and averaged.
     scale = change_scale(windows, windows.end)
     found = scaled_error(trimmed_rms(errors), scale)
     by_run, by_state = _by_group(errors, scale, windows.run, len(windows.names))
@@ -84,11 +89,12 @@ def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutErro
 
 
 def _by_group(errors: FloatArray, scale: FloatArray, group: IndexArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Errors of each group of windows (groups,) and state by state (groups, states), NaN without windows."""
+    """Returns the errors of each group of windows: the mean (groups,) and per state (groups, states); NaN if empty."""
     value, by_state = np.full(count, np.nan), np.full((count, errors.shape[1]), np.nan)
     for number in range(count):
-        own = np.flatnonzero(group == number)
-        if len(own):
-            one = scaled_error(trimmed_rms(errors[own]), scale)
+        members = np.flatnonzero(group == number)
+        if len(members):
+            one = scaled_error(trimmed_rms(errors[members]), scale)
+            # Scaled like the whole, because a run with little motion would have a tiny scale of its own.
             value[number], by_state[number] = one.value, one.per_state
     return value, by_state

@@ -1,8 +1,8 @@
-"""Over how many seconds a model is compared with data to decide what it lacks: by the data, never by who asks.
+"""Selects the horizon: over how many seconds predictions are compared with data to decide what a model lacks.
 
-The longest of a ladder of horizons in which an error of the start stays an error of the start, and of which the
-recordings hold enough. What is long lets an effect grow above the noise; what is too long is ruled by the start (a
-pendulum near upright) or leaves too few windows that are independent of each other.
+The data determine it, not the user. In a long window an effect grows above the noise. In a window that is too long the
+error of the start dominates (a pendulum near upright), or too few independent windows remain. So the longest of a fixed
+series of horizons is taken in which errors of the start stay small and of which the recordings hold enough windows.
 """
 
 from __future__ import annotations
@@ -35,28 +35,30 @@ __all__ = [
 ]  # fmt: skip
 
 LONGEST = 1.0
-"""s, or so many rows:"""
-_ROWS = 20
+"""Longest horizon [s], unless 20 rows last longer."""
+# At low rates a second holds too few rows to separate a rate from noise.
+_LONGEST_ROWS = 20
+# Each horizon is about 0.7 of the one before: close enough that no usable length is missed by much.
 _SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12)
-"""Of the longest horizon: the ladder."""
-_FEWEST_ROWS = 6
-"""In a window."""
-_ENOUGH = 20
-"""Windows one after the other that are wanted."""
+# The start takes one unknown per state, so fewer rows leave nothing to fit a parameter to.
+_MIN_ROWS = 6
+# Twice FEWEST_WINDOWS: a shorter horizon is preferred to a verdict from few independent windows.
+_ENOUGH_WINDOWS = 20
 FEWEST_WINDOWS = 10
 FEWEST_SECONDS = 5.0
-"""Without which nothing can be judged."""
-_GROWTH = 8.0
-"""Times that an error of the start may grow, in units of each state's usual change: a pendulum near upright grows by
-exp(4.4 t), so 0.4 s."""
-_SAMPLED = 120
-"""Windows whose growth is looked at."""
-_STEP = 1e-4
+"""Below either of these no effect is judged."""
+# Bound on the growth of an error of the start, in units of each state's usual change. A pendulum near upright grows by
+# exp(4.4 t), which gives 0.4 s.
+_MAX_GROWTH = 8.0
+# A 90 % quantile over 120 windows is precise enough to choose between horizons.
+_SAMPLED_WINDOWS = 120
+# Large enough for differences in double precision, small enough to stay linear.
+_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
 class HorizonData:
-    """The same recordings at one horizon: windows to fit and windows to judge."""
+    """The same recordings at one horizon: windows for the fit and windows for the held-out error."""
 
     seconds: float
     shooting: Shooting
@@ -64,36 +66,37 @@ class HorizonData:
 
 
 def data_at_horizon(runs: Sequence[Run], seconds: float) -> HorizonData:
-    """Windows of ``seconds``; raises InputError and RunError as ``windows_of`` does."""
+    """Returns windows of ``seconds``; raises InputError and RunError as ``windows_of`` does."""
     return HorizonData(seconds, shooting_of(runs, seconds), heldout_of(runs, seconds))
 
 
 def data_at_other_horizons(runs: Sequence[Run], seconds: float) -> Iterator[HorizonData]:
-    """The same question at half the horizon, a fifth of it and twice as much, as far as the recordings allow."""
+    """Yields the recordings at 0.5, 0.2 and 2 times the horizon, as far as they hold enough windows of it."""
     period = float(np.median([run.period for run in runs]))
     for share in (0.5, 0.2, 2.0):
-        if share * seconds >= _FEWEST_ROWS * period and _count(runs, share * seconds) >= FEWEST_WINDOWS:
+        if share * seconds >= _MIN_ROWS * period and _count(runs, share * seconds) >= FEWEST_WINDOWS:
             yield data_at_horizon(runs, share * seconds)
 
 
 def select_horizon(model: PhysicsModel, runs: Sequence[Run]) -> float:
-    """The horizon [s] on which the search decides for these runs, whatever is shown.
+    """Returns the horizon [s] on which the search decides for these runs, whatever horizon is displayed.
 
-    Where of no step of the ladder there are enough windows, the shortest, of which there are most. Raises InputError
-    for a model of another robot, RunError for unusable runs.
+    If no horizon of the series has enough windows, the shortest is returned, which has most. Raises InputError for a
+    model of another robot, RunError for unusable runs.
     """
     check_runs(runs)
     check_system(model.system, runs[0].system, runs[0].name)
     period = float(np.median([run.period for run in runs]))
-    longest = max(LONGEST, _ROWS * period)
-    hierarchy = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _FEWEST_ROWS * period]
-    if not _count(runs, hierarchy[-1]):
-        raise RunError(_too_short(runs, hierarchy[-1]))
-    enough = [seconds for seconds in hierarchy[:-1] if _count(runs, seconds) >= _ENOUGH]
-    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _GROWTH), hierarchy[-1])
+    longest = max(LONGEST, _LONGEST_ROWS * period)
+    horizons = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _MIN_ROWS * period]
+    if not _count(runs, horizons[-1]):
+        raise RunError(_too_short_message(runs, horizons[-1]))
+    enough = [seconds for seconds in horizons[:-1] if _count(runs, seconds) >= _ENOUGH_WINDOWS]
+    # The shortest horizon needs no growth check: there is nothing to fall back to.
+    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _MAX_GROWTH), horizons[-1])
 
 
-def _too_short(runs: Sequence[Run], seconds: float) -> str:
+def _too_short_message(runs: Sequence[Run], seconds: float) -> str:
     lasts = max(float(t[-1] - t[0]) for run in runs for t, _, _ in run.parts() if len(t))
     return (
         f"{runs[0].name}: the longest stretch without a gap lasts {lasts:.4g} s, and effects are judged over "
@@ -102,33 +105,35 @@ def _too_short(runs: Sequence[Run], seconds: float) -> str:
 
 
 def recommended_recording(seconds: float) -> str:
-    """How long to record for windows of ``seconds``, in words: the fewest windows and seconds, better more."""
+    """Returns a text that says how long to record for windows of ``seconds``: the minimum, and a better value."""
     least = max(FEWEST_SECONDS, FEWEST_WINDOWS * seconds)
     return f"{least:.3g} s, better " + ("a minute" if least <= 30.0 else f"{2.0 * least:.3g} s")
 
 
 def displayed_windows(runs: Sequence[Run], horizon: float, evidence: HorizonData) -> Heldout:
-    """Windows of the horizon that is shown; those of the evidence where it is the same."""
+    """Returns windows of the displayed horizon; those of ``evidence`` if it is the same."""
     same = abs(horizon - evidence.seconds) < 1e-9
     return evidence.heldout if same else heldout_of(runs, horizon)
 
 
 def _count(runs: Sequence[Run], seconds: float) -> int:
-    """Windows of ``seconds`` one after the other."""
+    """Returns how many windows of ``seconds`` fit one after the other without overlap."""
     return int(sum((t[-1] - t[0] + 0.5 * run.period) // seconds for run in runs for t, _, _ in run.parts() if len(t)))
 
 
 def _growth(model: PhysicsModel, runs: Sequence[Run], seconds: float) -> float:
-    """By how much an error of the start grows in nine of ten windows at most, states in units of their usual change."""
+    """Returns the 90 % quantile of the growth of an error of the start, with states in units of their usual change."""
     every = windows_of(runs, seconds, every=seconds)
-    windows = every.select(np.unique(np.linspace(0, len(every) - 1, _SAMPLED).astype(np.int64)))
+    windows = every.select(np.unique(np.linspace(0, len(every) - 1, _SAMPLED_WINDOWS).astype(np.int64)))
     scale = np.maximum(change_scale(every, every.end), 1e-9)
     starts = windows.states[windows.start]
     size = starts.shape[1]
-    shifted = np.stack([starts, *(starts + _STEP * scale * np.eye(size)[index] for index in range(size))])
+    shifted = np.stack([starts, *(starts + _DIFFERENCE * scale * np.eye(size)[index] for index in range(size))])
     rows = np.array([0, int(windows.steps.min())])
     with np.errstate(all="ignore"):
+        # Predictions may overflow where the model is unstable; those windows count as growing without bound below.
         ends = simulate([model] * (size + 1), windows, rows, shifted)[:, 1]
-        columns = (ends[..., 1:] - ends[..., :1]) / (_STEP * scale[:, None])
+        columns = (ends[..., 1:] - ends[..., :1]) / (_DIFFERENCE * scale[:, None])
     finite = np.where(np.isfinite(columns), np.clip(columns, -1e6, 1e6), 1e6)
+    # The spectral norm is the growth of the worst direction of the start's error.
     return float(np.quantile(np.linalg.norm(finite, ord=2, axis=(-2, -1)), 0.9))

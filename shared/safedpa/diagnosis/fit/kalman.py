@@ -1,12 +1,12 @@
-"""Kalman filters along recordings, many pieces side by side: a linear model about a reference track.
+"""Kalman filters along recordings: a model linearised about a reference trajectory, many pieces at once.
 
-state entries z = (deviation from the reference track, disturbances of the rates), and one column a parameter next to:
+The filter state z = (deviation from the reference, disturbances of the rates) follows
 
 z[k+1] = T[k] z[k] + (model(reference[k]) - reference[k+1], 0) + G[k] shift
 measured - reference = first part of z + noise
 
-The disturbances are first-order Markov processes. So what a lasting push makes of the speed is not mistaken for what
-the model's parameters would make of it: in windows that restart, the start knows the push before it.
+with one more column of the mean per parameter, which is its derivative. The disturbances are first-order Markov
+processes. They absorb what a lasting push does to the speed, so that it does not bias the parameters.
 
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, ch. 7; Ljung, System Identification, 2nd ed., 1999,
 section 7.2 (prediction errors).
@@ -23,54 +23,62 @@ from safedpa.arrays import FloatArray
 
 __all__ = ["Innovations", "LinearizedTrajectory", "Noise", "kalman_innovations"]
 
-_SMALL = 1e-5
-"""Share of the measurement's deviation that the state may wander by itself in a row: keeps covariances positive."""
-_UNKNOWN = 30.0
-"""Times the measurement's deviation by which a piece's start may be off."""
+# Process noise of every state, relative to the measurement noise: keeps the covariances positive definite.
+_PROCESS_NOISE = 1e-5
+# Standard deviation of a piece's start, relative to the measurement noise: wide enough to leave the start free.
+_START_SPREAD = 30.0
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations: of the measurement (..., states) and of the disturbances (..., disturbed), in the state's
-    unit and that per second; ``seconds`` (...,): time after which a disturbance has fallen to 37 %."""
+    """Noise parameters of the filter, one set or several (...).
+
+    ``measured`` (..., states): standard deviation of the measurement, in state units. ``disturbances``
+    (..., disturbed): standard deviation of the disturbances, in state units per second. ``seconds`` (...,): correlation
+    time of the disturbances, after which 37 % of one is left.
+    """
 
     measured: FloatArray
-    pushes: FloatArray
+    disturbances: FloatArray
     seconds: FloatArray
 
 
 @dataclass(frozen=True)
 class LinearizedTrajectory:
-    """A model about a reference, piece by piece (pieces, rows, ...).
+    """A model linearised about a reference trajectory, by piece and row (pieces, rows, ...).
 
-    transition (..., states, states) and drift (..., states) lead from a row to the next; columns (..., states, paths):
-    what a parameter changes in it; seen (..., states): measured - reference; period (...): s to the next row.
+    ``transition`` (..., states, states) and ``drift`` (..., states) lead from a row to the next. ``columns``
+    (..., states, paths) are derivatives of that step with respect to the parameters. ``measured`` (..., states):
+    measured - reference. ``period`` (...): time to the next row [s].
     """
 
     transition: FloatArray
     drift: FloatArray
     columns: FloatArray
-    seen: FloatArray
+    measured: FloatArray
     period: FloatArray
     inside: NDArray[np.bool_]
     """Rows that exist."""
     counted: NDArray[np.bool_]
-    """Rows that exist and are not there for the filter to settle only."""
-    doubt: FloatArray
-    """Factor of the measurement's deviation (pieces, rows, states): 1, more where a row is unlike its neighbours."""
-    bent: FloatArray
-    """How far the model is from linear over what the measurement leaves open (pieces, rows, states), in the state's
-    unit: it counts as noise of the step."""
+    """Rows that exist and lie after the settling time of the filter."""
+    noise_factor: FloatArray
+    """Factor on the measurement noise (pieces, rows, states): 1, or more for outliers."""
+    nonlinearity: FloatArray
+    """Linearisation error over one standard deviation of the measurement (pieces, rows, states), in the state's unit.
+
+    The filter adds it as process noise.
+    """
     disturbed: NDArray[np.int64]
     """Indices of the states whose rates are disturbed."""
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """white (pieces, rows * states) and columns (..., paths): innovations and their slopes in standard deviations.
+    """Innovations of one pass of the filter.
 
-    ``states`` (pieces, rows, states): filtered deviation from the reference; ``ratio``: innovation over its standard
-    deviation, state by state; ``cost`` (noises,): -2 log likelihood without its constant.
+    ``white`` (pieces, rows * states) are the whitened innovations and ``columns`` (..., paths) their derivatives.
+    ``states`` (pieces, rows, states): filtered deviation from the reference. ``ratio``: innovation over its standard
+    deviation, by state. ``cost`` (noises,): -2 log likelihood without its constant.
     """
 
     white: FloatArray
@@ -81,113 +89,130 @@ class Innovations:
 
 
 def kalman_innovations(track: LinearizedTrajectory, noise: Noise, slopes: bool = True) -> Innovations:
-    """One pass over every piece.
+    """Runs the filter once over every piece.
 
-    Without ``slopes`` noises (variants, ...) side by side, and only ``cost``, that of each, is worked out.
+    Without ``slopes`` the noise may have several variants (variants, ...), and only ``cost`` of each is computed.
     """
-    pieces, rows, size = track.seen.shape
-    wide = track.columns if slopes else track.columns[..., :0]
-    covariance, mean = _begin(track, noise, wide.shape[-1])
-    white = np.zeros((pieces, rows, size, 1 + wide.shape[-1]))
+    pieces, rows, size = track.measured.shape
+    columns = track.columns if slopes else track.columns[..., :0]
+    covariance, mean = _initial_state(track, noise, columns.shape[-1])
+    white = np.zeros((pieces, rows, size, 1 + columns.shape[-1]))
     states, ratio, cost = np.zeros((pieces, rows, size)), np.zeros((pieces, rows, size)), np.zeros(len(covariance))
     spread = (noise.measured[:, None] * np.ones((pieces, 1))) ** 2
-    push, step = _pushes(track, noise), np.zeros(covariance.shape)
+    disturbance, step = _disturbance_model(track, noise), np.zeros(covariance.shape)
     for row in range(rows):
         inside, counted = track.inside[:, row], track.counted[:, row]
-        surprise = -mean[..., :size, :]
-        surprise[..., 0] += track.seen[:, row]
+        innovation = -mean[..., :size, :]
+        innovation[..., 0] += track.measured[:, row]
         total = covariance[..., :size, :size].copy()
-        _diagonal_of(total)[...] += spread * track.doubt[:, row] ** 2
-        solved, log = _whitened(total, np.concatenate([covariance[..., :size, :], surprise], axis=-1))
+        # An outlier gets a larger measurement noise instead of being dropped, so the cost stays a likelihood.
+        _diagonal_of(total)[...] += spread * track.noise_factor[:, row] ** 2
+        solved, log = _whitened(total, np.concatenate([covariance[..., :size, :], innovation], axis=-1))
         width = covariance.shape[-1]
-        gain, own = solved[..., :width] * inside[:, None, None], np.ascontiguousarray(solved[..., width:])
-        cost += (((own[..., 0] ** 2).sum(axis=-1) + log) * counted).sum(axis=-1)
-        turned = np.ascontiguousarray(gain.swapaxes(-1, -2))  # BLAS, asked for a view, takes ten times as long
-        mean = mean + turned @ own
-        covariance = covariance - turned @ gain
+        # Rows beyond the end of a piece get a zero gain, so the batch needs no ragged arrays.
+        gain, whitened = solved[..., :width] * inside[:, None, None], np.ascontiguousarray(solved[..., width:])
+        # Only counted rows: the settling time before them depends on the arbitrary initial covariance.
+        cost += (((whitened[..., 0] ** 2).sum(axis=-1) + log) * counted).sum(axis=-1)
+        # A contiguous copy: BLAS takes ten times as long on the transposed view.
+        transposed = np.ascontiguousarray(gain.swapaxes(-1, -2))
+        mean = mean + transposed @ whitened
+        covariance = covariance - transposed @ gain
         if slopes:
-            white[:, row] = own[0] * counted[:, None, None]
+            white[:, row] = whitened[0] * counted[:, None, None]
             states[:, row] = mean[0, ..., :size, 0]
-            ratio[:, row] = surprise[0, ..., 0] / np.sqrt(_diagonal_of(total[0])) * inside[:, None]
-        mean, covariance = _onward(track, row, mean, covariance, wide, push, step)
+            ratio[:, row] = innovation[0, ..., 0] / np.sqrt(_diagonal_of(total[0])) * inside[:, None]
+        mean, covariance = _predict(track, row, mean, covariance, columns, disturbance, step)
     flat = white.reshape(pieces, rows * size, -1)
     return Innovations(flat[..., 0], flat[..., 1:], states, ratio, cost)
 
 
 def _whitened(total: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """L^-1 right (..., n, columns) with L L' = total (..., n, n), and log det total (...,).
+    """Returns L^-1 right (..., n, columns) with L L' = total (..., n, n), and log det total (...,).
 
-    Entry by entry for all matrices at once: for a few states half the time of LAPACK's calls, one a matrix.
+    The Cholesky factor is computed entry by entry for all matrices at once. For a few states that takes half the time
+    of one LAPACK call per matrix.
     """
     entries, lines = (np.ascontiguousarray(np.moveaxis(each, (-2, -1), (0, 1))) for each in (total, right))
     found, root, log = np.empty_like(lines), list[list[FloatArray]](), np.zeros(total.shape[:-2])
     for row, line in enumerate(lines):
-        own: list[FloatArray] = []
+        factor_row: list[FloatArray] = []
         for column, other in enumerate(root):
             rest = entries[row, column]
-            for one, two in zip(own, other, strict=False):
+            for one, two in zip(factor_row, other, strict=False):
                 rest = rest - one * two
-            own.append(rest * other[-1])
+            factor_row.append(rest * other[-1])
         square = entries[row, row]
-        for one in own:
+        for one in factor_row:
             square = square - one * one
         if not square.min(initial=np.inf) > 0.0:
             raise np.linalg.LinAlgError("a covariance is not positive")
         log += np.log(square)
         found[row] = line
-        for column, one in enumerate(own):
+        for column, one in enumerate(factor_row):
             found[row] -= one * found[column]
-        own.append(1.0 / np.sqrt(square))  # of the diagonal the inverse, by which everything is multiplied
-        found[row] *= own[-1]
-        root.append(own)
+        # The diagonal holds the inverse: multiplying by it is faster than dividing.
+        factor_row.append(1.0 / np.sqrt(square))
+        found[row] *= factor_row[-1]
+        root.append(factor_row)
     return np.moveaxis(found, (0, 1), (-2, -1)), log
 
 
-def _begin(track: LinearizedTrajectory, noise: Noise, paths: int) -> tuple[FloatArray, FloatArray]:
-    pieces, _, size = track.seen.shape
-    own = np.concatenate([_UNKNOWN * noise.measured, noise.pushes], axis=-1) ** 2
-    covariance = np.repeat(_diagonal(own)[:, None], pieces, axis=1)
-    mean = np.zeros((len(own), pieces, own.shape[-1], 1 + paths))
-    mean[..., :size, 0] = track.seen[:, 0]
+def _initial_state(track: LinearizedTrajectory, noise: Noise, paths: int) -> tuple[FloatArray, FloatArray]:
+    """Returns the covariance and mean before the first row: the first measurement, with a wide covariance."""
+    pieces, _, size = track.measured.shape
+    variances = np.concatenate([_START_SPREAD * noise.measured, noise.disturbances], axis=-1) ** 2
+    covariance = np.repeat(_diagonal(variances)[:, None], pieces, axis=1)
+    mean = np.zeros((len(variances), pieces, variances.shape[-1], 1 + paths))
+    # The derivative columns start at 0: the start does not depend on the parameters.
+    mean[..., :size, 0] = track.measured[:, 0]
     return covariance, mean
 
 
-def _pushes(track: LinearizedTrajectory, noise: Noise) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What is left of a disturbance after each row (variants, pieces, rows), its fresh variance, that of the states."""
-    retained = np.exp(-track.period / noise.seconds[:, None, None])
-    fresh = (1.0 - retained**2)[..., None] * noise.pushes[:, None, None] ** 2
-    return retained, fresh, (_SMALL * noise.measured) ** 2
+def _disturbance_model(track: LinearizedTrajectory, noise: Noise) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Returns the decay of a disturbance per row, its added variance, and the process noise of the states.
+
+    Shapes: (variants, pieces, rows), (variants, pieces, rows, disturbed), (variants, states).
+    """
+    decay = np.exp(-track.period / noise.seconds[:, None, None])
+    # Added variance (1 - decay^2) keeps the disturbance stationary at its standard deviation.
+    added = (1.0 - decay**2)[..., None] * noise.disturbances[:, None, None] ** 2
+    return decay, added, (_PROCESS_NOISE * noise.measured) ** 2
 
 
-def _onward(
+def _predict(
     track: LinearizedTrajectory,
     row: int,
     mean: FloatArray,
     covariance: FloatArray,
-    wide: FloatArray,
-    push: tuple[FloatArray, FloatArray, FloatArray],
+    columns: FloatArray,
+    disturbance: tuple[FloatArray, FloatArray, FloatArray],
     step: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """From one row to the next; ``step`` (variants, pieces, entries, entries) is written over, zeros at first."""
-    retained, fresh, small = push
-    size = track.seen.shape[-1]
+    """Predicts mean and covariance of the next row; ``step`` is a work array (variants, pieces, entries, entries).
+
+    ``step`` is zero before the first call: entries that are never written stay zero.
+    """
+    decay, added, process = disturbance
+    size = track.measured.shape[-1]
     step[..., :size, :size] = track.transition[:, row]
     for entry, state in enumerate(track.disturbed.tolist(), start=size):
+        # A disturbance is a rate, so it adds period times itself to its state.
         step[..., state, entry] = track.period[:, row]
-        step[..., entry, entry] = retained[..., row]
+        step[..., entry, entry] = decay[..., row]
     mean = step @ mean
     mean[..., :size, 0] += track.drift[:, row]
-    mean[..., :size, 1:] += wide[:, row]
+    mean[..., :size, 1:] += columns[:, row]
     covariance = step @ covariance @ np.ascontiguousarray(step.swapaxes(-1, -2))
+    # Rounding makes the product slightly asymmetric, which would grow from row to row.
     covariance = 0.5 * (covariance + covariance.swapaxes(-1, -2))
-    own = _diagonal_of(covariance)
-    own[..., :size] += small[:, None] + track.bent[:, row] ** 2
-    own[..., size:] += fresh[:, :, row]
+    variances = _diagonal_of(covariance)
+    variances[..., :size] += process[:, None] + track.nonlinearity[:, row] ** 2
+    variances[..., size:] += added[:, :, row]
     return mean, covariance
 
 
 def _diagonal_of(matrices: FloatArray) -> FloatArray:
-    """A view of the diagonals (..., n) that can be written."""
+    """Returns a writable view of the diagonals (..., n)."""
     return np.asarray(np.einsum("...ii->...i", matrices))
 
 

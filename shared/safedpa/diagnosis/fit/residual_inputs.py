@@ -1,4 +1,4 @@
-"""Pushes: the constant rate, window by window, that a model would need to agree with the measurements."""
+"""Residual inputs: the constant rate, window by window, that a model would need to agree with the measurements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from safedpa.effects.parameter import Parameter
 
 __all__ = ["residual_inputs"]
 
-_SIZE = 0.01
+# Step of the difference quotient: small against any real disturbance, far above rounding.
+_STEP = 0.01
 
 
 @final
@@ -40,15 +41,16 @@ class _ConstantRate(RateEffect):
 
 
 def residual_inputs(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> FloatArray:
-    """Least squares of the reduced residual on constant rates: (windows, states), in units of the state per second."""
+    """Returns the constant rates (windows, states), in state units per second, by least squares in each window."""
     model = trial.fit.model
     now = shooting.residuals([model])[0]
     columns = []
     for state in states:
-        pushed = with_effect_at(model, _ConstantRate(state, model.system.name), {"amount": _SIZE})
-        columns.append((shooting.residuals([pushed])[0] - now) / _SIZE)
+        disturbed = with_effect_at(model, _ConstantRate(state, model.system.name), {"amount": _STEP})
+        columns.append((shooting.residuals([disturbed])[0] - now) / _STEP)
     reduced = shooting.eliminated(np.stack([now, *columns], axis=-1), trial.fit.scale)
     residual, slopes = reduced[..., 0], reduced[..., 1:]
+    # The ridge covers windows in which a rate does not show, for example one with a single counted row.
     gram = np.einsum("wip,wiq->wpq", slopes, slopes) + 1e-9 * np.eye(len(states))
     right = np.einsum("wip,wi->wp", slopes, residual)
     return -np.asarray(np.linalg.solve(gram, right[..., None])[..., 0])

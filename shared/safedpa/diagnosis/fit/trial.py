@@ -1,7 +1,4 @@
-"""The fitted numbers of a trial, as a report states them.
-
-Effects on trial: starts on a grid, a fit, and the gain on data that the fit did not see.
-"""
+"""Trials: one or more effects added to a model, fitted from a grid of starts, with their gain on unseen data."""
 
 from __future__ import annotations
 
@@ -35,45 +32,47 @@ __all__ = [
     "with_effect_at",
 ]
 
-_MOST_STARTS = 9
-_ROUGH = 1
-"""Steps of a fit that only has to show which effects promise anything."""
-_FEWEST_BLOCKS = 8
-_PROMISING = 8
-"""Effects that are fitted to the end."""
+# Starts of an effect with several parameters at most: the full grid would grow with the power of their number.
+_MAX_STARTS = 9
+# One Gauss-Newton step ranks the effects well enough to choose those that are fitted to the end.
+_ROUGH_STEPS = 1
+# Fewer blocks do not show their own spread: the gain is then 0, so nothing is accepted.
+_MIN_BLOCKS = 8
+# Effects that are fitted to the end at each stage: a rough fit does not always rank the best one first.
+_FINAL_FITS = 8
 
 
 @dataclass(frozen=True)
 class EffectTrial:
-    """Effects added together, fitted; ``heldout`` squares (windows, states) without the window's own fold."""
+    """Effects added together and fitted; ``heldout`` (windows, states) are squares predicted without the own fold."""
 
     effects: tuple[str, ...]
     fit: Fit
     heldout: FloatArray
     explained: FloatArray
-    """What the effects take off the residual, (windows, compared * states), in units of the stage's noise."""
+    """Reduction of the residual by the effects, (windows, compared * states), in units of the stage's noise."""
     loss: float
-    """sum over states of size log(root mean square held out) / sum of sizes."""
+    """sum over states of size log(held-out root mean square) / sum of sizes."""
 
     @property
     def name(self) -> str:
-        """Pairs with a plus sign between them."""
+        """Name of the effect; pairs are joined with a plus sign."""
         return " + ".join(self.effects)
 
 
 def initial_values(item: AbstractEffect) -> list[dict[str, float]]:
-    """Values from which a fit of an effect may start: fits that start where it does nothing get stuck."""
+    """Returns values from which a fit of an effect starts; at the neutral value many effects have no gradient."""
     grids = [_grid(parameter, len(item.parameters)) for parameter in item.parameters]
     names = [parameter.name for parameter in item.parameters]
     every = [dict(zip(names, values, strict=True)) for values in product(*grids)]
     spread = (
-        np.unique(np.linspace(0, len(every) - 1, _MOST_STARTS).astype(int)) if len(every) > 16 else range(len(every))
+        np.unique(np.linspace(0, len(every) - 1, _MAX_STARTS).astype(int)) if len(every) > 16 else range(len(every))
     )
     return [every[index] for index in spread]
 
 
 def _grid(parameter: Parameter, alongside: int) -> list[float]:
-    """Fractions of what is ordinary, to both sides where the bounds allow it."""
+    """Returns fractions and multiples of the typical value, on both sides if the bounds allow it."""
     neutral, typical = parameter.neutral, parameter.typical
     if typical == 0.0 and not neutral:
         found = [part * parameter.high for part in (-0.4, -0.15, 0.0, 0.15, 0.4)]
@@ -88,11 +87,11 @@ def _grid(parameter: Parameter, alongside: int) -> list[float]:
         found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
     else:
         found = [part * typical for part in (0.4, 0.6, 0.75, 0.9, 1.0, 1.1, 1.3)]
-    return [value for value in found if parameter.low <= value <= parameter.high]  # an ordinary part always is
+    return [value for value in found if parameter.low <= value <= parameter.high]
 
 
 def with_effect_at(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
-    """The model with one more effect at given numbers."""
+    """Returns the model with one more effect at the given parameter values."""
     return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
 
 
@@ -103,22 +102,23 @@ def fit_trials(
     before: Mapping[str, EffectTrial],
     report_progress: Callable[[int], None] = lambda _done: None,
 ) -> list[EffectTrial]:
-    """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
+    """Fits every effect by itself, best first: all of them roughly, then the most promising ones to the end.
 
-    ``before`` holds trials of an earlier stage by effect: their numbers are starts next to a thinned grid.
+    ``before`` holds trials of an earlier stage by effect: their values are starts alongside a thinned grid.
     """
     found = []
     for number, item in enumerate(items):
         starts = _start_models(null.fit.model, [item])
         if item.name in before and before[item.name].fit.free[-len(item.parameters) :].all():
             settings = before[item.name].fit.model.settings
+            # Values at a bound are a poor start: the bound was active for want of the effect added since.
             known = {p.name: settings[f"{item.name}.{p.name}"].value for p in item.parameters}
             starts = [with_effect_at(null.fit.model, item, known), *starts[::3]]
-        found.append(fit_trial(null, [item], shooting, starts, _ROUGH))
+        found.append(fit_trial(null, [item], shooting, starts, _ROUGH_STEPS))
         report_progress(number)
     found.sort(key=lambda trial: trial.loss)
     by_name = {item.name: item for item in items}
-    for index, rough in enumerate(found[:_PROMISING]):
+    for index, rough in enumerate(found[:_FINAL_FITS]):
         found[index] = fit_trial(null, [by_name[rough.effects[0]]], shooting, [rough.fit.model])
     return sorted(found, key=lambda trial: trial.loss)
 
@@ -130,9 +130,11 @@ def fit_trial(
     starts: Sequence[PhysicsModel] | None = None,
     steps: int | None = None,
 ) -> EffectTrial:
-    """The effects fitted on top of the null's, together with everything that the null fitted."""
+    """Fits the effects on top of the null model, together with all parameters that the null fitted."""
     models = list(starts) if starts is not None else _start_models(null.fit.model, items)
-    chosen = models[0] if len(models) == 1 else _lowest(models, shooting, null.fit.scale)
+    # Only the best start is fitted: simulating all starts once is far cheaper than fitting from each.
+    chosen = models[0] if len(models) == 1 else _best_start(models, shooting, null.fit.scale)
+    # All parameters are refitted: those of the null have compensated for the missing effect.
     paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
     if steps is None:
         found = fit(chosen, paths, shooting, null.fit.scale)
@@ -141,18 +143,20 @@ def fit_trial(
     return trial_of(found, shooting, tuple(item.name for item in items), null)
 
 
-def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArray) -> PhysicsModel:
-    """Of several models the one with the lowest objective."""
+def _best_start(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArray) -> PhysicsModel:
+    """Returns the model with the lowest objective."""
     return models[int(np.argmin(objectives(shooting.residuals(models), shooting, scale)))]
 
 
 def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: EffectTrial | None) -> EffectTrial:
-    """A fit with its held-out squares and what it explains next to the null."""
+    """Returns a fit as a trial, with its held-out squares and what it explains compared with the null."""
     heldout = found.heldout_squares(shooting)
+    # The logarithm weights states by relative improvement, whatever their units; the floor covers exact predictions.
     mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
     loss = float((shooting.size * np.log(mean)).sum() / (2.0 * shooting.size.sum()))
     explained = np.zeros_like(found.residual)
     if null is not None:
+        # Both residuals in units of the null's noise: only then do they differ by what the effects explain.
         ratio = np.tile(found.scale / null.fit.scale, len(shooting.rows))
         explained = null.fit.residual - found.residual * ratio
     return EffectTrial(effects, found, heldout, explained, loss)
@@ -161,64 +165,68 @@ def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Eff
 def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
     grids = [initial_values(item) for item in items]
     if len(items) > 1:
+        # About four starts per effect keep the product over a pair at sixteen or so.
         grids = [grid[:: max(1, len(grid) // 4)] for grid in grids]
     found = []
     for values in product(*grids):
-        made = model
-        for item, own in zip(items, values, strict=True):
-            made = with_effect_at(made, item, own)
-        found.append(made)
+        extended = model
+        for item, start in zip(items, values, strict=True):
+            extended = with_effect_at(extended, item, start)
+        found.append(extended)
     return found
 
 
 def block_gain(one: EffectTrial, other: EffectTrial, shooting: Shooting, *, local: bool = False) -> float:
-    """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
+    """Returns how much better ``other`` predicts unseen blocks than ``one``, in standard errors.
 
-    Few blocks know their own spread badly: the ratio t of their sum and its standard error follows Student's
-    distribution, and what is returned is the normal deviate of the same probability, (8 n + 1) / (8 n + 3)
-    sqrt(n log(1 + t^2 / n)) for n degrees of freedom (Wallace, Annals of Mathematical Statistics 30, 1959); 0 for fewer
-    than 8 blocks. Differences of the squares over the better one's mean square; each window's counts at most 20 times
-    the typical, or as much as the largest tenth where what differs acts in some windows only (``local``).
+    The gain is the sum over the blocks of the difference of their squares (over the better trial's mean square),
+    divided by its standard error. With n + 1 blocks that ratio t follows Student's distribution. The normal deviate of
+    the same probability is returned, (8 n + 1) / (8 n + 3) sqrt(n log(1 + t^2 / n)) (Wallace, Annals of Mathematical
+    Statistics 30, 1959); 0 for fewer than 8 blocks.
+
+    The difference of a window counts at most 20 times the median one. With ``local``, for effects that act in some
+    windows only, it may count as much as the 90 % quantile.
     """
     scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
     return standardized_gain(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
 
 
 def standardized_gain(difference: FloatArray, shooting: Shooting, *, local: bool = False) -> float:
-    """The gain of differences (windows,) of squares in units of the noise, as ``block_gain`` has it."""
+    """Returns the gain of differences (windows,) of squares in units of the noise, as in ``block_gain``."""
     return float(standardized_gains(difference[None], shooting, local=local)[0])
 
 
 def standardized_gains(differences: FloatArray, shooting: Shooting, *, local: bool = False) -> FloatArray:
-    """The same for many differences (many, windows) at once, (many,)."""
-    begin = shooting.first_of_block
-    if len(begin) < _FEWEST_BLOCKS:
+    """Returns the gains of many differences (many, windows) at once, (many,)."""
+    first = shooting.first_of_block
+    if len(first) < _MIN_BLOCKS:
         return np.zeros(len(differences))
+    # Clipping before the sum: one disturbed window must not decide a whole test.
     sizes = np.abs(differences)
     most = 20.0 * np.median(sizes, axis=1, keepdims=True) + 1e-12
     if local:
         most = np.maximum(most, np.quantile(sizes, 0.9, axis=1, keepdims=True))
-    sums = np.add.reduceat(np.clip(differences, -most, most)[:, shooting.by_block], begin, axis=1)
-    spread = sums.std(axis=1, ddof=1) * np.sqrt(len(begin))
-    # a gain below one unit is rounding, however steady
-    ratio, freedom = sums.sum(axis=1) / np.hypot(spread, 1.0), len(begin) - 1
+    sums = np.add.reduceat(np.clip(differences, -most, most)[:, shooting.by_block], first, axis=1)
+    spread = sums.std(axis=1, ddof=1) * np.sqrt(len(first))
+    # The floor of one unit of the noise: a smaller gain is rounding, however steady it is from block to block.
+    ratio, freedom = sums.sum(axis=1) / np.hypot(spread, 1.0), len(first) - 1
     normal = (8 * freedom + 1) / (8 * freedom + 3) * np.sqrt(freedom * np.log1p(ratio**2 / freedom))
     return np.asarray(np.copysign(normal, ratio))
 
 
 def explanation_correlation(one: EffectTrial, other: EffectTrial) -> float:
-    """Correlation of what two trials of one stage explain, -1 to 1."""
+    """Returns the correlation (-1 to 1) of what two trials of one stage explain."""
     size = float(np.sqrt((one.explained**2).sum() * (other.explained**2).sum()))
     return float((one.explained * other.explained).sum() / size) if size > 0 else 0.0
 
 
 def paths_of(items: Iterable[AbstractEffect]) -> list[str]:
-    """Paths of all parameters of effects."""
+    """Returns the paths of all parameters of effects."""
     return [f"{item.name}.{p.name}" for item in items for p in item.parameters]
 
 
 def values_of(trial: EffectTrial, shooting: Shooting) -> dict[str, FittedValue]:
-    """The fitted numbers of a trial by path."""
+    """Returns the fitted parameters of a trial by path, with standard deviation and unit."""
     model, deviations = trial.fit.model, trial.fit.deviations(shooting)
     found = {}
     for path, value, std in zip(trial.fit.paths, trial.fit.values, deviations, strict=True):

@@ -1,4 +1,4 @@
-"""What recordings could show, before anything is searched: in seconds, from the sensitivities of the model on them."""
+"""Identifiability check: which effects recordings could show, computed in seconds from the model's sensitivities."""
 
 from __future__ import annotations
 
@@ -20,40 +20,44 @@ __all__ = ["IdentifiabilityCheck", "as_document", "check_identifiability", "chec
 
 @dataclass(frozen=True)
 class IdentifiabilityCheck:
-    """What these recordings can tell of each effect that the model lacks."""
+    """Which effects that the model lacks these recordings could show."""
 
     robot: str
     seconds: float
-    """Horizon [s] at which would be decided."""
+    """Horizon [s] on which a diagnosis would decide."""
     windows: int
     error: float
-    """Held-out error of the given model, its free numbers refitted, over that horizon."""
+    """Held-out error of the given model, its free parameters refitted, over that horizon."""
     why_not: str
-    """Why no effect can be told at all; empty where some can."""
+    """Why no effect can be identified at all; empty if some can."""
     sizes: tuple[Detectable, ...]
     data_quality: tuple[dict[str, Any], ...]
 
-    def reported(self) -> list[Detectable]:
-        """Numbers of which an ordinary size would be found, and of which nothing else does the same."""
+    def identifiable(self) -> list[Detectable]:
+        """Parameters whose typical size would be found and that no other effect imitates."""
         return [item for item in self.sizes if item.shown and not item.only_with]
 
-    def as_sums(self) -> list[Detectable]:
-        """Numbers that would be found, but cannot be told from something else."""
+    def only_as_sums(self) -> list[Detectable]:
+        """Parameters that would be found, but cannot be distinguished from another effect."""
         return [item for item in self.sizes if item.shown and item.only_with]
 
-    def hidden(self) -> list[Detectable]:
-        """Numbers of which an ordinary size would not be found."""
+    def undetectable(self) -> list[Detectable]:
+        """Parameters whose typical size would not be found."""
         return [item for item in self.sizes if not item.shown]
 
 
 def check_identifiability(model: PhysicsModel, runs: Sequence[Run]) -> IdentifiabilityCheck:
-    """Raises InputError for a model of another robot, RunError for unusable runs."""
+    """Computes which effects the runs could show.
+
+    Raises InputError for a model of another robot, RunError for unusable runs.
+    """
     usable = prepare_runs(model, runs)
     evidence = data_at_horizon(usable.runs, usable.seconds)
-    judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
+    sufficiency = check_data_sufficiency(evidence.shooting, usable.runs, runs)
+    # The free parameters are refitted first: what they can absorb is not identifiable as an effect.
     search = initial_search(model, evidence.shooting, evidence.heldout)
     sizes: Sequence[Detectable] = ()
-    if judge.enough:
+    if sufficiency.enough:
         library = library_for(model)
         found = detectable_sizes(search.current, library, search.shooting, search.error)
         sizes = with_manoeuvres(found, search.current, library)
@@ -62,28 +66,30 @@ def check_identifiability(model: PhysicsModel, runs: Sequence[Run]) -> Identifia
         usable.seconds,
         len(evidence.shooting.windows),
         search.error.value,
-        judge.why_not,
+        sufficiency.why_not,
         tuple(sizes),
         tuple(usable.quality),
     )
 
 
 def as_document(check: IdentifiabilityCheck) -> dict[str, Any]:
-    """The document that ``diagnose --check --json`` prints."""
+    """Returns the document that ``diagnose --check --json`` prints."""
     return {"format": 1, **asdict(check)}
 
 
 def check_lines(check: IdentifiabilityCheck) -> list[str]:
-    """The check as lines of text."""
+    """Returns the check as lines of text."""
     lines = [
-        f"Decided over {check.seconds:g} s in {check.windows} independent windows; the given model's error there is "
+        f"Horizon {check.seconds:g} s, {check.windows} independent windows; the given model's error over it is "
         f"{check.error:.3g}."
     ]
     if check.why_not:
-        lines += [f"Nothing can be told: {check.why_not}."]
-    lines += _part("Would be found, from this size on:", check.reported())
-    lines += _part("Would be found, but only as a sum with something else:", check.as_sums())
-    lines += _part("Would not be found at an ordinary size:", check.hidden())
+        # The reason comes before the lists, which are empty in that case.
+        lines += [f"No effect can be identified: {check.why_not}."]
+    lines += _part("Would be found, from this size on:", check.identifiable())
+    lines += _part("Would be found, but only as a sum with another effect:", check.only_as_sums())
+    lines += _part("Would not be found at a typical size:", check.undetectable())
+    # Several runs often have the same finding; it is printed once.
     messages = list(dict.fromkeys(str(item["message"]) for item in check.data_quality))
     return [*lines, *(f"data: {message}" for message in messages)]
 
@@ -94,7 +100,7 @@ def _part(title: str, sizes: Sequence[Detectable]) -> list[str]:
 
 def _line(item: Detectable) -> str:
     unit = "" if item.unit == "1" else f" {item.unit}"
-    size = "not at all" if item.smallest is None else f"{item.smallest:.2g}{unit}"
-    text = f"{item.effect} {item.parameter}: {size} (ordinary: {item.ordinary:.2g}{unit})"
+    size = "not detectable" if item.smallest is None else f"{item.smallest:.2g}{unit}"
+    text = f"{item.effect} {item.parameter}: {size} (typical: {item.ordinary:.2g}{unit})"
     text += f"; together with {', '.join(item.only_with)}" if item.only_with else ""
     return text + (f"; drive: {item.drive}" if item.drive else "")

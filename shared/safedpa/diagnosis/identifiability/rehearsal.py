@@ -1,7 +1,7 @@
-"""A diagnosis rehearsed: effects hidden in one's own drives, simulated with the noise of one's logs, and looked for.
+"""Rehearsal: hides effects in simulated copies of the user's recordings and runs the diagnosis on them.
 
-The logs of the rehearsal have the rows, commands and starts of the given ones. The model drives them open loop, again
-from the measured state every few seconds, so that what holds a real robot upright does not have to.
+The simulated runs have the rows, commands, starts and noise of the given ones. The model is simulated open loop and
+restarts from the measured state every few seconds, because no controller stabilises it.
 """
 
 from __future__ import annotations
@@ -33,40 +33,41 @@ __all__ = [
     "simulate_runs",
 ]
 
+# Length [s] after which the simulation restarts at the measured state. An open-loop simulation drifts away from where
+# the robot was, and then says little about its recordings.
 _PIECE = 10.0
-"""s; after so long the simulation begins again where the robot was."""
-_FARTHEST = 1e3
-"""Times its usual range a simulated state may reach before its piece ends."""
+# A piece ends when a state leaves this multiple of its measured range: the simulation has diverged.
+_MAX_RANGE = 1e3
 
 
 @dataclass(frozen=True)
 class RehearsalTrial:
-    """One effect hidden at one size, and what a diagnosis of the simulated logs says."""
+    """One effect hidden at one size, and the result of the diagnosis of the simulated runs."""
 
     effect: str
     parameter: str
     unit: str
     size: float
-    """Change from doing nothing."""
+    """Change from the neutral value."""
     predicted: bool
-    """Whether the sensitivities say that it would be found."""
+    """Whether the identifiability check predicts that it would be found."""
     found: bool
-    """Named, or in the group of what is named."""
+    """Whether the diagnosis names it, or an effect that it reports as indistinguishable."""
     named: tuple[str, ...]
     verdict: str
 
 
 @dataclass(frozen=True)
 class RehearsalResult:
-    """What would be found at which size."""
+    """Which effects would be found at which size."""
 
     check: IdentifiabilityCheck
-    """Of logs in which nothing is hidden."""
+    """The identifiability check of simulated runs in which nothing is hidden."""
     trials: tuple[RehearsalTrial, ...]
 
     @property
     def agreeing(self) -> int:
-        """Trials in which the prediction was right."""
+        """Number of trials in which the check predicted the result."""
         return sum(trial.predicted == trial.found for trial in self.trials)
 
 
@@ -78,33 +79,40 @@ def rehearse_diagnosis(
     seed: int = 0,
     report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> RehearsalResult:
-    """Hides each effect of the library, or of ``names``, in each of ``sizes``, in ordinary changes, and diagnoses.
+    """Hides each effect of the library, or of ``names``, at each of ``sizes`` (in typical changes) and diagnoses it.
 
     Raises InputError for a name that the model could not lack, RunError for unusable runs.
     """
     library = _chosen(library_for(model), names)
     model = refitted_to_runs(model, runs)
     noise = measured_noise(runs)
+    # Each simulation has its own seed, so that a result does not depend on which other effects are rehearsed.
     check = check_identifiability(model, list(simulate_runs(model, runs, noise, np.random.default_rng([seed, 0]))))
-    chosen = [item for item in check.sizes if item.effect in {own.name for own in library}]
+    chosen = [item for item in check.sizes if item.effect in {effect.name for effect in library}]
     jobs = [(item, size) for item in chosen for size in sizes]
     trials = []
     for number, (item, size) in enumerate(jobs):
         report_progress(number, len(jobs))
-        own = next(effect for effect in library if effect.name == item.effect)
+        hidden = next(effect for effect in library if effect.name == item.effect)
         random = np.random.default_rng([seed, number + 1])
         trials.append(
-            _trial(model, own, item, size, list(simulate_runs(_with(model, own, item, size), runs, noise, random)))
+            _trial(
+                model,
+                hidden,
+                item,
+                size,
+                list(simulate_runs(_with_hidden_effect(model, hidden, item, size), runs, noise, random)),
+            )
         )
     report_progress(len(jobs), len(jobs))
     return RehearsalResult(check, tuple(trials))
 
 
 def refitted_to_runs(model: PhysicsModel, runs: Sequence[Run]) -> PhysicsModel:
-    """The model with its free numbers fitted to the runs.
+    """Fits the free parameters of the model to the runs.
 
-    With a guess the robot of the rehearsal drives elsewhere than the real one: a gain that is three times too large
-    takes a car without drag to 20 m/s within a piece, and what such a drive shows of a steering says nothing of these.
+    With a guess, the simulated robot drives in another regime than the real one. A gain that is three times too large
+    takes a car without drag to 20 m/s within a piece, where steering effects look different.
     """
     if not model.latent_names:
         return model
@@ -117,12 +125,12 @@ def _chosen(library: Sequence[AbstractEffect], names: Sequence[str]) -> list[Abs
     known = [item.name for item in library]
     for name in names:
         if name not in known:
-            raise InputError(f"effect '{name}': nothing that this model could lack; {did_you_mean(name, known)}")
+            raise InputError(f"effect '{name}': not an effect that this model could lack; {did_you_mean(name, known)}")
     return [item for item in library if not names or item.name in names]
 
 
-def _with(model: PhysicsModel, item: AbstractEffect, size: Detectable, share: float) -> PhysicsModel:
-    """The model with one number of an effect moved away from doing nothing."""
+def _with_hidden_effect(model: PhysicsModel, item: AbstractEffect, size: Detectable, share: float) -> PhysicsModel:
+    """Returns the model with one parameter of an effect moved away from its neutral value."""
     values = {p.name: p.typical if p.neutral is None else p.neutral for p in item.parameters}
     parameter = next(p for p in item.parameters if p.name == size.parameter)
     neutral = parameter.neutral or 0.0
@@ -135,8 +143,11 @@ def _trial(
     model: PhysicsModel, item: AbstractEffect, size: Detectable, share: float, runs: Sequence[Run]
 ) -> RehearsalTrial:
     report = diagnose(model, runs)
-    own = [candidate for candidate in report.candidates if candidate.decision == "accepted"]
-    groups = {name for candidate in own for other in candidate.indistinguishable_from for name in other.split(" + ")}
+    accepted = [candidate for candidate in report.candidates if candidate.decision == "accepted"]
+    groups = {
+        name for candidate in accepted for other in candidate.indistinguishable_from for name in other.split(" + ")
+    }
+    # An effect counts as found if the diagnosis names it or one that the data cannot distinguish from it.
     change = share * size.ordinary
     return RehearsalTrial(
         item.name,
@@ -151,25 +162,27 @@ def _trial(
 
 
 def measured_noise(runs: Sequence[Run]) -> FloatArray:
-    """Standard deviation of each state's white noise (states,): robust, from second differences between rows.
+    """Returns a robust estimate of each state's white noise (states,), from second differences between rows.
 
-    x[k+1] - 2 x[k] + x[k-1] of white noise has sqrt(6) times its deviation; the robot's own motion hardly bends within
-    three rows.
+    For white noise, x[k+1] - 2 x[k] + x[k-1] has sqrt(6) times its deviation. The motion of the robot is nearly linear
+    over three rows.
     """
     parts = [np.diff(states, n=2, axis=0) for run in runs for _, states, _ in run.parts() if len(states) > 2]
-    bent = np.concatenate(parts) if parts else np.zeros((1, len(runs[0].system.state)))
-    return np.asarray(1.4826 * np.median(np.abs(bent - np.median(bent, axis=0)), axis=0) / np.sqrt(6.0))
+    differences = np.concatenate(parts) if parts else np.zeros((1, len(runs[0].system.state)))
+    # 1.4826 converts a median deviation to a standard deviation; the median ignores glitches.
+    return np.asarray(1.4826 * np.median(np.abs(differences - np.median(differences, axis=0)), axis=0) / np.sqrt(6.0))
 
 
 def simulate_runs(
     model: PhysicsModel, runs: Sequence[Run], noise: FloatArray, random: np.random.Generator
 ) -> Iterator[Run]:
-    """The runs as the model would have driven them under the same commands, with noise (states,)."""
+    """Yields the runs as the model would have driven them with the same commands, with noise (states,)."""
+    # With commands held over a period, as in the recordings.
     model = PhysicsModel(model.base, model.effects, model.settings, model.period, holds=True)
     for run in runs:
         states = run.states.copy()
         pieces = [piece for part in run.stretches for piece in _pieces(run, part)]
-        retained = [Stretch(piece.start, _driven(model, run, piece, states)) for piece in pieces]
+        retained = [Stretch(piece.start, _simulate_piece(model, run, piece, states)) for piece in pieces]
         states = states + noise * random.standard_normal(states.shape)
         yield replace(run, states=states, stretches=tuple(part for part in retained if len(part) > 2), findings=())
 
@@ -181,9 +194,10 @@ def _pieces(run: Run, part: Stretch) -> list[Stretch]:
     return [Stretch(low, high) for low, high in pairwise(edges)]
 
 
-def _driven(model: PhysicsModel, run: Run, piece: Stretch, states: FloatArray) -> int:
-    """Writes the states of a piece; returns the row behind the last that can be used."""
-    most = _FARTHEST * (np.ptp(run.states, axis=0) + 1.0)
+def _simulate_piece(model: PhysicsModel, run: Run, piece: Stretch, states: FloatArray) -> int:
+    """Simulates a piece and writes its states; returns the row after the last usable one."""
+    # The 1 covers states that did not move at all in the recording.
+    most = _MAX_RANGE * (np.ptp(run.states, axis=0) + 1.0)
     memory = model.initial_memory(run.actions[piece.start])
     for row in range(piece.start, piece.stop - 1):
         period, time = float(run.t[row + 1] - run.t[row]), float(run.t[row] - run.t[0])

@@ -1,1 +1,6 @@
-"""What no effect of the library explains: on what it depends, and a formula for it."""
+"""Residuals: structure that no effect of the library explains.
+
+Read ``unmodelled`` first: it looks for a region of the floor, then a short formula, then a dependence on one variable.
+``weak_sindy`` finds formulas by sparse regression, ``dependence`` fits a function of one variable, ``rates`` computes
+missing rates and maps of them, and ``match_effects`` checks whether an effect of the library says the same.
+"""

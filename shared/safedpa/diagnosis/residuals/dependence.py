@@ -1,4 +1,4 @@
-"""On which variable what remains depends: any function of it, straight between knots, by regression in weak form."""
+"""Dependence of the residual on one variable: a piecewise linear function, by regression in weak form."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from safedpa.operations import Operations, Scalar
 
 __all__ = ["Dependences", "dependences_of", "profile_of"]
 
+# Enough for a curve with two bends, few enough that each knot has data in a minute of driving.
 _KNOTS = 13
 
 
 @dataclass(frozen=True)
 class _HatFunction:
-    """1 at a knot, 0 at its neighbours and beyond, straight between; constant beyond the outer knots."""
+    """Linear B-spline: 1 at a knot, 0 at its neighbours, constant beyond the outer knots."""
 
     variable: str
     knots: FloatArray
@@ -34,48 +35,52 @@ class _HatFunction:
         del operations
         values = np.asarray(named[self.variable], dtype=np.float64)
         values = (values + np.pi) % (2 * np.pi) - np.pi if self.angle else values
+        # Beyond the outer knots the function is constant: there are no data for a slope.
         return np.interp(values, self.knots, np.eye(len(self.knots))[self.index])
 
 
 @dataclass(frozen=True)
 class Dependences:
-    """All variables with all rates, the one that tells most first, and the functions behind them."""
+    """The dependences of all rates on all variables, the strongest first, and the fitted functions."""
 
     found: tuple[Dependence, ...]
     unseen: dict[tuple[str, str], FloatArray]
-    """Squares (windows,) with the function of a (variable, state), fitted without the window's fold."""
+    """Squares (windows,) with the function of a (variable, state) that was fitted without the window's fold."""
     problem: Regression
     chosen: dict[tuple[str, str], list[int]]
     knots: dict[str, FloatArray]
     scale: FloatArray
-    """Of the residual, in the states' units, (states,)."""
+    """Scale of the residual, in the states' units, (states,)."""
 
     def values(self, variable: str, state: str) -> tuple[FloatArray, FloatArray]:
-        """The function at its knots and standard deviations, by a jackknife over the folds."""
+        """Returns the function at its knots, and standard deviations by a jackknife over the folds."""
         chosen = self.chosen[variable, state]
-        parts = self.problem.solved(chosen, self.problem.whole - self.problem.grams)[:, self.problem.always :]
+        # One estimate without each fold; their spread is the jackknife.
+        parts = self.problem.solve(chosen, self.problem.whole - self.problem.grams)[:, self.problem.always :]
         spread = np.sqrt((len(parts) - 1) * np.var(parts, axis=0))
         return self.problem.coefficients(chosen), spread
 
 
 def dependences_of(trial: EffectTrial, shooting: Shooting) -> Dependences:
-    """How well any function of each variable predicts what a fitted model leaves of unseen blocks."""
+    """Computes how well a function of each variable predicts the residual of a fitted model on unseen blocks."""
     system = shooting.windows.system
     angles = {item.name for item in system.state if item.angle}
     knots = {name: _knots(values, name in angles) for name, values in variables_of(shooting).items()}
-    knots = {name: places for name, places in knots.items() if len(places) > 2}
+    # Two knots are a straight line, which the free parameters usually contain.
+    knots = {name: positions for name, positions in knots.items() if len(positions) > 2}
     hats = [_HatFunction(name, at, index, name in angles) for name, at in knots.items() for index in range(len(at))]
     states = rate_states(system)
     problem = regression_of(trial, shooting, states, hats)
+    # Every variable is compared with the same null: free parameters only.
     now = problem.unseen([])
     found, unseen, chosen = [], {}, {}
     for row, state in enumerate(states):
         for name in knots:
-            own = [i for i, hat in enumerate(hats) if hat.variable == name]
-            chosen[name, state] = [row * len(hats) + i for i in own]
-            left = unseen[name, state] = problem.unseen(chosen[name, state])
-            share = 1.0 - float(left.sum() / max(now.sum(), 1e-300))
-            found.append(Dependence(name, state, share, problem.sure(now, left)))
+            columns = [i for i, hat in enumerate(hats) if hat.variable == name]
+            chosen[name, state] = [row * len(hats) + i for i in columns]
+            remaining = unseen[name, state] = problem.unseen(chosen[name, state])
+            share = 1.0 - float(remaining.sum() / max(now.sum(), 1e-300))
+            found.append(Dependence(name, state, share, problem.block_gain(now, remaining)))
     order = tuple(sorted(found, key=lambda item: -item.share))
     return Dependences(order, unseen, problem, chosen, knots, trial.fit.scale)
 
@@ -83,7 +88,7 @@ def dependences_of(trial: EffectTrial, shooting: Shooting) -> Dependences:
 def profile_of(
     dependences: Dependences, variable: str, state: str, formula: Sequence[float] | None, shooting: Shooting
 ) -> Profile:
-    """The function of one variable that a state's rate lacks, next to what the formula gives at its knots."""
+    """Returns the function of one variable that a state's rate lacks, with the formula's values at its knots."""
     values, errors = dependences.values(variable, state)
     system = shooting.windows.system
     return Profile(
@@ -100,7 +105,7 @@ def profile_of(
 
 
 def _rows_about(knots: FloatArray, variable: str, shooting: Shooting) -> tuple[int, ...]:
-    """Measured rows nearer to each knot than to its neighbours, those beyond half a step outside the outer ones not."""
+    """Returns how many measured rows are closest to each knot, at most half a step outside the outer knots."""
     windows = shooting.windows
     names = (*windows.system.state_names, *windows.system.action_names)
     if variable in names:
@@ -115,7 +120,7 @@ def _rows_about(knots: FloatArray, variable: str, shooting: Shooting) -> tuple[i
 
 
 def _knots(values: FloatArray, angle: bool) -> FloatArray:
-    """Half at equal steps and half at equal shares of the data, so that neither rare nor usual values go unseen."""
+    """Returns knots halfway between equal steps and equal shares of the data, so that both are covered."""
     if angle:
         return np.linspace(-np.pi, np.pi, _KNOTS)
     low, high = np.quantile(values, [0.02, 0.98])

@@ -1,7 +1,7 @@
-"""The named before the anonymous: a formula is compared with every candidate, refused ones too.
+"""Matches formulas with effects of the library: a named effect is preferred to an anonymous formula.
 
-A candidate that unseen blocks cannot tell from the formula with certainty says the same in the words of physics. It is
-named then ("likely, not proven"), and the formula is not shown.
+A formula is compared with every candidate, refused ones too. If unseen blocks cannot clearly distinguish a candidate
+from the formula, the candidate is reported instead ("likely, not proven").
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from safedpa.effects import AbstractEffect
 
 __all__ = ["LibraryMatcher"]
 
-_LOOKED_AT = 6
-"""Candidates, those with the lowest loss first."""
+# Candidates that are compared, those with the lowest loss first; each needs a fit.
+_COMPARED = 6
+# Standard errors of gain that a candidate needs to replace a formula: otherwise it explains nothing itself.
 _FAVOURED = 1.5
-"""Standard errors of gain of a candidate that may stand for a formula."""
 
 
 @dataclass
 class LibraryMatcher:
-    """Asked for a name of what a formula or a function of one variable says; remembers what it answered."""
+    """Finds effects that explain the same as a formula or a function of one variable; ``found`` collects them."""
 
     search: SearchState
     library: Sequence[AbstractEffect]
@@ -37,31 +37,32 @@ class LibraryMatcher:
     _trials: list[EffectTrial] | None = None
 
     def of_formula(self, formula: EffectTrial) -> bool:
-        """Whether a candidate says what a formula, or a place, fitted like an effect, says."""
+        """Returns whether a candidate explains the same as a formula or a region that was fitted like an effect."""
         shooting = self.search.shooting
         same = [
             trial
-            for trial in self._every()
+            for trial in self._favoured_trials()
+            # Thresholds as for equivalent trials: a formula must be clearly better to be preferred to an effect.
             if block_gain(trial, formula, shooting) < SIMPLER
             or (explanation_correlation(trial, formula) > ALIKE and block_gain(trial, formula, shooting) < SURE)
         ]
-        return self._reported(same, "no formula and no place says more")
+        return self._record(same, "no formula and no region explains more")
 
-    def of_function(self, left: FloatArray, scale: FloatArray) -> bool:
-        """Whether a candidate takes as much off unseen blocks as a function of one variable.
+    def of_function(self, remaining: FloatArray, scale: FloatArray) -> bool:
+        """Returns whether a candidate reduces the squares of unseen blocks as much as a function of one variable.
 
-        ``left`` (windows,): squares of unseen windows in units of ``scale`` (states,) that the function leaves.
+        ``remaining`` (windows,): squares of unseen windows with the function, in units of ``scale`` (states,).
         """
         same = []
-        for trial in self._every():
-            own = (trial.heldout / scale**2).sum(axis=1)
-            if _sure(own - left, self.search.shooting.block) < SIMPLER:
+        for trial in self._favoured_trials():
+            squares = (trial.heldout / scale**2).sum(axis=1)
+            if _block_statistic(squares - remaining, self.search.shooting.block) < SIMPLER:
                 same.append(trial)
-        return self._reported(same, "no function of one variable says more")
+        return self._record(same, "no function of one variable explains more")
 
-    def _every(self) -> list[EffectTrial]:
-        """Candidates of the last stage on top of the present model, those that unseen blocks favour."""
-        if self._trials is None:
+    def _favoured_trials(self) -> list[EffectTrial]:
+        """Returns candidates of the last stage, fitted on top of the current model, that unseen blocks favour."""
+        if self._trials is None:  # computed once: of_formula and of_function share them
             null, shooting = self.search.current, self.search.shooting
             fitted = [self._fitted(item) for item in self._singles()]
             self._trials = [trial for trial in fitted if block_gain(null, trial, shooting) > _FAVOURED]
@@ -75,16 +76,18 @@ class LibraryMatcher:
             for item in self.search.candidates
             if item.stage == last and len(item.trial.effects) == 1 and item.trial.effects[0] not in have
         ]
-        return sorted(singles, key=lambda item: item.trial.loss)[:_LOOKED_AT]
+        return sorted(singles, key=lambda item: item.trial.loss)[:_COMPARED]
 
     def _fitted(self, item: JudgedTrial) -> EffectTrial:
-        effect = next(own for own in self.library if own.name == item.trial.effects[0])
+        effect = next(candidate for candidate in self.library if candidate.name == item.trial.effects[0])
         settings = item.trial.fit.model.settings
         known = {p.name: settings[f"{effect.name}.{p.name}"].value for p in effect.parameters}
+        # Refitted on top of the current model: the candidate's trial may lack effects accepted since.
         start = with_effect_at(self.search.current.fit.model, effect, known)
         return fit_trial(self.search.current, [effect], self.search.shooting, [start])
 
-    def _reported(self, same: Sequence[EffectTrial], why: str) -> bool:
+    def _record(self, same: Sequence[EffectTrial], why: str) -> bool:
+        """Adds the matching trials to ``found``; returns whether there is one."""
         for trial in sorted(same, key=lambda trial: trial.loss):
             if trial.effects not in {item.trial.effects for item in self.found}:
                 gain = block_gain(self.search.current, trial, self.search.shooting)
@@ -97,7 +100,7 @@ class LibraryMatcher:
         return bool(same)
 
 
-def _sure(difference: FloatArray, block: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
-    """Mean of the blocks' sums of a difference (windows,), in its standard errors."""
+def _block_statistic(difference: FloatArray, block: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
+    """Returns the mean over the blocks of a difference (windows,), in its standard errors."""
     sums = np.bincount(block, difference)[np.unique(block)]
     return float(sums.sum() / max(float(sums.std(ddof=1)) * np.sqrt(len(sums)), 1e-300)) if len(sums) > 1 else 0.0

@@ -1,6 +1,6 @@
-"""What remains: whether it depends on anything that was measured, and a formula for it that is no named effect.
+"""Unmodelled structure: whether the residual depends on a measured variable, and a formula for it.
 
-A place comes first, then the short formula that sparse regression finds, then the bare dependence on a variable. Each
+A region of the floor is tried first, then a short formula by sparse regression, then a dependence on one variable. Each
 has to predict unseen blocks.
 """
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, trial_of, with_effect_at
@@ -45,11 +45,12 @@ class Formula(RateEffect):
     stage = Stage.MOTION
     equation = "d(state)/dt += sum of coefficient term"
     signature = "whatever fits"
-    source = "sparse regression; see weak_form"
+    source = "sparse regression; see weak_sindy"
 
     def __init__(self, terms: Sequence[tuple[str, Term]], sizes: Sequence[float], robot: str, units: str) -> None:
         self.terms = tuple(terms)
         self.robot = robot  # type: ignore[misc]
+        # The fitted size is the typical one, which scales difference steps and the prior of the refit.
         self.parameters = tuple(  # type: ignore[misc]
             Parameter(f"c{index}", units, -1e6, 1e6, max(abs(size), 1e-9)) for index, size in enumerate(sizes)
         )
@@ -62,106 +63,115 @@ class Formula(RateEffect):
         return changed
 
 
-_SHARE = 0.03
-"""Of the squares of the residual, noise included."""
-_LASTING = 4.0
-"""Standard deviations from 0 of a coefficient that stays."""
-_PLACE_SHARE = 0.02
-_FEWEST = 40
-"""Windows."""
-_HEADLINE = 2.0
-"""Of its own deviations that a number needs to be told by itself."""
-_FEWEST_ROWS = 20
-"""About a knot whose value is told by itself."""
-_AHEAD = 3.0
-"""Standard errors by which a formula has to be better than the effects that were found, to take their place."""
-_LITTLE = 0.03
-"""Fall of the logarithm of the held-out residual, mean over the states, that is worth it."""
-_LITTLE_WITH_FEWER = 0.01
-"""The same where the formula has fewer numbers."""
+# Share of the squares of the residual (noise included) that a dependence has to explain: in long recordings smaller
+# ones are significant too, but they do not matter for predictions.
+_MIN_SHARE = 0.03
+# Standard deviations from 0 for a coefficient to stay: hundreds of terms were compared, so 2 would not mean much.
+_MIN_COEFFICIENT = 4.0
+# The same share for a region: lower, because a region contains few windows.
+_MIN_REGION_SHARE = 0.02
+# Windows below which no formula is looked for: with hundreds of terms some would fit by chance.
+_MIN_WINDOWS = 40
+# Deviations that a value needs to be quoted in the sentence of a finding: a reader takes a quoted value as a fact.
+_QUOTED = 2.0
+# Rows about a knot whose value is quoted: fewer make its deviation unreliable.
+_MIN_ROWS = 20
+# Standard errors by which a formula has to be better than the effects found, to replace them: as many as an effect
+# needs to be accepted.
+_LEAD = 3.0
+# Decrease of the log held-out residual (mean over the states) that this also takes; effects have a physical meaning
+# that a formula lacks.
+_MIN_DECREASE = 0.03
+# The same for a formula with fewer parameters, which is less likely to fit by chance.
+_MIN_DECREASE_IF_SIMPLER = 0.01
 
 
 def find_unexplained_structure(
-    trial: EffectTrial, shooting: Shooting, patch: RegionFit | None, names: LibraryMatcher | None = None
+    trial: EffectTrial, shooting: Shooting, region_fit: RegionFit | None, names: LibraryMatcher | None = None
 ) -> Unexplained | None:
-    """The structure of what remains, or None where unseen blocks confirm none.
+    """Returns the structure of the residual; None if unseen blocks confirm none.
 
-    Neither is there where ``names`` have an effect that says the same.
+    Also returns None if ``names`` finds an effect that explains the same.
     """
-    place = patch or best_region(trial, shooting)
-    if place is not None and place.share > _PLACE_SHARE and _certain(place, shooting):
-        named = names is not None and names.of_formula(place.trial)
-        return None if named else _of_place(place, trial, shooting)
-    if len(shooting.windows) < _FEWEST:
+    # From the most to the least specific: a region looks like a formula in x and y, a formula like a dependence.
+    region_fit = region_fit or best_region(trial, shooting)
+    if region_fit is not None and region_fit.share > _MIN_REGION_SHARE and _is_certain(region_fit, shooting):
+        named = names is not None and names.of_formula(region_fit.trial)
+        return None if named else _region_result(region_fit, trial, shooting)
+    if len(shooting.windows) < _MIN_WINDOWS:
         return None
     dependences = dependences_of(trial, shooting)
-    fitted = _formula(trial, shooting)
+    fitted = _find_formula(trial, shooting)
     if fitted is not None and not _better_as_function(dependences, fitted[1]):
         named = names is not None and names.of_formula(fitted[1])
-        return None if named else _of_formula(*fitted, trial, dependences, shooting)
-    return _of_dependence(trial, dependences, shooting, names)
+        return None if named else _formula_result(*fitted, trial, dependences, shooting)
+    return _dependence_result(trial, dependences, shooting, names)
 
 
 def alternative_formula(search: SearchState, names: LibraryMatcher | None = None) -> Unexplained | None:
-    """A formula of at most as many numbers that explains more than all effects that were found; None otherwise.
+    """Returns a formula with no more parameters that explains more than all effects found; None if there is none.
 
-    Effects that only resemble what acts (a drag that grows with the cube of the speed looks like quadratic drag) are
-    then taken back: they become suspected, and the search stands where it began.
+    Some effects only resemble the cause: a drag that grows with the cube of the speed looks like quadratic drag. Such
+    effects are then withdrawn: they become suspected, and the search is reset to its first model.
     """
     shooting, found = search.shooting, search.current
-    if not search.added or len(shooting.windows) < _FEWEST:
+    if not search.added or len(shooting.windows) < _MIN_WINDOWS:
         return None
     first = search.first.fit
+    # The first model in the windows of the final one, so that formula and effects are compared on the same data.
     null = trial_of(fit(first.model, first.paths, shooting, found.fit.scale, steps=2), shooting, (), None)
     most = len(found.fit.paths) - len(first.paths)
-    formula = _formula(null, shooting, min(most, 4))
+    formula = _find_formula(null, shooting, min(most, 4))
     if formula is None:
         return None
     selected, trial = formula
-    little = _LITTLE if len(selected.terms) == most else _LITTLE_WITH_FEWER
-    if trial.loss > found.loss - little or block_gain(found, trial, shooting) < _AHEAD:
+    min_decrease = _MIN_DECREASE if len(selected.terms) == most else _MIN_DECREASE_IF_SIMPLER
+    if trial.loss > found.loss - min_decrease or block_gain(found, trial, shooting) < _LEAD:
         return None
     if names is not None and names.of_formula(trial):
         return None
-    taken_back = ", ".join(search.added)
+    withdrawn = ", ".join(search.added)
     for index, item in enumerate(search.candidates):
         if item.decision == "accepted":
-            reason = f"{item.reason}; but a formula of no more numbers explains more than {taken_back}"
+            reason = f"{item.reason}; but a formula with no more parameters explains more than {withdrawn}"
             search.candidates[index] = replace(item, decision="suspected", reason=reason)
     search.added, search.current, search.error = [], search.first, search.first_error
-    return _of_formula(selected, trial, null, dependences_of(null, shooting), shooting)
+    return _formula_result(selected, trial, null, dependences_of(null, shooting), shooting)
 
 
-def _of_place(place: RegionFit, trial: EffectTrial, shooting: Shooting) -> Unexplained:
+def _region_result(region_fit: RegionFit, trial: EffectTrial, shooting: Shooting) -> Unexplained:
     rates = remaining_rates(trial, shooting)
-    name = place.place
-    terms = (FormulaTerm("speed", f"-sign(speed) where {name.where(place.values)}", *_size(place, shooting), "m/s2"),)
+    region = region_fit.region
+    size, std = _deceleration(region_fit, shooting)
+    terms = (FormulaTerm("speed", f"-sign(speed) where {region.where(region_fit.values)}", size, std, "m/s2"),)
     return Unexplained(
-        depends_on=PLACE,
-        expression=place.expression,
-        share=place.share,
+        depends_on=POSITION,
+        expression=region_fit.expression,
+        share=region_fit.share,
         kind="place",
         terms=terms,
         dependence=dependences_of(trial, shooting).found,
-        map=map_of(*PLACE, "speed", rates, shooting),
+        map=map_of(*POSITION, "speed", rates, shooting),
     )
 
 
-def _size(place: RegionFit, shooting: Shooting) -> tuple[float, float | None]:
-    path = f"{place.place.name}.deceleration"
-    index = place.trial.fit.paths.index(path)
-    std = float(place.trial.fit.deviations(shooting)[index])
-    return place.values["deceleration"], std if np.isfinite(std) else None
+def _deceleration(region_fit: RegionFit, shooting: Shooting) -> tuple[float, float | None]:
+    path = f"{region_fit.region.name}.deceleration"
+    index = region_fit.trial.fit.paths.index(path)
+    std = float(region_fit.trial.fit.deviations(shooting)[index])
+    return region_fit.values["deceleration"], std if np.isfinite(std) else None
 
 
-def _formula(trial: EffectTrial, shooting: Shooting, most: int = 4) -> tuple[SelectedTerms, EffectTrial] | None:
-    """The terms that hold in the nonlinear rollouts too, and the model with them; None where none does."""
+def _find_formula(trial: EffectTrial, shooting: Shooting, most: int = 4) -> tuple[SelectedTerms, EffectTrial] | None:
+    """Returns the terms that are confirmed in nonlinear rollouts, and the model with them; None if none is."""
     selected = selected_terms(trial, shooting, rate_states(shooting.windows.system), most)
+    # Regression is to first order: coefficients that vanish in the nonlinear refit are dropped, and the rest is
+    # refitted.
     while selected is not None:
-        fitted = _fitted(selected, trial, shooting)
+        fitted = _fit_formula(selected, trial, shooting)
         count = len(selected.terms)
         values, deviations = fitted.fit.values[-count:], fitted.fit.deviations(shooting)[-count:]
-        sure = np.abs(values) > _LASTING * np.nan_to_num(deviations, nan=np.inf)
+        sure = np.abs(values) > _MIN_COEFFICIENT * np.nan_to_num(deviations, nan=np.inf)
         if sure.all():
             return (selected, fitted) if fitted.loss < trial.loss else None
         if not sure.any():
@@ -171,8 +181,8 @@ def _formula(trial: EffectTrial, shooting: Shooting, most: int = 4) -> tuple[Sel
     return None
 
 
-def _fitted(selected: SelectedTerms, trial: EffectTrial, shooting: Shooting) -> EffectTrial:
-    """The formula's coefficients refined in the nonlinear rollouts, next to everything that is fitted."""
+def _fit_formula(selected: SelectedTerms, trial: EffectTrial, shooting: Shooting) -> EffectTrial:
+    """Refines the formula's coefficients in nonlinear rollouts, together with all fitted parameters."""
     item = Formula(selected.terms, selected.coefficients.tolist(), shooting.windows.system.name, "")
     start = {p.name: float(value) for p, value in zip(item.parameters, selected.coefficients, strict=True)}
     paths = [*trial.fit.paths, *(f"{item.name}.{name}" for name in start)]
@@ -181,15 +191,15 @@ def _fitted(selected: SelectedTerms, trial: EffectTrial, shooting: Shooting) -> 
 
 
 def _better_as_function(dependences: Dependences, formula: EffectTrial) -> bool:
-    """Whether any function of the best variable takes clearly more off unseen blocks than the formula."""
+    """Returns whether a function of the best variable reduces unseen squares clearly more than the formula."""
     best = dependences.found[0]
-    left = dependences.unseen[best.variable, best.state]
-    own = (formula.heldout / dependences.scale**2).sum(axis=1)
-    fewer = float(left.sum()) < (1.0 - _SHARE) * float(own.sum())
-    return fewer and dependences.problem.sure(own, left) > _AHEAD
+    remaining = dependences.unseen[best.variable, best.state]
+    squares = (formula.heldout / dependences.scale**2).sum(axis=1)
+    fewer = float(remaining.sum()) < (1.0 - _MIN_SHARE) * float(squares.sum())
+    return fewer and dependences.problem.block_gain(squares, remaining) > _LEAD
 
 
-def _of_formula(
+def _formula_result(
     selected: SelectedTerms, fitted: EffectTrial, trial: EffectTrial, dependences: Dependences, shooting: Shooting
 ) -> Unexplained:
     system = shooting.windows.system
@@ -211,40 +221,42 @@ def _of_formula(
         alternatives=selected.alternatives,
         dependence=dependences.found,
         profile=profile_of(
-            dependences, first, state, _at(dependences.knots[first], first, state, selected, values), shooting
+            dependences, first, state, _formula_at(dependences.knots[first], first, state, selected, values), shooting
         ),
         map=map_of(first, second, state, remaining_rates(trial, shooting), shooting),
     )
 
 
-def _at(
+def _formula_at(
     knots: FloatArray, variable: str, state: str, selected: SelectedTerms, values: FloatArray
 ) -> list[float] | None:
-    """The formula for one rate at the knots of a variable; None where it depends on others as well."""
-    own = [(term, value) for (name, term), value in zip(selected.terms, values, strict=True) if name == state]
-    if any(set(term.variables) - {variable} for term, _ in own):
+    """Returns the formula for one rate at the knots of a variable; None if it depends on other variables too."""
+    state_terms = [(term, value) for (name, term), value in zip(selected.terms, values, strict=True) if name == state]
+    if any(set(term.variables) - {variable} for term, _ in state_terms):
         return None
-    sums = sum(value * term.value({variable: knots}, NUMPY) for term, value in own)
+    sums = sum(value * term.value({variable: knots}, NUMPY) for term, value in state_terms)
     return [float(value) for value in np.broadcast_to(sums, knots.shape)]
 
 
-def _certain(place: RegionFit, shooting: Shooting) -> bool:
-    """Whether the resistance of a place is more than two of its own deviations."""
-    size, std = _size(place, shooting)
-    return std is not None and abs(size) > _HEADLINE * std
+def _is_certain(region_fit: RegionFit, shooting: Shooting) -> bool:
+    """Returns whether the resistance of a region is more than two of its deviations."""
+    size, std = _deceleration(region_fit, shooting)
+    return std is not None and abs(size) > _QUOTED * std
 
 
-def _of_dependence(
+def _dependence_result(
     trial: EffectTrial, dependences: Dependences, shooting: Shooting, names: LibraryMatcher | None
 ) -> Unexplained | None:
-    """A variable of which some function predicts unseen blocks, though no short formula does."""
-    sure = [
-        item for item in dependences.found if item.share > _SHARE and is_significant(item.standard_errors, item.share)
+    """Returns a variable of which some function predicts unseen blocks, although no short formula does."""
+    significant = [
+        item
+        for item in dependences.found
+        if item.share > _MIN_SHARE and is_significant(item.standard_errors, item.share)
     ]
-    if not sure:
+    if not significant:
         return None
-    best = sure[0]
-    close = tuple(dict.fromkeys(item.variable for item in sure if item.share > 0.7 * best.share))
+    best = significant[0]
+    close = tuple(dict.fromkeys(item.variable for item in significant if item.share > 0.7 * best.share))
     first, second = _axes(close, best.state, dependences.found)
     profile = profile_of(dependences, first, best.state, None, shooting)
     peak = peak_of(profile)
@@ -252,11 +264,12 @@ def _of_dependence(
         return None
     if names is not None and names.of_function(dependences.unseen[best.variable, best.state], dependences.scale):
         return None
+    # The sentence quotes the largest value, because a function without a formula has no other summary.
     unit = "" if profile.unit == "1" else f" {profile.unit}"
     return Unexplained(
         depends_on=close,
-        expression=f"d({best.state})/dt += a function of {first} that no short formula gives; it is largest, "
-        f"{profile.values[peak]:.2g} +- {profile.errors[peak]:.1g} {profile.rate_unit}, at {first} "
+        expression=f"d({best.state})/dt += a function of {first} without a short formula; its largest value is "
+        f"{profile.values[peak]:.2g} +- {profile.errors[peak]:.1g} {profile.rate_unit} at {first} "
         f"{profile.knots[peak]:.2g}{unit}",
         share=best.share,
         kind="dependence",
@@ -267,14 +280,14 @@ def _of_dependence(
 
 
 def peak_of(profile: Profile) -> int | None:
-    """The knot with the largest value that is more than two of its own deviations, and about which there are rows."""
+    """Returns the knot with the largest value that exceeds two deviations and has enough rows; None if none does."""
     values, errors = np.array(profile.values), np.array(profile.errors)
-    sure = (np.abs(values) > _HEADLINE * errors) & (np.array(profile.rows) >= _FEWEST_ROWS)
+    sure = (np.abs(values) > _QUOTED * errors) & (np.array(profile.rows) >= _MIN_ROWS)
     return int(np.argmax(np.where(sure, np.abs(values), -1.0))) if sure.any() else None
 
 
 def _axes(variables: Sequence[str], state: str, dependence: Sequence[Dependence]) -> tuple[str, str]:
-    """Two different variables for a profile and a map: the formula's first, then those that tell most."""
+    """Returns two variables for a profile and a map: those of the formula first, then those with the largest share."""
     order = [item.variable for item in dependence if item.state == state]
     ranked = sorted((name for name in variables if name in order), key=order.index)
     first, second, *_ = dict.fromkeys([*ranked, *order])
@@ -289,19 +302,21 @@ def _share(before: EffectTrial, after: EffectTrial) -> float:
 def _text(terms: Sequence[FormulaTerm]) -> str:
     parts = []
     for state in dict.fromkeys(item.state for item in terms):
-        own = [item for item in terms if item.state == state]
+        state_terms = [item for item in terms if item.state == state]
         right = " ".join(
             f"{'-' if item.coefficient < 0 else '+'} {abs(item.coefficient):.3g}"
             + ("" if item.term == "1" else f" {item.term}")
-            for item in own
+            for item in state_terms
         )
-        sign, right = ("-", right[2:]) if len(own) == 1 and right.startswith("- ") else ("+", right.removeprefix("+ "))
+        sign, right = (
+            ("-", right[2:]) if len(state_terms) == 1 and right.startswith("- ") else ("+", right.removeprefix("+ "))
+        )
         parts.append(f"d({state})/dt {sign}= {right}")
     return "; ".join(parts)
 
 
 def _unit(rate: str, over: Sequence[str]) -> str:
-    """The unit of a coefficient: that of the rate over those of the term."""
+    """Returns the unit of a coefficient: that of the rate divided by those of the term."""
     if not over:
         return rate
     powers = {unit: over.count(unit) for unit in dict.fromkeys(over)}

@@ -1,13 +1,12 @@
-"""A small library of terms for formulas: powers, absolute values, signs, sines of state and action, and products.
+"""Sparse regression in weak form: finds the short formula whose integrals explain the residuals of short rollouts.
 
-Sparse regression in weak form: the short formula whose integrals explain the residuals of short rollouts.
-
-To first order a rate c phi(x, a) next to a model adds
+The terms are powers, absolute values, signs and sines of states and actions, and products of two. To first order a rate
+c phi(x, a) that the model lacks adds
 
     delta(t) = c T(t) integral from 0 to t of T(s)^-1 e phi(s) ds,
 
-to its prediction, where T(t) is the derivative of the prediction with respect to its start and e the state whose rate
-it is: integrals of what was measured, no derivative of it. Terms join one by one while unseen blocks confirm them.
+to its prediction, where T(t) is the derivative of the prediction with respect to its start and e selects the state with
+that rate. So measurements are integrated, never differentiated. Terms are added while unseen blocks confirm them.
 
 Source: Messenger and Bortz, Weak SINDy, Multiscale Modeling and Simulation 19(3), 2021; forward selection as in
 Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3.
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.rollout import effective_actions
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial
 from safedpa.effects.effect import Named
@@ -51,8 +50,8 @@ TIME = "time"
 _Function = Callable[[Scalar, float, Operations], Scalar]
 """(value, size near rest, operations) -> value"""
 
+# Share of a variable's usual size below which its sign is smoothed: near rest the sign is that of the noise.
 _REST = 0.02
-"""Share of a variable's usual size below which its sign is rounded off: noise has no sign."""
 
 _SHAPES: dict[str, tuple[int, _Function]] = {
     "{0}": (1, lambda v, _r, _o: v),
@@ -64,7 +63,7 @@ _SHAPES: dict[str, tuple[int, _Function]] = {
     "sin({0})": (0, lambda v, _r, o: o.sin(v)),
     "cos({0})": (0, lambda v, _r, o: o.cos(v)),
 }
-"""Text and power of the unit."""
+"""Text of each shape, and the power of the variable's unit that it has."""
 
 _QUANTITY = ("{0}", "|{0}|", "sign({0})", "{0}^2", "{0} |{0}|", "{0}^3")
 _ANGLE = ("sin({0})", "cos({0})")
@@ -85,33 +84,33 @@ class _Factor:
 
     @property
     def units(self) -> list[str]:
-        """The unit, as often as it counts."""
+        """The unit, repeated by its power; empty for dimensionless ones."""
         return [self.unit] * _SHAPES[self.shape][0] if self.unit not in ("1", "rad") else []
 
 
 @dataclass(frozen=True)
 class Term:
-    """A product of at most two factors; none: the constant 1."""
+    """A product of at most two factors; the constant 1 without factors."""
 
     factors: tuple[_Factor, ...]
 
     @property
     def text(self) -> str:
-        """As in a formula."""
+        """The term as text in a formula."""
         return " ".join(factor.shape.format(factor.variable) for factor in self.factors) or "1"
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """What it depends on, each once."""
+        """The variables that it depends on, each once."""
         return tuple(dict.fromkeys(factor.variable for factor in self.factors))
 
     @property
     def units(self) -> list[str]:
-        """Units of its value, one by one."""
+        """The units of its value, one by one."""
         return [unit for factor in self.factors for unit in factor.units]
 
     def value(self, named: Named, operations: Operations) -> Scalar:
-        """Its value for named states, actions and ``time``."""
+        """Returns the value for named states, actions and ``time``."""
         result: Scalar = 1.0
         for factor in self.factors:
             result = result * factor.value(named, operations)
@@ -119,23 +118,24 @@ class Term:
 
 
 def terms_of(system: System, sizes: dict[str, float]) -> list[Term]:
-    """Every term for a system; ``sizes`` are usual absolute values by variable, which say what is near rest."""
+    """Returns all terms for a system; ``sizes`` are usual absolute values by variable, which define "near rest"."""
 
     def factors(variable: Variable, shapes: Sequence[str]) -> list[_Factor]:
-        rest = max(_REST * sizes.get(variable.name, 1.0), 1e-6)
-        return [_Factor(variable.name, variable.unit, shape, rest) for shape in shapes]
+        rest_scale = max(_REST * sizes.get(variable.name, 1.0), 1e-6)
+        return [_Factor(variable.name, variable.unit, shape, rest_scale) for shape in shapes]
 
-    place = [item for item in system.state if item.name in PLACE]
+    positions = [item for item in system.state if item.name in POSITION]
     angles = [item for item in system.state if item.angle]
-    states = [item for item in system.state if not item.angle and item.name not in PLACE]
+    states = [item for item in system.state if not item.angle and item.name not in POSITION]
     singles = [factor for item in states for factor in factors(item, _QUANTITY)]
     singles += [factor for item in angles for factor in factors(item, _ANGLE)]
     singles += [factor for item in system.action for factor in factors(item, _ACTION)]
-    singles += [factor for item in place for factor in factors(item, ("{0}",))]
+    singles += [factor for item in positions for factor in factors(item, ("{0}",))]
     singles += [_Factor(TIME, "s", "{0}", 1.0)]
     found = [Term(()), *(Term((factor,)) for factor in singles)]
     first = [factor for item in [*states, *angles] for factor in singles if factor.variable == item.name]
     second = [factor for item in system.action for factor in singles if factor.variable == item.name]
+    # Only physically common products: state with action, state with an angle, and action with action.
     found += _products(first, second)
     found += _products([f for f in first if f.shape in _FEW_IN_PRODUCTS], [f for f in first if f.shape in _ANGLE])
     for index, one in enumerate(system.action):
@@ -153,33 +153,34 @@ def _products(ones: Sequence[_Factor], others: Sequence[_Factor]) -> list[Term]:
 
 
 SURE = 5.0
-"""Standard errors on unseen blocks that the first term needs: hundreds are looked at."""
+"""Standard errors on unseen blocks that the first term needs: hundreds of terms are compared."""
 LARGE = 0.2
-"""Share of the squares of unseen blocks with which it may be FEW standard errors: where a few blocks hold all of it,
-their differences are as large as their sum."""
+"""Share of the squares of unseen blocks with which FEW standard errors suffice. If a few blocks contain all of an
+effect, the differences between blocks are as large as their sum."""
 FEW = 3.0
-"""As many as a named effect needs."""
+"""Standard errors that suffice with LARGE: as many as a named effect needs."""
 MORE = 3.0
 """Standard errors that each further term needs."""
-_SHARE = 0.02
-"""Of the squares of the residual, noise included, that a term has to take off."""
-_MOST = 4
-"""Terms."""
-_LOOKED_AT = 8
-"""Terms whose gain on unseen data is worked out at each step."""
+# Share of the squares of the residual (noise included) that a term has to explain: smaller terms may be significant in
+# long recordings, but do not matter for predictions.
+_MIN_SHARE = 0.02
+# Terms of a formula: a longer one is no explanation, and its terms are not unique.
+_MAX_TERMS = 4
+# Terms whose gain on unseen data is computed at each step, the best on all data first.
+_COMPARED = 8
+# Determinant above which a matrix is inverted directly; below it the pseudo-inverse is used.
 _REGULAR = 1e-6
-"""Determinant from which a derivative is inverted as it is."""
 
 
 class HasValues(Protocol):
-    """Anything with a value for named states, actions and time."""
+    """Anything that has a value for named states, actions and time."""
 
     def value(self, named: Named, operations: Operations) -> Scalar: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
 class SelectedTerms:
-    """(state, term) pairs, their coefficients, and terms that are as good as the first."""
+    """(state, term) pairs, their coefficients, and alternatives that are as good as the first term."""
 
     terms: tuple[tuple[str, Term], ...]
     coefficients: FloatArray
@@ -188,9 +189,10 @@ class SelectedTerms:
 
 @dataclass(frozen=True)
 class Regression:
-    """residual (windows, numbers) + columns (windows, numbers, terms) c = noise; the first ``always`` stay in.
+    """A regression residual (windows, n) + columns (windows, n, terms) c = noise.
 
-    What is ``chosen`` is counted behind those: 0 is the first column that does not stay in.
+    The first ``always`` columns are always included (the free parameters). Indices in ``chosen`` count from the first
+    column behind them.
     """
 
     residual: FloatArray
@@ -204,7 +206,7 @@ class Regression:
 
     @cached_property
     def grams(self) -> FloatArray:
-        """Products of columns and residual with each other, by fold."""
+        """Products of columns and residual with each other, per fold."""
         return np.stack([self._products(self.fold == fold) for fold in np.unique(self.fold)])
 
     def _products(self, used: NDArray[np.bool_]) -> FloatArray:
@@ -214,15 +216,17 @@ class Regression:
 
     @cached_property
     def whole(self) -> FloatArray:
-        """Products of columns and residual with each other, by all windows."""
+        """Products of columns and residual with each other over all windows."""
         return np.asarray(self.grams.sum(axis=0))
 
-    def solved(self, chosen: Sequence[int], grams: FloatArray) -> FloatArray:
-        """Coefficients (..., always and chosen) of the always-in and the chosen columns by least squares, from products
-        (..., columns and residual, columns and residual)."""
+    def solve(self, chosen: Sequence[int], grams: FloatArray) -> FloatArray:
+        """Returns least-squares coefficients (..., always + chosen) from products (..., columns + 1, columns + 1).
+
+        The last row and column of the products belong to the residual.
+        """
         index = self._index(chosen)
         square, right = grams[..., index, :][..., index], grams[..., index, -1]
-        # a column that only the fold left out has is rounding here, and counts nothing
+        # A column that is nonzero only in the left-out fold is rounding here; the floor makes its coefficient 0.
         least = 1e-9 * np.diag(self.whole)[index] + 1e-300
         size = np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), least))
         scaled = square / (size[..., :, None] * size[..., None, :])
@@ -230,41 +234,46 @@ class Regression:
         return np.asarray(-(inverse @ (right / size)[..., None])[..., 0] / size)
 
     def coefficients(self, chosen: Sequence[int]) -> FloatArray:
-        """Of the chosen columns, by all windows."""
-        return self.solved(chosen, self.whole)[self.always :]
+        """Returns the coefficients of the chosen columns, fitted to all windows."""
+        return self.solve(chosen, self.whole)[self.always :]
 
     def unseen(self, chosen: Sequence[int]) -> FloatArray:
-        """Squares (windows,) with coefficients fitted without the window's fold."""
+        """Returns the squares (windows,) with coefficients fitted without the window's fold."""
         columns = self.columns[..., self._index(chosen)]
-        values = self.solved(chosen, self.whole - self.grams)[np.unique(self.fold, return_inverse=True)[1]]
-        left = self.residual + (columns @ values[..., None])[..., 0]
-        return np.asarray((left**2).sum(axis=1))
+        values = self.solve(chosen, self.whole - self.grams)[np.unique(self.fold, return_inverse=True)[1]]
+        remaining = self.residual + (columns @ values[..., None])[..., 0]
+        return np.asarray((remaining**2).sum(axis=1))
 
-    def falls(self, chosen: Sequence[int]) -> FloatArray:
-        """How much each column takes off the squares next to the chosen ones, to order them by."""
+    def reductions(self, chosen: Sequence[int]) -> FloatArray:
+        """Returns how much each column reduces the squares together with the chosen ones; used only for their order."""
         gram, index = self.whole, self._index(chosen)
         part = np.linalg.pinv(gram[np.ix_(index, index)], rcond=1e-10, hermitian=True) @ gram[index]
-        left = gram - gram[index].T @ part
-        own = np.diag(left)[:-1]
-        usable = own > 1e-6 * np.diag(gram)[:-1]
-        return np.asarray(np.where(usable, left[:-1, -1] ** 2 / np.where(usable, own, 1.0), 0.0))[self.always :]
+        remaining = gram - gram[index].T @ part
+        curvature = np.diag(remaining)[:-1]
+        # A column nearly spanned by the chosen ones would show a large reduction by rounding.
+        usable = curvature > 1e-6 * np.diag(gram)[:-1]
+        return np.asarray(np.where(usable, remaining[:-1, -1] ** 2 / np.where(usable, curvature, 1.0), 0.0))[
+            self.always :
+        ]
 
-    def sure(self, one: FloatArray, other: FloatArray) -> float:
-        """Gain of ``other`` over ``one`` in standard errors of independent blocks."""
+    def block_gain(self, one: FloatArray, other: FloatArray) -> float:
+        """Returns the gain of ``other`` over ``one`` in standard errors of independent blocks."""
         difference = one - other
-        # no glitch may decide; where few of the windows are concerned, the median knows nothing of them
+        # Clipping keeps one glitch from deciding. The quantile covers structure in few windows, which the median
+        # misses.
         size = np.abs(difference)
         most = max(20.0 * float(np.median(size)), 3.0 * float(np.quantile(size, 0.9))) + 1e-12
         sums = np.bincount(self.block, np.clip(difference, -most, most))[np.unique(self.block)]
+        # As in trial.standardized_gains: fewer blocks do not show their own spread.
         if len(sums) < 8:
             return 0.0
         return float(sums.sum() / max(float(sums.std(ddof=1)) * np.sqrt(len(sums)), 1e-300))
 
 
 def selected_terms(
-    trial: EffectTrial, shooting: Shooting, states: Sequence[str], most: int = _MOST
+    trial: EffectTrial, shooting: Shooting, states: Sequence[str], most: int = _MAX_TERMS
 ) -> SelectedTerms | None:
-    """The terms that unseen blocks confirm next to a fitted model, at most ``most``; None where none is."""
+    """Returns at most ``most`` terms that unseen blocks confirm on top of a fitted model; None if there is none."""
     system = shooting.windows.system
     terms = terms_of(system, _sizes(shooting))
     pairs = [(state, term) for state in states for term in terms]
@@ -279,17 +288,18 @@ def selected_terms(
 
 
 def is_significant(standard_errors: float, share: float) -> bool:
-    """Whether what was chosen among hundreds holds: surely, or a large share of the squares of unseen blocks."""
-    return (standard_errors > SURE and share > _SHARE) or (standard_errors > FEW and share > LARGE)
+    """Returns whether a term chosen among hundreds is significant: clearly, or with a large share of unseen squares."""
+    return (standard_errors > SURE and share > _MIN_SHARE) or (standard_errors > FEW and share > LARGE)
 
 
 def regression_of(
     trial: EffectTrial, shooting: Shooting, states: Sequence[str], terms: Sequence[HasValues]
 ) -> Regression:
-    """The regression of a fitted model's residual on rates of ``states``: every term of the first, then of the next."""
-    own = trial.fit.columns
-    columns = np.concatenate([own, _columns(trial, shooting, states, terms)], axis=-1)
-    return Regression(trial.fit.residual, columns, own.shape[-1], shooting.fold, shooting.block)
+    """Returns the regression of a model's residual on rates of ``states``: all terms of one state, then the next."""
+    free_columns = trial.fit.columns
+    # The free parameters stay in the regression, so a term is credited only with what they cannot explain.
+    columns = np.concatenate([free_columns, _columns(trial, shooting, states, terms)], axis=-1)
+    return Regression(trial.fit.residual, columns, free_columns.shape[-1], shooting.fold, shooting.block)
 
 
 def _forward(problem: Regression, most: int) -> tuple[list[int], list[int]]:
@@ -297,15 +307,17 @@ def _forward(problem: Regression, most: int) -> tuple[list[int], list[int]]:
     alternatives: list[int] = []
     now = problem.unseen(chosen)
     for step in range(most):
-        falls = problem.falls(chosen)
-        order = [int(index) for index in np.argsort(-falls)[:_LOOKED_AT] if index not in chosen]
+        reductions = problem.reductions(chosen)
+        order = [int(index) for index in np.argsort(-reductions)[:_COMPARED] if index not in chosen]
         tried = {index: problem.unseen([*chosen, index]) for index in order}
+        # By unseen squares, not by the reduction that ordered the candidates: that one favours overfitting.
         best = min(order, key=lambda index: float(tried[index].sum()))
-        gain, share = problem.sure(now, tried[best]), 1.0 - float(tried[best].sum() / max(now.sum(), 1e-300))
-        if not (is_significant(gain, share) if step == 0 else gain > MORE and share > _SHARE):
+        gain, share = problem.block_gain(now, tried[best]), 1.0 - float(tried[best].sum() / max(now.sum(), 1e-300))
+        if not (is_significant(gain, share) if step == 0 else gain > MORE and share > _MIN_SHARE):
             break
         if not step:
-            close = [i for i in order if i != best and problem.sure(tried[i], tried[best]) < 1.0]
+            # Only the first term has alternatives in the report: later ones depend on its choice.
+            close = [i for i in order if i != best and problem.block_gain(tried[i], tried[best]) < 1.0]
             alternatives = close[:3]
         chosen.append(best)
         now = tried[best]
@@ -313,18 +325,19 @@ def _forward(problem: Regression, most: int) -> tuple[list[int], list[int]]:
 
 
 def _backward(problem: Regression, chosen: list[int]) -> list[int]:
-    """Without the terms that the later ones made superfluous."""
+    """Removes terms that later ones made superfluous."""
     for index in chosen[:-1]:
         if len(chosen) < 2:
             break
         less = [other for other in chosen if other != index]
-        if problem.sure(problem.unseen(less), problem.unseen(chosen)) < 2.0:
+        # Lower than the threshold for adding: a term stays unless it is clearly superfluous.
+        if problem.block_gain(problem.unseen(less), problem.unseen(chosen)) < 2.0:
             chosen = less
     return chosen
 
 
 def _sizes(shooting: Shooting) -> dict[str, float]:
-    """Root mean square of states and actions by name."""
+    """Returns the root mean square of states and actions by name."""
     windows = shooting.windows
     names = (*windows.system.state_names, *windows.system.action_names)
     values = (*windows.states.T, *windows.actions.T)
@@ -332,24 +345,26 @@ def _sizes(shooting: Shooting) -> dict[str, float]:
 
 
 def _columns(trial: EffectTrial, shooting: Shooting, states: Sequence[str], terms: Sequence[HasValues]) -> FloatArray:
-    """What a coefficient of 1 adds to the reduced residual: (windows, numbers, states * terms)."""
+    """Returns the change of the reduced residual by a coefficient of 1, (windows, n, states * terms)."""
     system = shooting.windows.system
     seconds, values = _integrands(trial, shooting, terms)
+    # T(t) T(s)^-1 propagates a rate at time s to the prediction at t; the tangent is known at compared rows.
     tangent = shooting.tangent
     inverse = _inverses(tangent)
+    # Trapezoidal rule over each interval.
     first, second = (0.5 * seconds[..., None] * end for end in values)
     whole = np.zeros((*tangent.shape[:3], len(states) * len(terms)))
     for number, state in enumerate(states):
-        pulled = inverse[..., system.state_names.index(state), None]  # T(s)^-1 e
-        steps = pulled[:, :-1] * first[:, :, None]
-        steps += pulled[:, 1:] * second[:, :, None]
+        adjoint = inverse[..., system.state_names.index(state), None]  # T(s)^-1 e
+        steps = adjoint[:, :-1] * first[:, :, None]
+        steps += adjoint[:, 1:] * second[:, :, None]
         sums = np.cumsum(steps, axis=1, out=steps)
         whole[:, 1:, :, number * len(terms) : (number + 1) * len(terms)] = tangent[:, 1:] @ sums
     return shooting.eliminated(whole, trial.fit.scale)
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:
-    """Inverses (..., n, n), of directions that are gone none."""
+    """Returns inverses (..., n, n); pseudo-inverses if a direction of the start no longer affects the prediction."""
     if (np.abs(np.linalg.det(matrices)) > _REGULAR).all():
         return np.asarray(np.linalg.inv(matrices))
     return np.asarray(np.linalg.pinv(matrices, rcond=1e-9))
@@ -358,14 +373,19 @@ def _inverses(matrices: FloatArray) -> FloatArray:
 def _integrands(
     trial: EffectTrial, shooting: Shooting, terms: Sequence[HasValues]
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-    """Seconds of each interval between compared rows, and every term at its two ends: (windows, intervals, terms)."""
+    """Returns the length [s] of each interval between compared rows, and all terms at both ends.
+
+    Shapes: (windows, intervals) and twice (windows, intervals, terms).
+    """
     windows, system = shooting.windows, shooting.windows.system
     model = trial.fit.model
     predicted = shooting.residuals([model])[0] + shooting.measured
+    # Rows without weight (glitches) are replaced by the prediction.
     states = np.where(shooting.counts > 0, shooting.measured, predicted)
     at = np.minimum(windows.start[:, None] + shooting.rows, windows.end[:, None])
     sums = np.concatenate([np.zeros((1, len(system.action))), np.cumsum(effective_actions(model, windows), axis=0)])
     rows = np.maximum(at[:, 1:] - at[:, :-1], 1)
+    # Actions change within an interval, so their mean over its rows is used; states are smooth.
     means = (sums[np.minimum(at[:, :-1] + rows, len(sums) - 1)] - sums[at[:, :-1]]) / rows[..., None]
     ends = []
     for part, time in ((states[:, :-1], at[:, :-1]), (states[:, 1:], at[:, 1:])):

@@ -1,1 +1,7 @@
-"""The search: which effects are missing, which the data cannot tell apart, and where they act."""
+"""Search: selects the missing effects, marks those that the data cannot tell apart, and finds where they act.
+
+Read ``forward_selection`` first (``run_search``), then ``acceptance`` (thresholds and verdicts) and
+``backward_revision`` (exchanges and removals). ``conditional`` lets an effect act only in a region or vary with a
+variable; ``conditional_screen`` proposes such laws to first order. ``initial_model`` is the first stage,
+``final_parameters`` the last; ``pairs`` holds what is tried where no single effect passes.
+"""

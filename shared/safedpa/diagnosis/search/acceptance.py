@@ -1,16 +1,14 @@
-"""When a trial is accepted, which others the data cannot tell from it, and the sentences that say why.
+"""Acceptance: when a trial is accepted, which others the data cannot distinguish from it, and the reasons as text.
 
-A second opinion on a trial that unseen blocks favour, from the filter along whole recordings.
-
-Windows restart, so a lasting push is unknown to them. A driver who watches the robot answers such a push: the
-command that goes against it is then mistaken for a command that does too little (feedback makes input and disturbance
-depend on each other). The gain on unseen blocks does not show that, for every block has the same driver. The filter
-knows lasting pushes, so its numbers do not follow the driver: where the two ways differ widely, the windows' numbers
-come from the feedback and not from the effect.
+A trial that unseen blocks favour is confirmed by the filter along whole recordings. Windows restart, so they do not
+know lasting disturbances. A driver who watches the robot counteracts such a disturbance, and the command that does so
+looks like a command with too little effect (feedback correlates input and disturbance). The gain on unseen blocks does
+not reveal that, because every block has the same driver. The filter estimates lasting disturbances, so its values are
+not biased by the driver. If the two estimates differ widely, the windows' value comes from the feedback.
 
 Source: Ljung, System Identification, 2nd ed., 1999, sections 13.4 and 13.5 (feedback in the data); Hausman,
-Econometrica 46, 1978 (an efficient estimate compared with a consistent one); Holm, Scandinavian Journal of Statistics 6,
-1979 (many tests at once).
+Econometrica 46, 1978 (an efficient estimate compared with a consistent one); Holm, Scandinavian Journal of Statistics
+6, 1979 (many tests at once).
 """
 
 from __future__ import annotations
@@ -59,83 +57,90 @@ __all__ = [
 ]
 
 CLEAR_GAIN = 8.0
-"""Standard errors of gain on unseen blocks from which no one else is asked: feedback was not seen to give half."""
+"""Gain on unseen blocks, in standard errors, that needs no confirmation: feedback never gave half of that."""
 CLEAR_FALL = 0.15
-"""Share off the held-out rollout error from which no one else is asked: in ten hard logs feedback gave 0.01 to 0.09."""
+"""Reduction of the held-out rollout error that needs no confirmation: in ten hard logs feedback gave 0.01 to 0.09."""
 MUCH = 0.25
-"""Held-out rollout error from which the filter has no say: while that much is missing, it takes friction and drag
-themselves for lasting pushes. Hard logs in which nothing is hidden have 0.05 to 0.11."""
+"""Held-out rollout error above which the filter is not used: it would treat missing friction and drag as lasting
+disturbances. Hard logs in which nothing is hidden have 0.05 to 0.11."""
 HALF = 0.5
-"""Share of the windows' number that the filter has to leave. In hard logs where an effect acts it left 0.69 to 1.4, in
-those where nothing does but a driver, 0.28 to 0.5 with one exception."""
+"""Share of the windows' value that the filter has to find. In hard logs where an effect acts it found 0.69 to 1.4;
+where only a driver acts, 0.28 to 0.5 with one exception."""
 LASTING = 4.0
-"""Standard deviations by which the filter has to put a number away from doing nothing: one in a thousand among 25
-effects (Holm), were they normal."""
+"""Standard deviations from the neutral value that the filter has to find: one in a thousand by chance among 25 effects
+(Holm), if values were normal."""
 CERTAIN = 9.0
-"""Standard deviations that confirm what blocks find likely only: in hard logs it puts a sagging battery at 12."""
+"""Standard deviations of the filter that confirm a trial that is only likely on blocks. In hard logs a battery whose
+voltage sags is at 12."""
 CORNERED = frozenset({"drive_dead_zone", "steering_saturation", "steering_asymmetry", "backlash"})
-"""Effects with a corner: the filter linearises and states too small a deviation for them, so it is never certain."""
+"""Effects with a corner: the filter linearises, and its deviation for them is too small to be certain."""
 FRICTIONS = frozenset({"coulomb_friction", "stribeck_friction"})
-"""Dry frictions of a joint that turns about with gravity: their corner is met at every swing's end."""
+"""Dry frictions of a joint that swings under gravity: it meets their corner at the end of every swing."""
+# Rounds of the filter: the third moves parameters by less than a tenth of their deviation.
 _ROUNDS = 3
-"""Of the filter: the third moves numbers by less than a tenth of their deviation."""
 
 
 @dataclass(frozen=True)
 class _EffectEstimate:
-    """What windows and filter say about one effect: change from doing nothing (parameters,), and the filter's std."""
+    """Estimates of one effect by windows and by the filter, as changes from the neutral value (parameters,)."""
 
     windows: FloatArray
     filter: FloatArray
     deviations: FloatArray
 
     @property
-    def away(self) -> FloatArray:
-        """Standard deviations from doing nothing, (parameters,)."""
+    def distance_in_deviations(self) -> FloatArray:
+        """Distance of the filter's value from the neutral one, in standard deviations, (parameters,)."""
         return np.asarray(np.abs(self.filter) / self.deviations)
 
     @property
-    def left(self) -> float:
-        """Share of the windows' change that the filter leaves: sum(w f / s^2) / sum(w^2 / s^2)."""
+    def share_found(self) -> float:
+        """Share of the windows' change that the filter finds: sum(w f / s^2) / sum(w^2 / s^2)."""
         weight = self.windows / self.deviations**2
         return float((weight * self.filter).sum() / max(float((weight * self.windows).sum()), 1e-300))
 
 
 def is_decisive(gain: float, error: HeldoutError | None, before: HeldoutError) -> bool:
-    """Whether unseen blocks decide alone: they are so sure, or so much is missing that the filter has no say."""
+    """Returns whether unseen blocks decide alone: they are clear, or too much is missing for the filter."""
     large = error is not None and error.value < (1.0 - CLEAR_FALL) * before.value
     return gain > CLEAR_GAIN or large or before.value > MUCH
 
 
 def filter_agrees(trial: EffectTrial, search: SearchState) -> bool:
-    """Whether the filter finds every effect of a trial too, and at least half of each.
+    """Returns whether the filter finds every effect of a trial too, with at least half of its size.
 
-    Where the recordings are too short for the filter, unseen blocks decide alone.
+    If the recordings are too short for the filter, unseen blocks decide alone.
     """
     found = prediction_error_fit(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows, _ROUNDS)
     if found is None:
         return True
-    every = [_numbers(name, trial, found) for name in trial.effects]
-    return all(own is None or (own.left >= HALF and bool((own.away > LASTING).any())) for own in every)
+    estimates = [_effect_estimate(name, trial, found) for name in trial.effects]
+    return all(
+        estimate is None or (estimate.share_found >= HALF and bool((estimate.distance_in_deviations > LASTING).any()))
+        for estimate in estimates
+    )
 
 
 def filter_is_certain(trial: EffectTrial, search: SearchState) -> bool:
-    """Whether the filter puts every number of a trial CERTAIN standard deviations away from doing nothing.
+    """Returns whether the filter finds every parameter of a trial CERTAIN standard deviations from its neutral value.
 
-    Numbers without a value at which they do nothing do not count, but one at least has to be there. Effects with a
+    Parameters without a neutral value do not count, but each effect needs at least one that has it. Effects with a
     corner are never certain.
     """
     if not CORNERED.isdisjoint(trial.effects):
         return False
     found = prediction_error_fit(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows, _ROUNDS)
+    # Without a filter nothing confirms a trial that blocks find only likely.
     if found is None:
         return False
-    every = [_numbers(name, trial, found) for name in trial.effects]
-    return all(own is not None and bool((own.away > CERTAIN).all()) for own in every)
+    estimates = [_effect_estimate(name, trial, found) for name in trial.effects]
+    return all(
+        estimate is not None and bool((estimate.distance_in_deviations > CERTAIN).all()) for estimate in estimates
+    )
 
 
-def _numbers(effect: str, trial: EffectTrial, found: PredictionErrorFit) -> _EffectEstimate | None:
-    """None where no free number of the effect has a value at which it does nothing."""
+def _effect_estimate(effect: str, trial: EffectTrial, found: PredictionErrorFit) -> _EffectEstimate | None:
+    """Returns both estimates of an effect; None if none of its free parameters has a neutral value."""
     rows = []
     for path, deviation in zip(found.paths, found.deviations.tolist(), strict=True):
         neutral = found.model.parameters[path].neutral
@@ -146,27 +151,28 @@ def _numbers(effect: str, trial: EffectTrial, found: PredictionErrorFit) -> _Eff
 
 
 SURE = 3.0
-"""Standard errors of gain on unseen blocks that an addition needs, together with FALL."""
+"""Gain on unseen blocks, in standard errors, that an addition needs together with FALL."""
 VERY_SURE = 4.5
-"""Standard errors that do with LITTLE_FALL."""
+"""Standard errors that suffice with LITTLE_FALL."""
 FALL = 0.03
-"""Share by which the held-out rollout error has to fall."""
+"""Relative reduction of the held-out rollout error that an addition needs."""
 LITTLE_FALL = 0.004
+"""The same for an addition with VERY_SURE: small effects can be certain."""
 LIKELY = 1.5
-"""Standard errors that do with FALL where the filter along whole recordings is certain: it knows lasting disturbances,
-so it sees what grows over a run, where blocks are too unlike each other to agree."""
+"""Standard errors that suffice with FALL if the filter along whole recordings is certain. The filter sees an effect
+that grows over a run, for which blocks are too different from each other to agree."""
 MOST_MISSING = 0.5
-"""Held-out rollout error, in units of the change over the horizon, from which most of the physics is missing."""
+"""Held-out rollout error, relative to the change over the horizon, above which most of the physics is missing."""
 SAME = 1.0
-"""Standard errors within which two candidates cannot be told apart."""
+"""Standard errors within which two candidates cannot be distinguished."""
 SIMPLER = 2.0
 """Standard errors within which the candidate with fewer parameters is preferred."""
 ALIKE = 0.9
-"""Correlation of what two candidates explain from which they count as alike, within SIMPLER."""
+"""Correlation of what two candidates explain above which they are equivalent, if within SIMPLER."""
 SAME_SHAPE = 0.985
-"""Correlation from which they count as alike within SURE."""
+"""Correlation above which they are equivalent if within SURE."""
 ONE = 0.002
-"""Share of the squares of what one explains up to which two candidates differ in nothing."""
+"""Relative squared difference of what two candidates explain below which they are identical."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +184,12 @@ class SearchStage:
     gains: dict[tuple[str, ...], float]
     errors: dict[tuple[str, ...], HeldoutError]
     row: float = 0.0
-    """s between two rows."""
+    """Time between two rows [s]."""
     doubted: frozenset[tuple[str, ...]] = frozenset()
-    """Trials that passed, but that the filter along whole recordings does not confirm."""
+    """Trials that passed, but that the filter along whole recordings did not confirm."""
 
     def passes(self, trial: EffectTrial, before: HeldoutError) -> bool:
-        """Whether a trial is to be added by unseen blocks alone."""
+        """Returns whether unseen blocks and the held-out error accept a trial."""
         error = self.errors.get(trial.effects)
         return passes(self.gains[trial.effects], error, before) and not is_spurious_delay(
             trial, error, before, self.row
@@ -191,26 +197,30 @@ class SearchStage:
 
 
 def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> bool:
-    """Enough standard errors on unseen blocks, and enough off the held-out rollout error."""
+    """Returns whether both the gain on unseen blocks and the reduction of the held-out rollout error suffice."""
     if error is None or not before.value > 0:
         return False
+    # Both are required: a significant gain in short windows may not matter over the horizon, and a large fall be
+    # chance.
     fall = 1.0 - error.value / before.value
     return (gain > SURE and fall > FALL) or (gain > VERY_SURE and fall > LITTLE_FALL)
 
 
 def is_spurious_delay(trial: EffectTrial, error: HeldoutError | None, before: HeldoutError, row: float) -> bool:
-    """Whether a trial makes later what is late already, or late by less than a row, without a clear fall of the error.
+    """Returns whether a trial is a second lag of a command, or one shorter than a row, without a clear gain.
 
-    A lag is a delay to first order: the second one of a command corrects the shape of the first, which no actuator has
-    exactly. And what happens within a ``row`` [s] may be the servo's own way to answer, inside its loop.
+    To first order a lag is a delay. A second one only corrects the shape of the first, which no actuator has exactly.
+    A delay shorter than ``row`` [s] cannot be distinguished from the servo's own response.
     """
+    # Single effects only: in a pair the reduction may come from the other effect.
     if len(trial.effects) == 1 and error is not None and error.value < (1.0 - CLEAR_FALL) * before.value:
-        return False  # in a pair the other one may take it off
+        return False
     model = trial.fit.model
     names = model.system.action_names
-    own = [delayed_actions(item, names) for item in model.effects if item.name in trial.effects]
+    delayed = [delayed_actions(item, names) for item in model.effects if item.name in trial.effects]
     others = [delayed_actions(item, names) for item in model.effects if item.name not in trial.effects]
-    if any(not one.isdisjoint(other) for one in own for other in others):
+    # The command already has a lag or delay in the model, given or accepted.
+    if any(not one.isdisjoint(other) for one in delayed for other in others):
         return True
     late = [item for item in model.effects if item.name in trial.effects and delayed_actions(item, names)]
     seconds = [model.settings[f"{item.name}.{p.name}"].value for item in late for p in item.parameters if p.unit == "s"]
@@ -218,18 +228,20 @@ def is_spurious_delay(trial: EffectTrial, error: HeldoutError | None, before: He
 
 
 def is_promising(trial: EffectTrial, stage: SearchStage, before: HeldoutError) -> bool:
-    """Whether unseen blocks favour a trial enough to ask the filter along whole recordings, which may be certain."""
+    """Returns whether unseen blocks favour a trial enough for a confirmation by the filter."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
     enough = error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
     return enough and not is_spurious_delay(trial, error, before, stage.row)
 
 
 def simplest_equivalent(trials: Sequence[EffectTrial], search: SearchState) -> EffectTrial | None:
-    """The best trial, or the simplest of those that cannot be told from it with certainty."""
+    """Returns the best trial, or the simplest of those that cannot be distinguished from it with certainty."""
     shooting = search.shooting
+    # A trial with a larger held-out loss than the current model overfits, whatever its parameters.
     better = [trial for trial in trials if trial.loss < search.current.loss and within_bounds(trial, search)]
     if not better:
         return None
+    # The comparison is with the best trial, not with the null: the question is which of two explanations to prefer.
     close = [trial for trial in better[:8] if block_gain(trial, better[0], shooting) < SIMPLER]
     close = close or better[:1]
     fewest = min(len(trial.fit.paths) for trial in close)
@@ -239,11 +251,12 @@ def simplest_equivalent(trials: Sequence[EffectTrial], search: SearchState) -> E
 def order_by_heldout_gain(
     passing: Sequence[EffectTrial], stage: SearchStage, before: HeldoutError
 ) -> list[EffectTrial]:
-    """While much is missing, the trial that takes far more off the held-out error than the best in the windows first.
+    """Puts the trial with a far larger reduction of the held-out error first, while much is missing.
 
-    Windows weigh each state by its noise, so a small fault of the steer may lead there while the speed is all
-    wrong.
+    Windows weight each state by its noise. So a small error of the steering may rank first there while the speed is
+    badly wrong.
     """
+    # With little missing, the windows' order is the more precise one and is kept.
     if before.value <= MUCH or len(passing) < 2:
         return list(passing)
     least = min(passing, key=lambda trial: stage.errors[trial.effects].value)
@@ -254,20 +267,21 @@ def order_by_heldout_gain(
 
 
 def fewest_parameters(trial: EffectTrial, trials: Sequence[EffectTrial], search: SearchState) -> EffectTrial:
-    """Of all trials that explain the very same as one, itself or the one with the fewest numbers.
+    """Returns the trial with the fewest parameters among those that explain exactly the same as the given one.
 
-    A free gain of the base makes a towed load's mass one with its own size: what is left is a rolling resistance. What
-    blocks say of the two is rounding, and next to a number that nothing shows no other one's size is told.
+    Example: with a free gain of the base, the mass of a towed load cannot be identified, and only its rolling
+    resistance remains. The gains of the two then differ by rounding, and the unidentifiable parameter makes the others
+    uncertain.
     """
     fewer = [other for other in trials if len(other.fit.paths) < len(trial.fit.paths) and within_bounds(other, search)]
-    same = [other for other in fewer if other.loss < search.current.loss and _one(trial, other)]
+    same = [other for other in fewer if other.loss < search.current.loss and _identical(trial, other)]
     return min(same, key=lambda other: len(other.fit.paths), default=trial)
 
 
 def within_bounds(trial: EffectTrial, search: SearchState) -> bool:
-    """Whether none of its own parameters was pushed to a bound: what fits only there is something else.
+    """Returns whether no parameter of the trial's effects is at a bound: what fits only there is another effect.
 
-    While MOST_MISSING, a bound is no proof of that: the next effects move the number back inside.
+    While MOST_MISSING, bounds are allowed: effects added later move the value back inside.
     """
     return search.error.value > MOST_MISSING or bool(trial.fit.free[len(search.current.fit.paths) :].all())
 
@@ -275,13 +289,14 @@ def within_bounds(trial: EffectTrial, search: SearchState) -> bool:
 def judge_trial(
     search: SearchState, stage: SearchStage, trial: EffectTrial, best: EffectTrial | None, passed: bool
 ) -> JudgedTrial:
-    """The verdict on one trial of a stage, ``best`` being what is added if it ``passed``."""
+    """Returns the verdict on one trial of a stage; ``best`` is the trial that is added if it ``passed``."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
-    before, taken = search.error.value, _taken_up(trial, search.current)
-    if taken:
+    before, equivalent = search.error.value, _equivalent_free_parameter(trial, search.current)
+    if equivalent:
         return JudgedTrial(
-            stage.number, trial, gain, error, "rejected", f"the free {taken} does the same", (taken,), before
+            stage.number, trial, gain, error, "rejected", f"the free {equivalent} does the same", (equivalent,), before
         )
+    # Below 1.5 standard errors everything resembles everything, and a list of equivalents would mislead.
     equals = _equals(trial, stage.trials[:10], search.shooting, search.current) if gain > 1.5 else ()
     decision, reason = _decision(search, stage, trial, best, passed, equals)
     return JudgedTrial(stage.number, trial, gain, error, decision, reason, equals, before)
@@ -302,52 +317,56 @@ def _decision(
     sentence = f"gain on unseen blocks {gain:.1f} standard errors{fall}"
     if trial is best and passed:
         return "accepted", sentence
-    if trial is best and search.patch is not None:
-        return "suspected", f"{sentence}; but a place explains more"
+    if trial is best and search.region is not None:
+        return "suspected", f"{sentence}; but a region of the floor explains more"
     if trial.effects in stage.doubted:
-        return "suspected", f"{sentence}; but a filter that knows lasting pushes does not confirm it"
+        return "suspected", f"{sentence}; but a filter that estimates lasting disturbances does not confirm it"
     if passed and best is not None:
+        # A trial that nearly ties with the accepted one stays suspected: the data might have preferred it.
         behind = block_gain(trial, best, search.shooting)
         suspected = best.name in equals or (gain > SURE and behind < SIMPLER)
         reason = f"{sentence}; {behind:.1f} standard errors behind {best.name}"
         return ("suspected" if suspected else "rejected"), reason
     if gain > SURE:
-        return "suspected", f"{sentence}: too little to be worth it"
+        return "suspected", f"{sentence}: the error falls too little to add it"
     return "rejected", sentence
 
 
 def with_reason(item: JudgedTrial, decision: str, reason: str) -> JudgedTrial:
-    """The same trial, decided again."""
+    """Returns the same trial with another decision and one more reason."""
     return replace(item, decision=decision, reason=f"{item.reason}; {reason}")
 
 
 def _equals(
     trial: EffectTrial, trials: Sequence[EffectTrial], shooting: Shooting, null: EffectTrial
 ) -> tuple[str, ...]:
-    """Names of the other trials that unseen blocks cannot tell from this one."""
+    """Returns the names of the other trials that unseen blocks cannot distinguish from this one."""
     found = []
     for other in trials:
+        # Pairs that share an effect with the trial are no alternatives to it.
         if other is trial or other.loss >= null.loss or set(other.effects) & set(trial.effects):
             continue
+        # The closer the explanations are correlated, the larger a difference in gain counts as chance.
         apart = abs(block_gain(other, trial, shooting))
         alike = explanation_correlation(other, trial)
-        equal = (apart < SAME and alike > 0.5) or (apart < SIMPLER and alike > ALIKE) or _one(trial, other)
+        equal = (apart < SAME and alike > 0.5) or (apart < SIMPLER and alike > ALIKE) or _identical(trial, other)
         if equal or (apart < SURE and alike > SAME_SHAPE):
             found.append(other.name)
     return tuple(found)
 
 
-def _one(trial: EffectTrial, other: EffectTrial) -> bool:
-    """Whether both explain the very same, size and all: then one has a number that nothing here shows."""
+def _identical(trial: EffectTrial, other: EffectTrial) -> bool:
+    """Returns whether both explain the same, including its size: then one has a parameter that is not identifiable."""
     size = float(min((trial.explained**2).sum(), (other.explained**2).sum()))
     return float(((trial.explained - other.explained) ** 2).sum()) < ONE * size
 
 
-def _taken_up(trial: EffectTrial, null: EffectTrial) -> str:
-    """The free parameter that already does what the effect would, empty where there is none."""
+def _equivalent_free_parameter(trial: EffectTrial, null: EffectTrial) -> str:
+    """Returns the free parameter that already does what the effect would; empty if there is none."""
     count = len(null.fit.paths)
     if not count or len(trial.effects) > 1:
         return ""
+    # Compared to first order: the derivatives of the effect against those of the free parameters.
     flat = trial.fit.columns.reshape(-1, trial.fit.columns.shape[-1])
     known, new = flat[:, :count], flat[:, count:]
     size = float((new**2).sum())
@@ -356,4 +375,5 @@ def _taken_up(trial: EffectTrial, null: EffectTrial) -> str:
     alike = np.abs(known.T @ new) / np.sqrt((known**2).sum(axis=0)[:, None] * (new**2).sum(axis=0) + 1e-30)
     solved = np.linalg.lstsq(known, new, rcond=1e-9)[0]
     left = float(((new - known @ solved) ** 2).sum()) / size
+    # The free parameters reproduce the effect up to 0.2 % of its squares: the data cannot separate the two.
     return null.fit.paths[int(alike.max(axis=1).argmax())] if left < 0.002 else ""

@@ -1,4 +1,4 @@
-"""A trial becomes part of the model that a search goes on with."""
+"""Accepting a trial: it becomes part of the model with which the search continues."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["accept_trial", "relinearized_trial"]
 
 
 def accept_trial(search: SearchState, best: EffectTrial, heldout: Heldout) -> None:
-    """Adds the best trial and fits it to the end: the next stage's trials begin there, so its error counts for them."""
+    """Adds a trial to the search and fits it to convergence, because the next stage is compared with its error."""
     search.added += [name for name in best.effects if name not in search.added]
     shooting, again = relinearized_trial(best, search.shooting)
     search.shooting, search.current = shooting, trial_of(again, shooting, (), None)
@@ -20,10 +20,11 @@ def accept_trial(search: SearchState, best: EffectTrial, heldout: Heldout) -> No
 
 
 def relinearized_trial(trial: EffectTrial, shooting: Shooting) -> tuple[Shooting, Fit]:
-    """A trial fitted again in windows whose starts and weights are those of its own model.
+    """Fits a trial again in windows with the starts and weights of its own model.
 
-    The weights of the model before take what it lacks for hands that push, where that is much: a car that a load holds
-    where the model drives on.
+    The weights of the previous model treat a large missing effect as a disturbance by a person: a car that a load holds
+    back while the model drives on. Such windows are down-weighted although they show the effect best.
     """
-    own = shooting.around(trial.fit.model)
-    return own, fit(trial.fit.model, trial.fit.paths, own, trial.fit.scale)
+    # The windows first: the fit minimises residuals with the weights that these give.
+    relinearized = shooting.around(trial.fit.model)
+    return relinearized, fit(trial.fit.model, trial.fit.paths, relinearized, trial.fit.scale)

@@ -1,4 +1,4 @@
-"""Second thoughts: accepted effects give way to better rivals, and go where the others do without them.
+"""Backward revision: accepted effects are exchanged for better rivals, and removed where the others suffice.
 
 Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange and backward steps).
 """
@@ -32,27 +32,25 @@ __all__ = [
     "withdraw_candidates",
 ]  # fmt: skip
 
-_EXCHANGED = 4
-"""Rivals that each accepted effect is exchanged for."""
+# Rivals that are tried in exchange for each accepted effect, best first; each needs a fit.
+_RIVALS = 4
+# Relative difference of held-out errors that is rounding.
 _ROUNDING = 0.002
-"""Share of a held-out error that is rounding."""
-_ONE = 1.0
-"""Standard errors of the best model's held-out error within which the smallest is as good.
-
-Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
-"""
-_HOPELESS = 0.01
-"""Of the objective by which a rival may be behind when its fit has begun: one in 50 of an error."""
-_NEEDED, _FAR_WORSE = 4.0, 1.5
-"""Standard errors, and times the error, from which what is left without an effect is not fitted to the end."""
-_TOGETHER = 0.7
-"""Correlation of their fitted numbers from which effects are also taken out together."""
+# One-standard-error rule: the smallest model within one standard error of the best one is preferred. Source: Breiman,
+# Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
+_ONE_STANDARD_ERROR = 1.0
+# Distance of the objective at which a rival's fit is abandoned after its first steps: 1 % of the residual.
+_ABANDONED = 0.01
+# Standard errors, and ratio of errors, from which a model without an effect is so much worse that a rough fit decides.
+_CLEARLY_NEEDED, _FAR_WORSE = 4.0, 1.5
+# Correlation of their parameters from which two effects are also removed together: each hides the loss of the other.
+_CORRELATED = 0.7
 
 
 def refit_effects(search: SearchState, items: Sequence[AbstractEffect], enough: float = np.inf) -> EffectTrial:
-    """The given effects on top of the first model, from the numbers that the present model has, or from starts.
+    """Fits the given effects on top of the first model, from the current values or from the starts of new effects.
 
-    Above ``enough`` of the objective the fit is not led to the end.
+    The fit is abandoned if its objective stays above ``enough``.
     """
     key = tuple(items)
     if search.refits_of is not search.current:
@@ -60,10 +58,10 @@ def refit_effects(search: SearchState, items: Sequence[AbstractEffect], enough: 
         search.refits.clear()
     if key in search.refits:
         return search.refits[key]
-    made = _refitted(search, items, enough)
-    if made.fit.value <= enough:
-        search.refits[key] = made
-    return made
+    fitted = _refitted(search, items, enough)
+    if fitted.fit.value <= enough:
+        search.refits[key] = fitted
+    return fitted
 
 
 def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: float) -> EffectTrial:
@@ -72,16 +70,17 @@ def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: floa
     model = search.first.fit.model
     for path in search.first.fit.paths:
         model = model.with_settings({path: now.settings[path]})
-    fresh = []
+    new_items = []
     for item in items:
         if item.name in known:
-            own = {p.name: now.settings[f"{item.name}.{p.name}"] for p in item.parameters}
-            model = model.with_effect(item, own)
+            settings = {p.name: now.settings[f"{item.name}.{p.name}"] for p in item.parameters}
+            model = model.with_effect(item, settings)
         else:
-            fresh.append(item)
+            new_items.append(item)
+    # New effects need starts away from neutral; effects of the current model continue from their values.
     starts = [model]
-    for item in fresh:
-        starts = [with_effect_at(made, item, values) for made in starts for values in initial_values(item)]
+    for item in new_items:
+        starts = [with_effect_at(start, item, values) for start in starts for values in initial_values(item)]
     values = (
         objectives(search.shooting.residuals(starts), search.shooting, search.current.fit.scale)
         if len(starts) > 1
@@ -95,30 +94,32 @@ def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: floa
 
 
 def exchange_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Each accepted effect gives way to a rival that predicts unseen blocks better next to the others."""
+    """Exchanges each accepted effect for a rival that predicts unseen blocks better together with the others."""
     by_name = known_effects(search, library)
+    # With one effect the forward search has already compared all rivals in its place.
     if len(search.added) < 2:
         return
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
-        rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        enough = search.current.fit.value + _HOPELESS
+        # Rivals lost to this effect before the others were known; next to them the order may differ.
+        rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_RIVALS]
+        enough = search.current.fit.value + _ABANDONED
         tried = [refit_effects(search, [*others, rival], enough) for rival in rivals]
-        able = [t for t in tried if t.fit.value <= enough and _uses_its_numbers(t, search)]
-        best = min(able, key=lambda t: t.loss, default=None)
+        usable = [t for t in tried if t.fit.value <= enough and _justifies_its_parameters(t, search)]
+        best = min(usable, key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_effect_names(search)})
-        late = is_spurious_delay(replace(best, effects=(new,)), None, search.error, 0.0)
-        if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
-            _replaced(search, (name,), (new,), best, heldout)
+        spurious = is_spurious_delay(replace(best, effects=(new,)), None, search.error, 0.0)
+        if block_gain(search.current, best, search.shooting) > SIMPLER and not spurious:
+            _replace(search, (name,), (new,), best, heldout)
 
 
-def _uses_its_numbers(trial: EffectTrial, search: SearchState) -> bool:
-    """Whether a trial with more numbers than the present model fits better by a unit of log likelihood for each.
+def _justifies_its_parameters(trial: EffectTrial, search: SearchState) -> bool:
+    """Returns whether each additional parameter improves the log likelihood by at least one (Akaike's criterion).
 
-    What fits the same rows no better predicts others no better: a towed load next to a free gain is a rolling resistance
-    with its numbers anywhere on a line, and what blocks say of the two is rounding.
+    A fit of the same rows that is no better cannot predict others better. Example: a towed load with a free gain is a
+    rolling resistance whose parameters lie anywhere on a line; gains on blocks then differ by rounding.
 
     Source: Akaike, IEEE Transactions on Automatic Control 19, 1974.
     """
@@ -127,146 +128,164 @@ def _uses_its_numbers(trial: EffectTrial, search: SearchState) -> bool:
     return more <= 0 or better > more
 
 
-def _replaced(
+def _replace(
     search: SearchState, group: Sequence[str], new: Sequence[str], best: EffectTrial, heldout: Heldout
 ) -> None:
-    """Accepted effects give way to others, with which the model is ``best``; the candidates say so."""
-    place = search.added.index(group[0])
-    search.added[place : place + 1] = new
+    """Replaces accepted effects by others, with which the model is ``best``, and updates the candidates."""
+    index = search.added.index(group[0])
+    search.added[index : index + 1] = new
     search.added = [name for name in search.added if name not in group]
     search.current = best
     search.error = error_with(best.fit, search.shooting, heldout)
-    come, gone = " and ".join(new), " and ".join(group)
-    comers = tuple(new)
+    new_names, old_names = " and ".join(new), " and ".join(group)
+    # The new effects are listed once, with the first candidate that they replace.
+    unlisted = tuple(new)
     for item in [item for item in search.candidates if item.decision == "accepted"]:
         if not set(group) & set(item.trial.effects):
             continue
         index = search.candidates.index(item)
-        search.candidates[index] = with_reason(item, "rejected", f"gave way to {come} once the others were known")
-        names = tuple(name for name in item.trial.effects if name not in group) + comers
+        search.candidates[index] = with_reason(item, "rejected", f"replaced by {new_names} once the others were known")
+        names = tuple(name for name in item.trial.effects if name not in group) + unlisted
         if names:
             again = EffectTrial(names, best.fit, best.heldout, best.explained, best.loss)
-            reason = f"took the place of {gone}"
+            reason = f"replaces {old_names}"
             search.candidates.insert(
                 index, JudgedTrial(item.stage, again, item.gain, search.error, "accepted", reason, ())
             )
-        comers = ()
+        unlisted = ()
 
 
 def backward_elimination(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
-    as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
-    error clearly asks for stays."""
+    """Removes accepted effects, and correlated pairs, without which unseen blocks are predicted as well.
+
+    The least needed goes first, until all are needed. An effect that clearly reduces the held-out error stays even if
+    blocks do not confirm it: with few blocks that test has little power.
+    """
     by_name = known_effects(search, library)
     before = list(search.added)
     while len(search.added) > 1:
         without = {}
         for group in _groups(search):
-            rest = [by_name[name] for name in search.added if name not in group]
-            less = refit_effects(search, rest, -np.inf)
-            if block_gain(less, search.current, search.shooting) < _NEEDED:
-                less = refit_effects(search, rest)
-            needed = np.inf if _pushed(less, search) else block_gain(less, search.current, search.shooting)
-            without[group] = less, needed
+            others = [by_name[name] for name in search.added if name not in group]
+            # A rough fit decides the clear cases; a full fit follows only where the effect may be superfluous.
+            reduced = refit_effects(search, others, -np.inf)
+            if block_gain(reduced, search.current, search.shooting) < _CLEARLY_NEEDED:
+                reduced = refit_effects(search, others)
+            # A replacement at its bound is not a sufficient model without the group.
+            needed = np.inf if _at_new_bound(reduced, search) else block_gain(reduced, search.current, search.shooting)
+            without[group] = reduced, needed
         group = min(without, key=lambda names: without[names][1])
-        less, gain = without[group]
-        error = error_with(less.fit, search.shooting, heldout)
+        reduced, gain = without[group]
+        error = error_with(reduced.fit, search.shooting, heldout)
         if gain >= SIMPLER or search.error.value < (1.0 - CLEAR_FALL) * error.value:
             break
         search.added = [name for name in search.added if name not in group]
-        search.current, search.error = less, error
+        search.current, search.error = reduced, error
         withdraw_candidates(search, group)
+    # Only then can the rest depend on what was removed.
     if search.added != before:
-        _left_over(search, heldout)
+        _check_remaining(search, heldout)
 
 
 def select_smallest_model(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
+    """Selects the smallest model within one standard error of the best held-out error, over runs or blocks of one run.
 
-    Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
-    least needed first, as long as all that went takes less than CLEAR_FALL off the error together: runs that differ
-    make the standard error large, and say nothing about what helps in each of them. So is lateness that may be
-    feigned. ``search.without`` holds what is left without each that stays.
+    The least needed effect goes first. All that is removed together may cost at most CLEAR_FALL of the error: runs that
+    differ make the standard error large, which does not mean that an effect is useless in each of them. Spurious lags
+    are removed too. ``search.without`` then holds the model without each remaining effect.
     """
     by_name = known_effects(search, library)
     best = search.error.value
-    most = min(best + _ONE * search.error.standard_error, best / (1.0 - CLEAR_FALL))
+    # The limit is relative to the best error before any removal, so small losses cannot add up.
+    most = min(best + _ONE_STANDARD_ERROR * search.error.standard_error, best / (1.0 - CLEAR_FALL))
     while len(search.added) > 1:
         search.without = {}
         for name in search.added:
-            rest = [by_name[other] for other in search.added if other != name]
-            less = refit_effects(search, rest, -np.inf)
-            error = error_with(less.fit, search.shooting, heldout)
+            others = [by_name[other] for other in search.added if other != name]
+            reduced = refit_effects(search, others, -np.inf)
+            error = error_with(reduced.fit, search.shooting, heldout)
             if not error.value > _FAR_WORSE * most:
-                less = refit_effects(search, rest)
-                error = error_with(less.fit, search.shooting, heldout)
-            search.without[name] = less, error
-        late = [name for name in search.added if _feigned(search, name)]
-        can = late or [name for name in search.added if not _pushed(search.without[name][0], search)]
+                reduced = refit_effects(search, others)
+                error = error_with(reduced.fit, search.shooting, heldout)
+            search.without[name] = reduced, error
+        # Spurious lags go first, whatever they seem to contribute.
+        spurious = [name for name in search.added if _is_spurious(search, name)]
+        can = spurious or [name for name in search.added if not _at_new_bound(search.without[name][0], search)]
         if not can:
             return
         least = min(can, key=lambda name: search.without[name][1].value)
-        if not late and search.without[least][1].value > most and _helps(search.without[least][1], search.error):
+        if (
+            not spurious
+            and search.without[least][1].value > most
+            and _improves_some_run(search.without[least][1], search.error)
+        ):
             return
         search.added = [other for other in search.added if other != least]
         search.current, search.error = search.without[least]
-        withdraw_candidates(search, (least,), "takes less than one standard error off the error over whole runs")
+        withdraw_candidates(search, (least,), "reduces the error over whole runs by less than one standard error")
     search.without = {}
 
 
-def _pushed(less: EffectTrial, search: SearchState) -> bool:
-    """Whether what is left without an effect stands at a bound, where the present model does not: another effect's
-    number has taken its part over, as far as it may."""
-    return bool(search.current.fit.free.all() and not less.fit.free.all())
+def _at_new_bound(reduced: EffectTrial, search: SearchState) -> bool:
+    """Returns whether the model without an effect is at a bound and the current one is not.
+
+    Another effect then imitates the removed one as far as its bounds allow, so the removed one is needed.
+    """
+    return bool(search.current.fit.free.all() and not reduced.fit.free.all())
 
 
-def _feigned(search: SearchState, name: str) -> bool:
-    """Whether an accepted effect, whichever way it came in, is lateness that the rest hardly needs."""
+def _is_spurious(search: SearchState, name: str) -> bool:
+    """Returns whether an accepted effect is a spurious lag or delay, however it was added."""
     trial, row = replace(search.current, effects=(name,)), float(np.median(search.shooting.windows.period))
     return is_spurious_delay(trial, search.error, search.without[name][1], row)
 
 
-def _helps(before: HeldoutError, after: HeldoutError) -> bool:
-    """Whether some run, or the mean over all, is predicted better."""
+def _improves_some_run(before: HeldoutError, after: HeldoutError) -> bool:
+    """Returns whether some run, or the mean over all, is predicted better."""
     fell = after.by_run < (1.0 - _ROUNDING) * before.by_run
     return bool(fell.any()) or after.value < (1.0 - _ROUNDING) * before.value
 
 
 def merge_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
-    """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
-    a payload and a rolling resistance are together exactly a towed load."""
+    """Replaces two accepted effects by one with as many parameters that predicts as well; returns whether it did.
+
+    Example: a payload and a rolling resistance together are exactly a towed load.
+    """
     by_name = known_effects(search, library)
     for pair in combinations(list(search.added), 2):
-        rest = [by_name[name] for name in search.added if name not in pair]
-        for whole in _wholes(search, pair, by_name):
-            best = refit_effects(search, [*rest, whole])
-            if _as_good(best, search, heldout):
-                _replaced(search, pair, (whole.name,), best, heldout)
+        others = [by_name[name] for name in search.added if name not in pair]
+        for whole in _merged_rivals(search, pair, by_name):
+            best = refit_effects(search, [*others, whole])
+            if _is_as_good(best, search, heldout):
+                _replace(search, pair, (whole.name,), best, heldout)
                 return True
     return False
 
 
-def _wholes(search: SearchState, pair: Sequence[str], by_name: Mapping[str, AbstractEffect]) -> list[AbstractEffect]:
-    """The best rivals of two effects with as many numbers as both together.
+def _merged_rivals(
+    search: SearchState, pair: Sequence[str], by_name: Mapping[str, AbstractEffect]
+) -> list[AbstractEffect]:
+    """Returns the best rivals of two effects that have as many parameters as both together.
 
-    Fewer would be no more than a removal and an exchange, which are tried before.
+    Rivals with fewer parameters are covered by a removal and an exchange, which are tried before.
     """
-    numbers = sum(len(by_name[name].parameters) for name in pair)
-    names = dict.fromkeys(rival for name in pair for rival in search.rivals.get(name, [])[:_EXCHANGED])
+    parameter_count = sum(len(by_name[name].parameters) for name in pair)
+    # dict.fromkeys removes duplicates and keeps the order, best rivals first.
+    names = dict.fromkeys(rival for name in pair for rival in search.rivals.get(name, [])[:_RIVALS])
     found = [by_name[name] for name in names if name not in search.added]
-    return [item for item in found if len(item.parameters) == numbers]
+    return [item for item in found if len(item.parameters) == parameter_count]
 
 
-def _as_good(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
-    """Whether a trial within its bounds predicts unseen blocks and held-out rollouts no worse than the model does."""
+def _is_as_good(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
+    """Returns whether a trial within its bounds predicts unseen blocks and held-out rollouts as well as the model."""
+    # As good means within one standard error, not significantly better: fewer parameters decide then.
     if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
         return False
     return error_with(trial.fit, search.shooting, heldout).value <= (1.0 + _ROUNDING) * search.error.value
 
 
 def remove_effects_at_bounds(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
-    else."""
+    """Removes accepted effects that are still at a bound of a parameter: what fits only there is another effect."""
     by_name = known_effects(search, library)
     bound = effects_at_bounds(search.current)
     group = [name for name in search.added if name in bound]
@@ -277,10 +296,10 @@ def remove_effects_at_bounds(search: SearchState, library: Sequence[AbstractEffe
         withdraw_candidates(search, group, "fits only at a bound")
 
 
-def _left_over(search: SearchState, heldout: Heldout) -> None:
-    """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be.
+def _check_remaining(search: SearchState, heldout: Heldout) -> None:
+    """Removes everything if the remaining effects do not pass by themselves: one part of a confirmed pair may not.
 
-    A clear fall of the held-out error does with what a removal would have to lose.
+    With a clear reduction of the held-out error, the gain that protects an effect from removal is enough.
     """
     null = refit_effects(search, [])
     gain = block_gain(null, search.current, search.shooting)
@@ -292,7 +311,7 @@ def _left_over(search: SearchState, heldout: Heldout) -> None:
 
 
 def _groups(search: SearchState) -> list[tuple[str, ...]]:
-    """Each accepted effect by itself, and pairs whose fitted numbers are correlated, but never all of them."""
+    """Returns each accepted effect and each pair with correlated parameters, but never all effects."""
     singles = [(name,) for name in search.added]
     fitted = search.current.fit
     covariance = regularized_inverse(np.einsum("wip,wiq->pq", fitted.columns, fitted.columns))
@@ -301,7 +320,8 @@ def _groups(search: SearchState) -> list[tuple[str, ...]]:
     found = []
     for one, other in combinations(search.added, 2):
         part = (covariance / np.outer(size, size))[np.ix_(owner == one, owner == other)]
-        if len(search.added) > 2 and np.abs(part).max(initial=0.0) > _TOGETHER:
+        # Removing both of two effects would leave the null model, which _check_remaining tests.
+        if len(search.added) > 2 and np.abs(part).max(initial=0.0) > _CORRELATED:
             found.append((one, other))
     return [*singles, *found]
 
@@ -309,42 +329,45 @@ def _groups(search: SearchState) -> list[tuple[str, ...]]:
 def withdraw_candidates(
     search: SearchState, group: Sequence[str], why: str = "no longer needed next to the others"
 ) -> None:
-    """Candidates that were accepted are said to be gone."""
+    """Marks accepted candidates as rejected, with the reason ``why``."""
     for index, item in enumerate(search.candidates):
-        gone = set(group) & set(item.trial.effects)
-        if item.decision == "accepted" and gone:
-            decision = "rejected" if gone == set(item.trial.effects) else "accepted"
-            reason = f"{' and '.join(sorted(gone))} {why}"
+        removed = set(group) & set(item.trial.effects)
+        if item.decision == "accepted" and removed:
+            decision = "rejected" if removed == set(item.trial.effects) else "accepted"
+            reason = f"{' and '.join(sorted(removed))} {why}"
             search.candidates[index] = with_reason(item, decision, reason)
 
 
 def exchange_for_fewer_parameters(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """One or two accepted effects give way to as many of their rivals that predict as well with fewer numbers.
+    """Exchanges one or two accepted effects for as many rivals that predict as well with fewer parameters.
 
-    A rival that says the same with a number less was beaten by rounding, or because the others were not there yet: a
-    towed load whose resistance is none is a payload.
+    Such a rival lost by rounding, or because the other effects were not yet in the model. Example: a towed load without
+    resistance is a payload.
     """
     by_name = known_effects(search, library)
     while True:
         found = []
         for group in [group for count in (1, 2) for group in combinations(search.added, count)]:
             best = _best_instead(search, group, _with_fewer(search, group, by_name), by_name)
-            if best is not None and _as_good(best[0], search, heldout):
+            if best is not None and _is_as_good(best[0], search, heldout):
                 found.append((group, *best))
         if not found:
             return
         group, trial, names = min(found, key=lambda one: one[1].loss)
-        _replaced(search, group, names, trial, heldout)
+        _replace(search, group, names, trial, heldout)
 
 
 def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """An accepted effect gives way to two of its rivals that pass next to the others in its place: a delay of all
-    actuators stood for a lag of each. What then stands at a bound made up for the mistake, and goes with it."""
+    """Replaces an accepted effect by two of its rivals that pass in its place.
+
+    Example: a delay of all actuators imitated a lag of each. Effects that are then at a bound compensated for the
+    mistake and are removed with it.
+    """
     by_name = known_effects(search, library)
     for name in list(search.added):
         if name not in search.added:
-            continue  # went with another
-        names = [other for other in search.rivals.get(name, [])[:_EXCHANGED] if other not in search.added]
+            continue  # already removed together with another effect
+        names = [other for other in search.rivals.get(name, [])[:_RIVALS] if other not in search.added]
         best = _best_instead(search, (name,), list(combinations(names, 2)), by_name)
         if best is None:
             continue
@@ -355,23 +378,23 @@ def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout
             trial = refit_effects(search, [by_name[item] for item in (*retained, *new)])
         gain = block_gain(search.current, trial, search.shooting)
         if trial.fit.free.all() and passes(gain, error_with(trial.fit, search.shooting, heldout), search.error):
-            _replaced(search, (name, *idle), new, trial, heldout)
+            _replace(search, (name, *idle), new, trial, heldout)
 
 
 def effects_at_bounds(trial: EffectTrial) -> set[str]:
-    """Effects of a trial that stand at a bound of a parameter."""
+    """Returns the effects of a trial that have a parameter at a bound."""
     return {path.split(".")[0] for path, free in zip(trial.fit.paths, trial.fit.free, strict=True) if not free}
 
 
 def _with_fewer(
     search: SearchState, group: Sequence[str], by_name: Mapping[str, AbstractEffect]
 ) -> list[tuple[str, ...]]:
-    """As many rivals of some effects, with fewer numbers together."""
-    numbers = sum(len(by_name[name].parameters) for name in group)
-    rivals = dict.fromkeys(rival for name in group for rival in search.rivals.get(name, [])[:_EXCHANGED])
+    """Returns combinations of as many rivals with fewer parameters in total."""
+    parameter_count = sum(len(by_name[name].parameters) for name in group)
+    rivals = dict.fromkeys(rival for name in group for rival in search.rivals.get(name, [])[:_RIVALS])
     names = [name for name in rivals if name not in search.added]
     found = combinations(names, len(group))
-    return [one for one in found if sum(len(by_name[name].parameters) for name in one) < numbers]
+    return [one for one in found if sum(len(by_name[name].parameters) for name in one) < parameter_count]
 
 
 def _best_instead(
@@ -380,25 +403,27 @@ def _best_instead(
     instead: Sequence[tuple[str, ...]],
     by_name: Mapping[str, AbstractEffect],
 ) -> tuple[EffectTrial, tuple[str, ...]] | None:
-    """Which of some effects fits best in the place of others, next to the rest; None where none comes near."""
-    rest = [by_name[name] for name in search.added if name not in group]
-    enough = search.current.fit.value + _HOPELESS
-    tried = [(refit_effects(search, [*rest, *map(by_name.__getitem__, names)], enough), names) for names in instead]
+    """Returns the best fit with one of the alternatives ``instead`` of ``group``; None if none comes close."""
+    others = [by_name[name] for name in search.added if name not in group]
+    enough = search.current.fit.value + _ABANDONED
+    tried = [(refit_effects(search, [*others, *map(by_name.__getitem__, names)], enough), names) for names in instead]
     near = [(trial, names) for trial, names in tried if trial.fit.value <= enough]
     return min(near, key=lambda pair: pair[0].loss, default=None)
 
 
 def mark_equivalent_rivals(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Says of each accepted effect which of its rivals predict the same in its place, once all others are known: where
-    a payload came later, a command gain may turn out to be a drag as well."""
+    """Marks which rivals of each accepted effect predict the same in its place, once all other effects are known.
+
+    Example: once a payload is in the model, a command gain may turn out to be equivalent to a drag.
+    """
     by_name = known_effects(search, library)
     for name in search.added if len(search.added) > 1 else ():
-        numbers = len(by_name[name].parameters)
-        rivals = [other for other in search.rivals.get(name, [])[:_EXCHANGED] if other not in search.added]
+        parameter_count = len(by_name[name].parameters)
+        rivals = [other for other in search.rivals.get(name, [])[:_RIVALS] if other not in search.added]
         same = []
-        for rival in (other for other in rivals if len(by_name[other].parameters) == numbers):
+        for rival in (other for other in rivals if len(by_name[other].parameters) == parameter_count):
             trial = _best_instead(search, (name,), [(rival,)], by_name)
-            if trial is not None and _as_good(trial[0], search, heldout):
+            if trial is not None and _is_as_good(trial[0], search, heldout):
                 same.append(rival)
         for index, item in enumerate(search.candidates):
             if item.decision == "accepted" and name in item.trial.effects:

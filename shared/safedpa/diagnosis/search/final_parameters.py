@@ -1,8 +1,8 @@
-"""The numbers that a report states: fitted windows give the effects, whole recordings give their sizes.
+"""Final parameters: windows select the effects, and the filter along whole recordings gives their reported sizes.
 
-A number differs by something between kinds of driving: slow and fast, straight and in curves, steady and changing. A
-model of the right form has the same numbers in all of them, but for chance. One that is wrong in form has not, and
-stretches of time, each with every kind of driving in it, agree on a wrong number: only kinds of driving show it.
+The uncertainty allows for a wrong form of the model. A model of the right form has the same parameters in all kinds of
+driving, up to chance: slow and fast, straight and in curves, steady and changing. A wrong one does not. Blocks of time
+do not reveal that, because each contains every kind of driving. Groups of similar windows do.
 
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11 (jackknife), over groups of like windows.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.least_squares import Fit, bounds_of, fit, jackknife, products_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
@@ -27,105 +27,110 @@ from safedpa.effects import Conditioned, Where
 
 __all__ = ["group_jackknife_deviation", "with_final_values", "with_model_uncertainty"]
 
-_WORSE = 0.02
-"""Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
-_MOST = 3.0
-"""Deviations of the windows' number that the difference to the filter counts at most."""
-_FAR = 0.5
-"""Share of a free number of the base that the filter may move: further off, much is missing, and lasting disturbances
-stand for it."""
+# Relative increase of the held-out error that the filter's values may cause: rollouts from a measured start reward
+# parameters that imitate a lasting disturbance.
+_MAX_INCREASE = 0.02
+# Cap on the difference between filter and windows, in deviations of the windows' value: a larger one means that the
+# filter diverged, not that the value is uncertain.
+_MAX_DEVIATIONS = 3.0
+# Relative shift of a free base parameter beyond which the filter is not used: so much is then missing that its
+# disturbances stand for it.
+_MAX_SHIFT = 0.5
+# Groups of similar windows, of equal size: enough for a spread, few enough that each determines the parameters.
 _GROUPS = 8
-"""Of as many windows each."""
-_FEWEST = 3
-"""Windows in a group."""
+# Windows in a group: fewer would make the jackknife measure noise.
+_MIN_WINDOWS = 3
+# Groups exceed the deviation over blocks by this factor by chance once in 5000 (F distribution with 8 groups).
 _CHANCE = 2.0
-"""Times the deviation over blocks that groups give by chance at most: once in 5000 for 8 groups (F distribution)."""
 
 
 def with_final_values(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
-    """The fit with the filter's parameters and deviations, where these predict held-out data as well.
+    """Returns the fit with the filter's parameters and deviations, if these predict held-out data as well.
 
-    Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what
-    both ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
-    Of what has a corner the windows' deviation counts where it is larger: the filter follows a slope there.
-    At most three times what blocks and runs say, though, and nothing where the filter ran to a bound: a filter that is
-    lost says nothing about a number.
+    Otherwise, or if the filter moves a free base parameter far, the windows' values stay. The form of the model is then
+    wrong in something that the two weight differently. So half of their difference counts as uncertainty, up to three
+    deviations by blocks and runs, or 0 where the filter ran to a bound. For effects with a corner, the larger
+    of both deviations is used, because the filter linearises there.
     """
     before = error_with(found, shooting, heldout)
     if not found.free.any():
         return found, before
-    found = _counted_otherwise(found, shooting)
+    # Before the filter replaces the values: this uncertainty belongs to the windows' fit.
+    found = _with_glitch_uncertainty(found, shooting)
     final = prediction_error_fit(found.model, found.paths, found.free, shooting.windows)
     if final is None:
         return found, before
-    own = found.deviations(shooting)
-    stated = np.where(np.isfinite(final.deviations), final.deviations, own)
-    stated = np.where(_cornered(found), np.fmax(stated, own), stated)
+    stated_before = found.deviations(shooting)
+    stated = np.where(np.isfinite(final.deviations), final.deviations, stated_before)
+    stated = np.where(_has_corner(found), np.fmax(stated, stated_before), stated)
     moved = replace(found, model=final.model, stated=stated)
     after = error_with(moved, shooting, heldout)
-    if after.value <= (1.0 + _WORSE) * before.value and not _far(found, moved):
+    if after.value <= (1.0 + _MAX_INCREASE) * before.value and not _moved_base_far(found, moved):
         return moved, after
-    apart = np.where(_lost(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
-    return replace(found, stated=np.hypot(own, np.minimum(apart, _MOST * own))), before
+    # A filter that ended at a bound has diverged, so its distance says nothing.
+    shift = np.where(_at_bound(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
+    return replace(found, stated=np.hypot(stated_before, np.minimum(shift, _MAX_DEVIATIONS * stated_before))), before
 
 
-def _counted_otherwise(found: Fit, shooting: Shooting) -> Fit:
-    """The fit with half of what its numbers move by where glitches are told rate by rate as further uncertainty: where
-    recordings have unlike rates, no one knows which rows are odd."""
-    other = shooting.counted_by_rate(found.model)
+def _with_glitch_uncertainty(found: Fit, shooting: Shooting) -> Fit:
+    """Adds half of the shift that glitch detection by sampling rate causes to the deviations.
+
+    If recordings have different rates, it is uncertain which rows are glitches.
+    """
+    other = shooting.with_weights_by_rate(found.model)
     if other is None:
         return found
     again = fit(found.model, found.paths, other, found.scale)
-    apart = np.where(found.free & again.free, 0.5 * np.abs(again.values - found.values), 0.0)
-    return replace(found, stated=np.hypot(found.deviations(shooting), apart))
+    difference = np.where(found.free & again.free, 0.5 * np.abs(again.values - found.values), 0.0)
+    return replace(found, stated=np.hypot(found.deviations(shooting), difference))
 
 
 def with_model_uncertainty(final: Fit, search: SearchState) -> Fit:
-    """The fit with deviations that allow for a wrong form of the model.
+    """Returns the fit with deviations that allow for a wrong form of the model.
 
-    At least what the number differs by between kinds of driving, where that is more than chance. And for effects of
-    which the held-out error does not clearly show that they act std^2 + max over them of (d / 2)^2, d what the number
-    moves by without the effect: then the number of either model lies within two deviations.
+    A deviation is at least the spread of the parameter between kinds of driving, if that exceeds chance. Some effects
+    are not clearly shown by the held-out error. With the shift d of the parameter without such an effect, the variance
+    is std^2 + max over them of (d / 2)^2: the value of either model then lies within two deviations.
 
     Source: Buckland, Burnham and Augustin, Biometrics 53, 1997 (uncertainty of which model it is).
     """
-    now, apart = dict(zip(search.current.fit.paths, search.current.fit.values, strict=True)), np.zeros(len(final.paths))
+    now, shift = dict(zip(search.current.fit.paths, search.current.fit.values, strict=True)), np.zeros(len(final.paths))
     for less, error in search.without.values():
         if search.error.value < (1.0 - CLEAR_FALL) * error.value:
             continue
-        own = dict(zip(less.fit.paths, less.fit.values, strict=True))
-        moved = [abs(own[path] - now[path]) if path in own else 0.0 for path in final.paths]
-        apart = np.maximum(apart, moved)
+        values = dict(zip(less.fit.paths, less.fit.values, strict=True))
+        moved = [abs(values[path] - now[path]) if path in values else 0.0 for path in final.paths]
+        shift = np.maximum(shift, moved)
     kinds = group_jackknife_deviation(search.current.fit, search.shooting)
-    if not (apart.any() or kinds.any()):
+    if not (shift.any() or kinds.any()):
         return final
-    return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * apart))
+    return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * shift))
 
 
 def group_jackknife_deviation(fitted: Fit, shooting: Shooting) -> FloatArray:
-    """The largest standard deviation (paths,) by what each group of like windows moves; 0 where chance would do.
+    """Returns the largest deviation (paths,) by a jackknife over groups of similar windows; 0 if within chance.
 
-    Windows are put in order by the mean size of each state and action, and by how much each action varies.
+    Windows are sorted by the mean size of each state and action, and by the variation of each action.
     """
     found = np.zeros(len(fitted.paths))
-    if not fitted.free.any() or len(shooting.windows) < _GROUPS * _FEWEST:
+    if not fitted.free.any() or len(shooting.windows) < _GROUPS * _MIN_WINDOWS:
         return found
     products, slopes = products_of(fitted.columns[..., fitted.free], fitted.residual)
     blocks = jackknife(products, slopes, shooting.block)
     largest = np.zeros(len(blocks))
-    for kind in _kinds(shooting):
-        place = np.argsort(np.argsort(kind, kind="stable"), kind="stable")
-        largest = np.maximum(largest, jackknife(products, slopes, place * _GROUPS // len(place)))
+    for kind in _sorting_quantities(shooting):
+        rank = np.argsort(np.argsort(kind, kind="stable"), kind="stable")
+        largest = np.maximum(largest, jackknife(products, slopes, rank * _GROUPS // len(rank)))
     found[fitted.free] = np.sqrt(np.where(largest > _CHANCE**2 * blocks, largest, 0.0))
     return found
 
 
-def _kinds(shooting: Shooting) -> Iterator[FloatArray]:
-    """What windows are put in order by, (windows,) each; nothing that hardly varies."""
+def _sorting_quantities(shooting: Shooting) -> Iterator[FloatArray]:
+    """Yields the quantities (windows,) by which windows are sorted, except constant ones."""
     windows = shooting.windows
     rows = np.minimum(windows.start[:, None] + shooting.rows, windows.end[:, None] - 1)
     actions = windows.actions[rows]
-    moving = [index for index, variable in enumerate(windows.system.state) if variable.name not in PLACE]
+    moving = [index for index, variable in enumerate(windows.system.state) if variable.name not in POSITION]
     for values in (
         np.abs(windows.states[rows][..., moving]).mean(axis=1),
         np.abs(actions).mean(axis=1),
@@ -134,19 +139,24 @@ def _kinds(shooting: Shooting) -> Iterator[FloatArray]:
         yield from (column for column in values.T if np.ptp(column) > 0.0)
 
 
-def _cornered(found: Fit) -> NDArray[np.bool_]:
-    """Numbers of dry friction, of effects with a corner, and of those that begin at a border, (paths,)."""
-    borders = {own.name for own in found.model.effects if isinstance(own, Conditioned) and isinstance(own.law, Where)}
+def _has_corner(found: Fit) -> NDArray[np.bool_]:
+    """Returns which parameters belong to dry friction, effects with a corner, or effects with a border, (paths,)."""
+    borders = {
+        effect.name
+        for effect in found.model.effects
+        if isinstance(effect, Conditioned) and isinstance(effect.law, Where)
+    }
     return np.array([path.split(".")[0] in CORNERED | FRICTIONS | borders for path in found.paths])
 
 
-def _lost(moved: Fit) -> NDArray[np.bool_]:
-    """Numbers that the filter put on a bound, (paths,)."""
+def _at_bound(moved: Fit) -> NDArray[np.bool_]:
+    """Returns which parameters the filter moved to a bound, (paths,)."""
     low, high = bounds_of(moved.model, moved.paths)
     edge = 1e-6 * (high - low)
     return np.asarray((moved.values <= low + edge) | (moved.values >= high - edge))
 
 
-def _far(before: Fit, after: Fit) -> bool:
+def _moved_base_far(before: Fit, after: Fit) -> bool:
+    # Only base parameters: an effect's value is expected to move, the base was known roughly before.
     base = np.array([path.startswith("base.") for path in before.paths])
-    return bool((np.abs(after.values - before.values)[base] > _FAR * np.abs(before.values)[base]).any())
+    return bool((np.abs(after.values - before.values)[base] > _MAX_SHIFT * np.abs(before.values)[base]).any())

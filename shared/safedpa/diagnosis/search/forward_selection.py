@@ -1,4 +1,4 @@
-"""Which effects are missing: additions while unseen blocks of time confirm them, exchanges, removals.
+"""Forward selection of missing effects: additions that unseen blocks of time confirm, then exchanges and removals.
 
 Source: the statistics that decide are those of cross-validation over independent blocks (Arlot and Celisse, Statistics
 Surveys 4, 2010); forward and backward steps as in Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3.
@@ -59,18 +59,16 @@ from safedpa.effects import AbstractEffect
 __all__ = ["JudgedTrial", "ReportProgress", "SearchState", "accept_trial", "add_best_trial", "run_search"]
 
 MOST = 12
-"""Additions."""
-_ASKED = 3
-"""Trials of one stage that the filter along whole recordings is asked about at most."""
-
-_SETTLED = 4
-"""Trials of one stage that are fitted about their own model while MUCH is missing."""
+"""Effects that are added at most."""
+# Trials of one stage that are confirmed with the filter at most: each takes as long as several fits.
+_CONFIRMED_TRIALS = 3
+# Trials of one stage that are relinearised while MUCH is missing: the first order is poor only for large effects.
+_RELINEARISED_TRIALS = 4
 
 ReportProgress = Callable[[int, int, str], None]
-"""(done, of how many, what is looked for and the best that is known so far): of this stage, for no one knows how many
-will follow."""
-Alongside = Callable[[], Iterable[HorizonData]]
-"""Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
+"""Called with (done, total, message) of the current stage; how many stages follow is unknown."""
+OtherHorizons = Callable[[], Iterable[HorizonData]]
+"""Computes the same recordings at other horizons; called only if one horizon leaves a question open."""
 
 
 def run_search(
@@ -79,72 +77,85 @@ def run_search(
     shooting: Shooting,
     heldout: Heldout,
     report_progress: ReportProgress = lambda _done, _all, _message: None,
-    alongside: Alongside = lambda: (),
+    other_horizons: OtherHorizons = lambda: (),
 ) -> SearchState:
-    """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
+    """Refits the free parameters, adds effects until none passes, revises them, adds laws and fits final parameters."""
     search = initial_search(model, shooting, heldout)
-    _additions(search, library, heldout, report_progress, alongside)
-    report_progress(0, 3, f"second thoughts about all that was added; {_so_far(search)}")
-    _second_thoughts(search, library, heldout)
-    report_progress(1, 3, f"where and when it acts; {_so_far(search)}")
+    _add_effects(search, library, heldout, report_progress, other_horizons)
+    report_progress(0, 3, f"revising the effects that were added; {_so_far(search)}")
+    # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
+    _revise(search, library, heldout)
+    report_progress(1, 3, f"where and when they act; {_so_far(search)}")
     if library and add_conditions(search, library, heldout):
-        _additions(search, library, heldout, report_progress, alongside)  # a law may lay bare what it hid
-        _second_thoughts(search, library, heldout)
-    report_progress(2, 3, f"final numbers; {_so_far(search)}")
+        # A law explains part of the residual, which may reveal an effect that was hidden before.
+        _add_effects(search, library, heldout, report_progress, other_horizons)
+        _revise(search, library, heldout)
+    report_progress(2, 3, f"final parameters; {_so_far(search)}")
     if library:
         final, search.error = with_final_values(search.current.fit, search.shooting, heldout)
         search.current = replace(search.current, fit=with_model_uncertainty(final, search))
     return search
 
 
-def _additions(
+def _add_effects(
     search: SearchState,
     library: Sequence[AbstractEffect],
     heldout: Heldout,
     report_progress: ReportProgress,
-    alongside: Alongside,
+    other_horizons: OtherHorizons,
 ) -> None:
-    """One effect after the other, until none passes; while MUCH is missing then, one step further."""
-    _added_in_turn(search, library, heldout, report_progress, alongside)
+    """Adds effects one after the other until none passes; if MUCH is still missing, looks one step ahead."""
+    _add_one_by_one(search, library, heldout, report_progress, other_horizons)
+    # Provisional: the steps ahead are kept only if their result passes as a whole.
     while search.error.value > MUCH:
         ahead = look_one_step_ahead(search, heldout)
         if ahead is None:
             return
-        _added_in_turn(ahead, library, heldout, report_progress, alongside)
+        _add_one_by_one(ahead, library, heldout, report_progress, other_horizons)
         if not improves_clearly(search, ahead, library):
             return
-        search.take(ahead)
+        search.continue_from(ahead)
 
 
-def _added_in_turn(
+def _add_one_by_one(
     search: SearchState,
     library: Sequence[AbstractEffect],
     heldout: Heldout,
     report_progress: ReportProgress,
-    alongside: Alongside,
+    other_horizons: OtherHorizons,
 ) -> None:
-    """One effect after the other, until none passes."""
+    """Adds effects one after the other until none passes."""
     before: dict[str, EffectTrial] = {}
+    # Stages continue to count after a law or a step ahead, so that candidates of a stage stay together.
     first = 1 + max((item.stage for item in search.candidates), default=-1)
     for stage in range(first, MOST if library else 0):
-        rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
+        available = [
+            item for item in library if item.name not in {effect.name for effect in search.current.fit.model.effects}
+        ]
         trials = fit_trials(
-            search.current, rest, search.shooting, before, _stage_reported(report_progress, search, stage, len(rest))
+            search.current,
+            available,
+            search.shooting,
+            before,
+            _stage_reported(report_progress, search, stage, len(available)),
         )
+        # The fitted values of this stage are starts for the next: adding one effect moves most others little.
         before = {trial.effects[0]: trial for trial in trials}
-        if not add_best_trial(search, stage, trials, rest, heldout, alongside):
+        if not add_best_trial(search, stage, trials, available, heldout, other_horizons):
             break
 
 
-def _second_thoughts(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Exchanges, and what the others do without."""
+def _revise(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Revises the accepted effects: exchanges, splits, merges and removals."""
     exchange_effects(search, library, heldout)
     split_effect(search, library, heldout)
     backward_elimination(search, library, heldout)
     exchange_for_fewer_parameters(search, library, heldout)
     if merge_effects(search, library, heldout):
-        backward_elimination(search, library, heldout)  # what took the place of two may do what a third did
+        # The effect that replaced two may make a third one superfluous.
+        backward_elimination(search, library, heldout)
     select_smallest_model(search, library, heldout)
+    # Only then were values at a bound accepted (within_bounds); elsewhere there are none to remove.
     if search.first_error.value > MOST_MISSING:
         remove_effects_at_bounds(search, library, heldout)
     mark_equivalent_rivals(search, library, heldout)
@@ -153,13 +164,13 @@ def _second_thoughts(search: SearchState, library: Sequence[AbstractEffect], hel
 def _stage_reported(
     report_progress: ReportProgress, search: SearchState, stage: int, size: int
 ) -> Callable[[int], None]:
-    """Tells how much of a stage is done."""
+    """Returns the callback that reports how much of a stage is done."""
     notice = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
     return lambda done: report_progress(done, size, notice)
 
 
 def _so_far(search: SearchState) -> str:
-    """The best sentence so far."""
+    """Returns the result so far as text."""
     if not search.added:
         return f"so far nothing is found missing, error {search.first_error.value:.3g}"
     names = ", ".join(search.added)
@@ -170,20 +181,22 @@ def add_best_trial(
     search: SearchState,
     number: int,
     trials: list[EffectTrial],
-    rest: Sequence[AbstractEffect],
+    available: Sequence[AbstractEffect],
     heldout: Heldout,
-    alongside: Alongside = lambda: (),
+    other_horizons: OtherHorizons = lambda: (),
 ) -> bool:
-    """Judges the trials of a stage; adds the best that passes and says whether there was one."""
+    """Judges the trials of a stage and adds the best that passes; returns whether one was added."""
     null, shooting = search.current, search.shooting
     stage = _stage(search, number, trials, heldout)
-    best, passed, doubted = _best(search, stage)
+    best, passed, doubted = _choose_effect(search, stage)
     if not passed:
-        pairs = fit_pairs(null, trials, rest, shooting)
+        # Pairs come second: a single effect that passes is the simpler explanation, and pairs take longer to fit.
+        pairs = fit_pairs(null, trials, available, shooting)
         two = _stage(search, number, pairs, heldout, at_most=len(pairs))
         good = [t for t in pairs if within_bounds(t, search) and two.passes(t, search.error)]
         good = order_by_heldout_gain(sorted(good, key=lambda trial: trial.loss), two, search.error)
-        chosen, refused = _agreed(search, two, good)
+        chosen, refused = _first_confirmed(search, two, good)
+        # A pair may be far better than the first confirmed one, though blocks alone find it only likely.
         chosen = _far_better(search, two, chosen) or chosen
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
@@ -191,62 +204,71 @@ def add_best_trial(
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and is_promising(best, stage, search.error):
         passed = filter_is_certain(best, search)
-    elsewhere = None if passed else passing_at_other_horizon(search, stage, rest, alongside)
-    if elsewhere is not None:
-        best, passed = elsewhere.trial, True
+    # The last resort, because it refits everything in other windows.
+    at_other_horizon = None if passed else passing_at_other_horizon(search, stage, available, other_horizons)
+    if at_other_horizon is not None:
+        best, passed = at_other_horizon.trial, True
     if passed and best is not None:
         best = fewest_parameters(best, stage.trials, search)
-        search.patch = _place_instead(null, best, shooting)
-        passed = search.patch is None
-    search.candidates += [_with(elsewhere, judge_trial(search, stage, trial, best, passed)) for trial in stage.trials]
-    floor = None if search.patch is None else region_effect(search.patch, search, rest)
-    if floor is not None:
-        return add_region_effect(search, floor, number, heldout)
+        # A region where the floor brakes looks like several weak effects, so it is compared before one is accepted.
+        search.region = _better_region(null, best, shooting)
+        passed = search.region is None
+    search.candidates += [
+        _with_other_horizon(at_other_horizon, judge_trial(search, stage, trial, best, passed)) for trial in stage.trials
+    ]
+    region_trial = None if search.region is None else region_effect(search.region, search, available)
+    if region_trial is not None:
+        return add_region_effect(search, region_trial, number, heldout)
     if not passed or best is None:
         return False
     for name in best.effects:
         singles = [trial.effects[0] for trial in stage.trials if len(trial.effects) == 1]
+        # The twelve best of the stage; exchanges use at most a few of them.
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
     accept_trial(search, best, heldout)
     return True
 
 
-def _with(elsewhere: PassingCandidate | None, item: JudgedTrial) -> JudgedTrial:
-    """The verdict on a trial, with what another horizon says about it."""
-    if elsewhere is None or item.trial is not elsewhere.trial:
+def _with_other_horizon(at_other_horizon: PassingCandidate | None, item: JudgedTrial) -> JudgedTrial:
+    """Returns the verdict on a trial, with the result of another horizon added to its reason."""
+    if at_other_horizon is None or item.trial is not at_other_horizon.trial:
         return item
-    return replace(item, reason=f"{item.reason}; {elsewhere.reason}")
+    return replace(item, reason=f"{item.reason}; {at_other_horizon.reason}")
 
 
 def _stage(
     search: SearchState, number: int, trials: list[EffectTrial], heldout: Heldout, at_most: int = 6
 ) -> SearchStage:
-    """Gains of all trials, held-out errors of the ``at_most`` best that gain anything."""
+    """Computes the gains of all trials, and the held-out errors of the ``at_most`` best with a gain above 1."""
     gains = {trial.effects: block_gain(search.current, trial, search.shooting) for trial in trials}
-    close = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
+    gaining = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
     errors: dict[tuple[str, ...], HeldoutError] = {}
-    for trial in close:
-        shooting, own = search.shooting, trial.fit
-        if search.error.value > MUCH and len(errors) < _SETTLED:
-            shooting, own = relinearized_trial(trial, shooting)
-        errors[trial.effects] = error_with(own, shooting, heldout)
+    for trial in gaining:
+        shooting, fitted = search.shooting, trial.fit
+        if search.error.value > MUCH and len(errors) < _RELINEARISED_TRIALS:
+            shooting, fitted = relinearized_trial(trial, shooting)
+        errors[trial.effects] = error_with(fitted, shooting, heldout)
     return SearchStage(number, trials, gains, errors, float(np.median(search.shooting.windows.period)))
 
 
-def _best(search: SearchState, stage: SearchStage) -> tuple[EffectTrial | None, bool, frozenset[tuple[str, ...]]]:
-    """The single effect that is to be added, or the best one; whether it passed; and what passed but is doubted."""
+def _choose_effect(
+    search: SearchState, stage: SearchStage
+) -> tuple[EffectTrial | None, bool, frozenset[tuple[str, ...]]]:
+    """Returns the effect to add, or the best one; whether it passed; and the trials that the filter refused."""
     best = simplest_equivalent(stage.trials, search)
-    # the one that takes most off the windows may not help over the horizon: then another that does
+    # The best trial in the windows may not reduce the held-out error over the horizon; another one may.
     others = [t for t in stage.trials if t is not best and t.effects in stage.errors and within_bounds(t, search)]
     passing = [trial for trial in ([best] if best else []) + others if stage.passes(trial, search.error)]
     passing = order_by_heldout_gain(passing, stage, search.error)
-    chosen, doubted = _agreed(search, stage, passing)
+    chosen, doubted = _first_confirmed(search, stage, passing)
     return chosen or best, chosen is not None, doubted
 
 
 def _far_better(search: SearchState, stage: SearchStage, chosen: EffectTrial | None) -> EffectTrial | None:
-    """A pair that blocks find likely only, but that takes far more off the held-out error than the chosen one, and of
-    which the filter is certain."""
+    """Returns a pair that reduces the held-out error far more than the chosen one, if the filter is certain of it.
+
+    On unseen blocks such a pair need only be likely.
+    """
     error = search.error if chosen is None else stage.errors[chosen.effects]
     enough = error.value - CLEAR_FALL * search.error.value
     open_ones = [
@@ -261,12 +283,13 @@ def _far_better(search: SearchState, stage: SearchStage, chosen: EffectTrial | N
     return best if best is not None and filter_is_certain(best, search) else None
 
 
-def _agreed(
+def _first_confirmed(
     search: SearchState, stage: SearchStage, passing: Sequence[EffectTrial]
 ) -> tuple[EffectTrial | None, frozenset[tuple[str, ...]]]:
-    """The first of some trials that passed which is clear or which the filter confirms, and those refused before it."""
+    """Returns the first passing trial that is decisive or confirmed by the filter, and those refused before it."""
     refused: list[tuple[str, ...]] = []
-    for trial in passing[:_ASKED]:
+    for trial in passing[:_CONFIRMED_TRIALS]:
+        # The filter is asked only where blocks leave a doubt: it takes longer than the fit.
         sure = is_decisive(stage.gains[trial.effects], stage.errors.get(trial.effects), search.error)
         if sure or filter_agrees(trial, search):
             return trial, frozenset(refused)
@@ -274,9 +297,9 @@ def _agreed(
     return None, frozenset(refused)
 
 
-def _place_instead(null: EffectTrial, best: EffectTrial, shooting: Shooting) -> RegionFit | None:
-    """A patch of the plane that explains the residual better than the effect, and goes on explaining next to it."""
-    patch = best_region(null, shooting)
-    if patch is None or not patch.beats(best, shooting):
+def _better_region(null: EffectTrial, best: EffectTrial, shooting: Shooting) -> RegionFit | None:
+    """Returns a region of the plane that predicts unseen blocks clearly better than the effect, or None."""
+    region_fit = best_region(null, shooting)
+    if region_fit is None or not region_fit.beats(best, shooting):
         return None
-    return patch
+    return region_fit

@@ -1,6 +1,6 @@
-"""With which model a search begins: the given one, its own free numbers refitted.
+"""The initial model of a search: the given one with its free parameters refitted.
 
-Fits that start far off get stuck, and no one is told: so other starts are tried next to the given one.
+A fit from a poor start ends in a local minimum without a warning. So other starts are tried alongside the given one.
 """
 
 from __future__ import annotations
@@ -21,90 +21,96 @@ from safedpa.dynamics import PhysicsModel
 
 __all__ = ["initial_search"]
 
-_FAR = 0.5
-"""Share of a free number."""
-_HARDLY = 0.8
-"""Of the error of what knows no physics, from which a refitted base may be stuck."""
-_STUCK, _SURELY = 0.25, 0.5
-"""Share of the held-out error by which another start has to be better, there and elsewhere.
-
-Where much is missing, a free number that stands for all of it is a little better too, and hides what is missing.
-"""
-
-_DRAWN = 24
-"""Starts next to the given one."""
-_TRIED = 2
-"""Of them that are fitted."""
+# Relative change of a free parameter from which updated weights are rejected.
+_MAX_SHIFT = 0.5
+# A refitted model with more than this share of the error of a naive prediction may be in a local minimum.
+_NAIVE_SHARE = 0.8
+# Reduction of the held-out error that another start needs, in that case and otherwise. A parameter that makes up for
+# many missing effects fits a little better too, and would hide them.
+_REDUCTION_IF_STUCK, _REDUCTION = 0.25, 0.5
+# Random starts besides the given one; simulating them costs little compared with one fit.
+_DRAWN_STARTS = 24
+# Starts that are fitted: a fit is far more expensive than the objective at a start.
+_FITTED_STARTS = 2
+# Starts lie up to this factor above or below the given value: a wrong unit or gear ratio is rarely further off.
 _FACTOR = 8.0
-"""By which a number may be off to either side."""
-_BETTER = 0.02
-"""Fall of the objective per independent number from which another start is taken."""
-_OFF = 0.5
-"""Share of a number by which the given one may be off before weights about it are no good."""
-_ROWS = 3
+# Decrease of the objective per degree of freedom from which another start is taken: 2 % of the residual.
+_MIN_DECREASE = 0.02
+# Relative error of a given value from which weights computed with it are useless.
+_BAD_GUESS = 0.5
+# Below three rows the first part of a window contains no rate.
+_MIN_ROWS = 3
+# Fixed, so that a diagnosis of the same recordings gives the same report.
 _SEED = 3
 
 
 def initial_search(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
-    """The search with the given model, its free parameters refitted: from where they stand, unless that gets stuck."""
-    given = _begun_at(model, shooting, heldout)
+    """Returns the search with the given model, its free parameters refitted from the given values or a better start."""
+    given = _search_from(model, shooting, heldout)
     other = _best_start(model, list(model.latent_names), shooting)
     if other is model:
         return given
-    found = _begun_at(other, shooting, heldout)
-    lost = given.error.value > _HARDLY * min(naive_errors(heldout.windows).values())
-    return found if found.error.value < (1.0 - (_STUCK if lost else _SURELY)) * given.error.value else given
+    found = _search_from(other, shooting, heldout)
+    stuck = given.error.value > _NAIVE_SHARE * min(naive_errors(heldout.windows).values())
+    reduction = _REDUCTION_IF_STUCK if stuck else _REDUCTION
+    return found if found.error.value < (1.0 - reduction) * given.error.value else given
 
 
-def _begun_at(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
+def _search_from(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
+    """Fits the free parameters from the model's values and returns the search that starts there."""
     free = list(model.latent_names)
     scale = np.maximum(shooting.residuals([model])[0].std(axis=(0, 1)), 1e-6)
     shooting = shooting.around(model)
-    begin = fit(model, free, shooting, scale)
-    closer = shooting.around(begin.model)
-    again = fit(begin.model, free, closer, begin.scale)
-    if not _far(begin.values, again.values):
-        shooting, begin = closer, again
-    first = trial_of(begin, shooting, (), None)
+    fitted = fit(model, free, shooting, scale)
+    # The weights are updated once around the fit, unless that moves a parameter far.
+    closer = shooting.around(fitted.model)
+    again = fit(fitted.model, free, closer, fitted.scale)
+    if not _moved_far(fitted.values, again.values):
+        shooting, fitted = closer, again
+    first = trial_of(fitted, shooting, (), None)
     error = error_with(first.fit, shooting, heldout)
     return SearchState(shooting, first, error, first, error)
 
 
-def _far(before: FloatArray, after: FloatArray) -> bool:
-    """Whether weights again moved a number by more than _FAR: what counts less then is no hand that pushes, but most of
-    what the model lacks, and a number fitted to the rest would leave effects nothing to act on."""
-    return bool((np.abs(after - before) > _FAR * np.abs(before)).any())
+def _moved_far(before: FloatArray, after: FloatArray) -> bool:
+    """Returns whether updated weights moved a parameter by more than _MAX_SHIFT.
+
+    Then the down-weighted windows are not disturbances but show most of what the model lacks. A parameter fitted to the
+    rest would leave missing effects nothing to explain.
+    """
+    return bool((np.abs(after - before) > _MAX_SHIFT * np.abs(before)).any())
 
 
 def _best_start(model: PhysicsModel, free: Sequence[str], shooting: Shooting) -> PhysicsModel:
-    """The model with the given numbers, or with clearly better ones; ``shooting`` with weights that no model has made.
+    """Returns the model with the given values, or with clearly better ones; ``shooting`` has uniform weights.
 
-    Others are fitted to the first part of each window: nearly a regression of measured rates, which is almost linear
-    in most numbers. Over whole windows angles go round and starts far off find another valley; and weights about a
-    model that is far off count least what would correct it.
+    Other starts are fitted to the first part of each window. That is nearly a regression of measured rates, which is
+    almost linear in most parameters. Over whole windows, angles wrap and distant starts find another local minimum.
+    A model that is far off would also down-weight the windows that correct it.
     """
     if not free:
         return model
     short = _first_part(shooting)
     scale = np.maximum(short.residuals([model])[0].std(axis=(0, 1)), 1e-6)
-    starts = [model, *(with_values(model, dict(zip(free, row, strict=True))) for row in _draws(model, free).tolist())]
+    drawn = _random_starts(model, free).tolist()
+    starts = [model, *(with_values(model, dict(zip(free, row, strict=True))) for row in drawn)]
     with np.errstate(all="ignore"):
         values = np.nan_to_num(objectives(short.residuals(starts), short, scale), nan=np.inf)
-    chosen = [0, *(int(index) for index in np.argsort(values)[:_TRIED] if index)]
+    chosen = [0, *(int(index) for index in np.argsort(values)[:_FITTED_STARTS] if index)]
     found = [fit(starts[index], free, short, scale).model for index in chosen]
     given = fit(model, free, shooting, scale)
     every = [given, *(fit(near, free, shooting, scale) for near in found)]
     best = min(every, key=lambda item: item.value)
-    if best.value < given.value - _BETTER:
+    if best.value < given.value - _MIN_DECREASE:
         return best.model
     before = np.array([model.settings[path].value for path in free])
-    far = (np.abs(given.values - before) > _OFF * np.abs(before)).any()
+    far = (np.abs(given.values - before) > _BAD_GUESS * np.abs(before)).any()
     return given.model if far else model
 
 
 def _first_part(shooting: Shooting) -> Shooting:
-    """The first fifth of each window, three compared rows at least."""
-    count = max(_ROWS, len(shooting.rows) // 5)
+    """Returns the first fifth of each window, at least three compared rows."""
+    count = max(_MIN_ROWS, len(shooting.rows) // 5)
     return replace(
         shooting,
         rows=shooting.rows[:count],
@@ -114,13 +120,14 @@ def _first_part(shooting: Shooting) -> Shooting:
     )
 
 
-def _draws(model: PhysicsModel, free: Sequence[str]) -> FloatArray:
-    """Starts (starts, numbers): typical values, then factors about what is given, within the bounds."""
+def _random_starts(model: PhysicsModel, free: Sequence[str]) -> FloatArray:
+    """Returns starts (starts, paths): typical values, then random factors of the given ones, within the bounds."""
     random = np.random.default_rng(_SEED)
     now = np.array([model.settings[path].value for path in free])
     typical = np.array([model.parameters[path].typical for path in free])
     about = np.where(np.abs(now) > 0, now, np.array([typical_change(model.parameters[path]) for path in free]))
-    factors = _FACTOR ** random.uniform(-1.0, 1.0, (_DRAWN - 1, len(free)))
+    # Log-uniform: half and double are equally likely.
+    factors = _FACTOR ** random.uniform(-1.0, 1.0, (_DRAWN_STARTS - 1, len(free)))
     low, high = bounds_of(model, free)
     signs = np.where((low < 0) & (random.random(factors.shape) < 0.5), -1.0, 1.0)
     return np.asarray(np.clip(np.concatenate([typical[None], about * factors * signs]), low, high))

@@ -1,4 +1,4 @@
-"""Where the data decide nothing: the effects that come closest, with their numbers, and what would decide."""
+"""Nearest candidates: if the data decide nothing, the effects that come closest and the drive that would decide."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from safedpa.effects import AbstractEffect
 
 __all__ = ["closest_effects", "doubtful_effects", "likely_effects", "nearest_effects"]
 
-_WORTH = 0.1
-"""Share off the held-out error that leaves a question open; a driver's feedback feigns 0.01 to 0.09."""
+# Reduction of the held-out error that leaves a question open: feedback by a driver imitates 0.01 to 0.09.
+_MIN_FALL = 0.1
+# Standard errors of gain below which blocks do not favour an effect at all.
 _FAVOURED = 1.0
-"""Standard errors of gain, below which blocks do not favour an effect at all."""
-_FEWEST = 3
-"""Windows."""
-_MOST = 3
-"""Effects that are told."""
+# With fewer windows even a ranking of the effects would be arbitrary.
+_MIN_WINDOWS = 3
+# Effects that are reported: a longer list of doubtful ones helps no reader.
+_MAX_REPORTED = 3
 
 
 def likely_effects(search: SearchState) -> list[JudgedTrial]:
-    """Candidates of the last stage that would take much off the error, though blocks are not sure; the best first."""
+    """Returns candidates of the last stage that would reduce the error much, though blocks are not sure; best first."""
     last = max((item.stage for item in search.candidates), default=0)
     found = [
         item
@@ -37,7 +37,7 @@ def likely_effects(search: SearchState) -> list[JudgedTrial]:
         if item.stage == last
         and item.decision != "accepted"
         and item.gain > _FAVOURED
-        and (item.fall or 0.0) > _WORTH
+        and (item.fall or 0.0) > _MIN_FALL
         and not set(item.trial.effects) & set(search.added)
         and (search.error.value > MOST_MISSING or bool(item.trial.fit.free.all()))
     ]
@@ -45,9 +45,10 @@ def likely_effects(search: SearchState) -> list[JudgedTrial]:
 
 
 def doubtful_effects(search: SearchState) -> list[JudgedTrial]:
-    """Accepted effects of which no number that can do nothing is one deviation away from it.
+    """Returns accepted effects with no parameter further than one deviation from its neutral value.
 
-    Together they predict what was driven; of their sizes these data say nothing, so nor do they of other driving.
+    Together such effects predict what was driven. The data do not determine their sizes, so predictions of other drives
+    may be wrong.
     """
     fitted, ratios = search.current.fit, dict[str, list[float]]()
     deviations = fitted.deviations(search.shooting).tolist()
@@ -55,27 +56,29 @@ def doubtful_effects(search: SearchState) -> list[JudgedTrial]:
         neutral = fitted.model.parameters[path].neutral
         if neutral is not None:
             ratios.setdefault(path.split(".")[0], []).append(abs(value - neutral) / deviation if deviation > 0 else 0.0)
+    # Effects without a neutral value are never doubtful: there is no zero to compare with.
     unsure = [name for name in search.added if max(ratios.get(name, [np.inf])) < 1.0]
     found = []
     for name in unsure:
-        own = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
+        accepted = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
         trial = replace(search.current, effects=(name,))
-        why = "its size is within one deviation of nothing: next to the others these data do not tell it"
-        found += [replace(item, trial=trial, decision="suspected", reason=why) for item in own[-1:]]
+        why = "its size is within one deviation of zero effect: these data do not separate it from the other effects"
+        found += [replace(item, trial=trial, decision="suspected", reason=why) for item in accepted[-1:]]
     return found
 
 
 def nearest_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> list[JudgedTrial]:
-    """Of data that are too few to judge anything: the effects that would take most off the error."""
-    if len(search.shooting.windows) < _FEWEST or not search.error.value > 0:
+    """Returns the effects that would reduce the error most, for data too few to judge any effect."""
+    if len(search.shooting.windows) < _MIN_WINDOWS or not search.error.value > 0:
         return []
-    trials = fit_trials(search.current, library, search.shooting, {})[: 2 * _MOST]
+    # Twice as many as are reported, because the order by windows and by held-out error differ.
+    trials = fit_trials(search.current, library, search.shooting, {})[: 2 * _MAX_REPORTED]
     found = [(trial, error_with(trial.fit, search.shooting, heldout)) for trial in trials]
     before, why = search.error.value, "too little data"
     return [
         JudgedTrial(0, trial, block_gain(search.current, trial, search.shooting), error, "suspected", why, (), before)
         for trial, error in sorted(found, key=lambda item: item[1].value)
-        if error.value < (1.0 - _WORTH) * before
+        if error.value < (1.0 - _MIN_FALL) * before
     ]
 
 
@@ -86,21 +89,21 @@ def closest_effects(
     sizes: Sequence[Detectable],
     noise: FloatArray,
 ) -> tuple[PossibleEffect, ...]:
-    """The best few as the report tells them: numbers, what they would take off, smallest sizes, what to drive.
+    """Returns the best few for the report: parameters, reduction of the error, detectable sizes, and what to drive.
 
-    ``values`` are the fitted numbers of each item by path; ``noise`` (states,) is that of the measurement.
+    ``values`` are the fitted parameters of each item by path; ``noise`` (states,) is that of the measurement.
     """
-    shown = list(zip(items, values, strict=True))[:_MOST]
+    shown = list(zip(items, values, strict=True))[:_MAX_REPORTED]
     models = [item.trial.fit.model for item, _ in shown]
     drives = discriminating_manoeuvres(search.current.fit.model, models, noise)
     found = []
-    for (item, own), drive in zip(shown, drives, strict=True):
+    for (item, fitted_values), drive in zip(shown, drives, strict=True):
         names = set(item.trial.effects)
         smallest = {
             f"{size.effect}.{size.parameter}": FittedValue(size.smallest, None, size.unit)
             for size in sizes
             if size.effect in names and size.smallest is not None
         }
-        parameters = {path: value for path, value in own.items() if path.split(".")[0] in names}
+        parameters = {path: value for path, value in fitted_values.items() if path.split(".")[0] in names}
         found.append(PossibleEffect(item.trial.name, parameters, item.fall, item.gain, smallest, drive, item.reason))
     return tuple(found)

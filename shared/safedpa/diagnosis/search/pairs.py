@@ -1,16 +1,15 @@
-"""What is tried where no single effect passes: two at once, the same question at other horizons, one step further.
+"""What a search tries if no single effect passes: pairs, other horizons, and one step ahead.
 
-**Pairs**: those that promise most to first order are fitted.
+**Pairs**: the pairs that promise most to first order are fitted.
 
-**Other horizons**: a candidate that unseen blocks favour, but not surely enough, is fitted and judged again in windows
-of half the length, of a fifth, and of twice as much. To be asked several times asks for more each time (Bonferroni):
-passing at one of four horizons with 3.4 standard errors is as rare as passing at one with 3.
+**Other horizons**: a candidate that unseen blocks favour, but not clearly enough, is fitted and judged again in windows
+of 0.5, 0.2 and 2 times the length. Several tests require a higher threshold each (Bonferroni): passing at one of four
+horizons with 3.4 standard errors is as rare as passing at one with 3.
 
-**One step further** than unseen blocks allow, where much is missing still. Logs that are unlike each other (each at a
-throttle of its own) tell several effects together, while each by itself, fitted without one of the logs, predicts that
-one hardly better. A search that stops there stops by chance: 2.96 standard errors, where 3 are asked for. So the trial
-that takes most off the error is added for once, the search goes on from there, and what it arrives at has to pass as a
-whole.
+**One step ahead**, while much is missing. Recordings that differ from each other (each at one throttle) identify
+several effects together. A single effect, fitted without one of the recordings, hardly improves the prediction of that
+one. A search that stops there stops by chance, for example at 2.96 standard errors where 3 are required. So the trial
+that reduces the error most is added provisionally and the search continues. Its result has to pass as a whole.
 
 Source: Dunn, Journal of the American Statistical Association 56, 1961 (several comparisons); Miller, Subset Selection
 in Regression, 2nd ed., 2002, ch. 3 (sequential replacement finds what forward steps miss).
@@ -50,59 +49,65 @@ from safedpa.effects import AbstractEffect
 
 __all__ = ["PassingCandidate", "fit_pairs", "improves_clearly", "look_one_step_ahead", "passing_at_other_horizon"]
 
-_PAIRS = 5
-"""Pairs that are fitted at one stage."""
+# Pairs that are fitted at one stage; the order to first order is reliable enough for the best to be among five.
+_FITTED_PAIRS = 5
+# Standard errors required at another horizon: Bonferroni's correction of 3 for four tests.
 _SURE = 3.4
-"""Standard errors at another horizon."""
+# Standard errors at the search's own horizon below which other horizons are not tried: there is no question open.
 _OPEN = 1.0
-"""Standard errors at the search's own horizon without which nothing is asked again."""
-_ASKED = 3
-"""Candidates."""
-_WHY = "by itself too little, but with what was found after it"
+# Candidates that are tried at other horizons: each needs several fits.
+_OPEN_CANDIDATES = 3
+_REASON = "alone too small a gain, but accepted together with the effects found after it"
 
 
 def fit_pairs(
-    null: EffectTrial, trials: Sequence[EffectTrial], rest: Sequence[AbstractEffect], shooting: Shooting
+    null: EffectTrial, trials: Sequence[EffectTrial], available: Sequence[AbstractEffect], shooting: Shooting
 ) -> list[EffectTrial]:
-    """The pairs that promise most to first order, fitted."""
-    if len(rest) < 2:
+    """Fits the pairs that promise most to first order; returns those better than both of their effects alone."""
+    if len(available) < 2:
         return []
-    columns, owners = _displacements(null, rest, shooting)
-    order = _promising(null, columns, owners)
+    columns, owners = _displacements(null, available, shooting)
+    order = _ranked_pairs(null, columns, owners)
     singles = {trial.effects[0]: trial for trial in trials}
     found = []
-    for one, other in order[:_PAIRS]:
-        trial = fit_trial(null, [rest[one], rest[other]], shooting)
-        if trial.loss < min(singles[rest[one].name].loss, singles[rest[other].name].loss):
+    for one, other in order[:_FITTED_PAIRS]:
+        trial = fit_trial(null, [available[one], available[other]], shooting)
+        # A pair no better than one of its effects alone only adds parameters.
+        if trial.loss < min(singles[available[one].name].loss, singles[available[other].name].loss):
             found.append(trial)
     return found
 
 
 def _displacements(
-    null: EffectTrial, rest: Sequence[AbstractEffect], shooting: Shooting
+    null: EffectTrial, available: Sequence[AbstractEffect], shooting: Shooting
 ) -> tuple[FloatArray, list[int]]:
-    """What each effect at each of its starts changes in the residual: columns (numbers, all starts), and owners."""
+    """Returns the change of the residual by each effect at each of its starts (n, all starts), and effect indices."""
     columns, owners = [], []
-    for index, item in enumerate(rest):
+    for index, item in enumerate(available):
         models = [with_effect_at(null.fit.model, item, values) for values in initial_values(item)]
         residuals = shooting.residuals([null.fit.model]) if not models else shooting.residuals(models)
         stacked = np.moveaxis(residuals, 0, -1)
         reduced = shooting.eliminated(stacked, null.fit.scale).reshape(-1, len(models))
         columns.append(reduced - null.fit.residual.reshape(-1, 1))
         owners += [index] * len(models)
+    # Single precision halves the memory of what is the largest array of a search; only the order of the pairs depends
+    # on it.
     return np.concatenate(columns, axis=1).astype(np.float32), owners
 
 
-def _promising(null: EffectTrial, columns: Any, owners: list[int]) -> list[tuple[int, int]]:
-    """Pairs of effects, the one whose best two columns take most squares off the residual first."""
+def _ranked_pairs(null: EffectTrial, columns: Any, owners: list[int]) -> list[tuple[int, int]]:
+    """Returns pairs of effects, ordered by how many squares of the residual their best two columns explain."""
     target: Any = np.asarray(null.fit.residual.reshape(-1), dtype=np.float32)
     if null.fit.columns.shape[-1]:
+        # Free parameters are projected out first: what they can explain is no gain of a pair.
         known, _ = np.linalg.qr(null.fit.columns.reshape(len(target), -1).astype(np.float32))
         columns, target = columns - known @ (known.T @ columns), target - known @ (known.T @ target)
     columns = columns / (np.linalg.norm(columns, axis=0) + 1e-6)
-    slope, gram = -(columns.T @ target), columns.T @ columns
+    correlation, gram = -(columns.T @ target), columns.T @ columns
+    # Two-column least squares in closed form. The floor keeps nearly parallel columns from promising anything.
     share = np.maximum(1.0 - gram**2, 1e-3)
-    both = (slope[:, None] ** 2 + slope[None] ** 2 - 2 * gram * slope[:, None] * slope[None]) / share
+    both = correlation[:, None] ** 2 + correlation[None] ** 2 - 2 * gram * correlation[:, None] * correlation[None]
+    both /= share
     owner = np.array(owners)
     gains: dict[tuple[int, int], float] = {}
     for one, other in combinations(range(int(owner.max()) + 1), 2):
@@ -113,18 +118,18 @@ def _promising(null: EffectTrial, columns: Any, owners: list[int]) -> list[tuple
 
 @dataclass(frozen=True)
 class PassingCandidate:
-    """A candidate that passes at another horizon."""
+    """A candidate that was accepted at another horizon."""
 
     trial: EffectTrial
     seconds: float
     gain: float
-    """Standard errors there."""
+    """Gain at that horizon, in standard errors."""
     fall: float
-    """Share of the held-out error there."""
+    """Relative reduction of the held-out error at that horizon."""
 
     @property
     def reason(self) -> str:
-        """As a candidate's reason says it."""
+        """Text for the reason of the candidate."""
         return f"over {self.seconds:.3g} s the gain is {self.gain:.1f} standard errors, the error falls {self.fall:.0%}"
 
 
@@ -132,25 +137,25 @@ def passing_at_other_horizon(
     search: SearchState,
     stage: SearchStage,
     library: Sequence[AbstractEffect],
-    alongside: Callable[[], Iterable[HorizonData]],
+    other_horizons: Callable[[], Iterable[HorizonData]],
 ) -> PassingCandidate | None:
-    """The candidate of a stage in which none passed that another horizon confirms most; None where none does."""
-    open_ones = _open(search, stage)
+    """Returns the candidate that another horizon confirms most clearly; None if no horizon confirms one."""
+    open_ones = _open_candidates(search, stage)
     if not open_ones:
         return None
     by_name = {item.name: item for item in library}
     best: PassingCandidate | None = None
-    for evidence in alongside():
-        null = _null(search, evidence)
+    for evidence in other_horizons():
+        null = _refit_current(search, evidence)
         for trial in open_ones:
-            found = _judged(trial, null, evidence, [by_name[name] for name in trial.effects])
+            found = _fit_at_horizon(trial, null, evidence, [by_name[name] for name in trial.effects])
             if found.gain > _SURE and found.fall > FALL and (best is None or found.gain > best.gain):
                 best = found
     return best if best is not None and filter_agrees(best.trial, search) else None
 
 
-def _open(search: SearchState, stage: SearchStage) -> list[EffectTrial]:
-    """Candidates that gain something and take something off the error, those that take most first."""
+def _open_candidates(search: SearchState, stage: SearchStage) -> list[EffectTrial]:
+    """Returns candidates with some gain and some reduction of the error, those with the largest reduction first."""
     before = search.error.value
     found = [
         trial
@@ -162,49 +167,51 @@ def _open(search: SearchState, stage: SearchStage) -> list[EffectTrial]:
         and not is_spurious_delay(trial, stage.errors[trial.effects], search.error, stage.row)
         and within_bounds(trial, search)
     ]
-    return sorted(found, key=lambda trial: stage.errors[trial.effects].value)[:_ASKED]
+    return sorted(found, key=lambda trial: stage.errors[trial.effects].value)[:_OPEN_CANDIDATES]
 
 
-def _null(search: SearchState, evidence: HorizonData) -> tuple[EffectTrial, HorizonData]:
-    """The present model fitted in other windows."""
+def _refit_current(search: SearchState, evidence: HorizonData) -> tuple[EffectTrial, HorizonData]:
+    """Fits the current model in the windows of another horizon."""
     now = search.current.fit
     shooting = evidence.shooting.around(now.model)
     again = fit(now.model, now.paths, shooting, now.scale)
     return trial_of(again, shooting, (), None), HorizonData(evidence.seconds, shooting, evidence.heldout)
 
 
-def _judged(
+def _fit_at_horizon(
     trial: EffectTrial, null: tuple[EffectTrial, HorizonData], evidence: HorizonData, items: Sequence[AbstractEffect]
 ) -> PassingCandidate:
-    one, there = null
-    model = one.fit.model
+    """Fits a candidate at another horizon and computes its gain and its reduction of the held-out error."""
+    current, data = null
+    model = current.fit.model
     for item in items:
-        own = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"] for p in item.parameters}
-        model = model.with_effect(item, own)
-    other = fit_trial(one, items, there.shooting, [model])
-    before = error_with(one.fit, there.shooting, there.heldout).value
-    after = error_with(other.fit, there.shooting, there.heldout).value
+        settings = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"] for p in item.parameters}
+        model = model.with_effect(item, settings)
+    extended = fit_trial(current, items, data.shooting, [model])
+    before = error_with(current.fit, data.shooting, data.heldout).value
+    after = error_with(extended.fit, data.shooting, data.heldout).value
     fall = 1.0 - after / before if before > 0 else 0.0
-    return PassingCandidate(trial, evidence.seconds, block_gain(one, other, there.shooting), fall)
+    return PassingCandidate(trial, evidence.seconds, block_gain(current, extended, data.shooting), fall)
 
 
 def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | None:
-    """The search with the likeliest trial of its last stage added, which did not pass; None where there is none.
+    """Returns the search with the likeliest trial of its last stage added although it did not pass; None without one.
 
-    None also where a place on the floor explains more than the best trial: it is told instead; and of one recording,
-    which is unlike none: there what does not pass is too little to tell.
+    Also returns None if a region of the floor explains more than the best trial, because the region is reported
+    instead. With a single recording nothing can differ between recordings, so a trial that does not pass is simply too
+    weak.
     """
-    if search.patch is not None or len(search.shooting.windows.names) < 2:
+    if search.region is not None or len(search.shooting.windows.names) < 2:
         return None
     last = max((item.stage for item in search.candidates), default=0)
-    likely = [item for item in search.candidates if item.stage == last and _likely(item, search)]
+    likely = [item for item in search.candidates if item.stage == last and _is_likely(item, search)]
     if not likely:
         return None
     best = max(likely, key=lambda item: item.fall or 0.0)
     trials = [item.trial for item in search.candidates if item.stage == last]
     plain = fewest_parameters(best.trial, trials, search)
     best = next(item for item in search.candidates if item.stage == last and item.trial is plain)
-    known = [with_reason(item, "accepted", _WHY) if item is best else item for item in search.candidates]
+    known = [with_reason(item, "accepted", _REASON) if item is best else item for item in search.candidates]
     ahead = replace(search, candidates=known, added=list(search.added), rivals=dict(search.rivals))
     singles = [item.trial.effects[0] for item in likely if len(item.trial.effects) == 1]
     for name in best.trial.effects:
@@ -213,19 +220,20 @@ def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | 
     return ahead
 
 
-def _likely(item: JudgedTrial, search: SearchState) -> bool:
-    """Whether unseen blocks favour a trial next to the present model, and it takes something off the error."""
+def _is_likely(item: JudgedTrial, search: SearchState) -> bool:
+    """Returns whether unseen blocks favour a trial over the current model and it reduces the error."""
+    # The trial belongs to an earlier model and lacks the effects added since.
     if item.before != search.error.value:
-        return False  # tried next to a model that went on since: it lacks what was added
+        return False
     if item.decision == "accepted" or item.error is None or not within_bounds(item.trial, search):
         return False
     row = float(np.median(search.shooting.windows.period))
-    late = is_spurious_delay(item.trial, item.error, search.error, row)
-    return item.gain > LIKELY and (item.fall or 0.0) > FALL and not late
+    spurious = is_spurious_delay(item.trial, item.error, search.error, row)
+    return item.gain > LIKELY and (item.fall or 0.0) > FALL and not spurious
 
 
 def improves_clearly(search: SearchState, ahead: SearchState, library: Sequence[AbstractEffect]) -> bool:
-    """Whether what the step led to predicts unseen blocks surely better, and takes CLEAR_FALL off the error."""
+    """Returns whether the step's result predicts unseen blocks clearly better and reduces the error by CLEAR_FALL."""
     if not ahead.error.value < (1.0 - CLEAR_FALL) * search.error.value:
         return False
     by_name = known_effects(ahead, library)

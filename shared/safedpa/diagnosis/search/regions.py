@@ -1,6 +1,6 @@
-"""Places where the floor brakes, written as effects so that they are fitted like any other: a circle, a strip.
+"""Regions of the floor that brake: a circle or a strip, as effects that are fitted like any other.
 
-A place where the floor brakes: no effect of the library, but what an engineer would look for on the map.
+They are not in the library of effects. They are what an engineer would look for on a map of the residual.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.where import PLACE
+from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.residual_inputs import residual_inputs
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, with_effect_at
@@ -33,24 +33,23 @@ __all__ = [
     "share_one_area",
 ]
 
+# Width [m] over which the resistance sets in: small against any region worth reporting, smooth enough for a fit.
 _EDGE = 0.1
-"""m over which the resistance sets in."""
+# Grid of starts: neighbouring sizes differ by a factor of about 1.5, which a fit can bridge.
 _RADII = (0.5, 0.8, 1.2, 1.7)
-"""m"""
 _HALF_WIDTHS = (0.25, 0.5, 0.9)
-"""m"""
-_SIDE = 18
-"""Centres of circles along each side of the plane."""
-_TURNS = 8
-"""Directions of strips."""
-_LINES = 24
-"""Strips next to each other in each direction."""
+# Centres of circles along each side of the plane: 0.6 m apart on a plane of 10 m, about the smallest radius.
+_CENTRES = 18
+# Directions of strips, 22.5 degrees apart: a fit rotates the best one by the rest.
+_DIRECTIONS = 8
+# Parallel strips in each direction: on a floor of 10 m their spacing is below the width of most strips.
+_OFFSETS = 24
 
 _DECELERATION = Parameter("deceleration", "m/s2", -10.0, 10.0, 1.0)
 
 
 class RegionEffect(RateEffect):
-    """d(speed)/dt -= deceleration sign(speed) in one place; its edge is rounded off over 0.1 m."""
+    """d(speed)/dt -= deceleration sign(speed) inside a region, whose edge is smoothed over 0.1 m."""
 
     name = "place"
     robot = ""
@@ -64,21 +63,21 @@ class RegionEffect(RateEffect):
 
     @abstractmethod
     def depth(self, parameters: Named, x: Scalar, y: Scalar, context: Context) -> Scalar:
-        """m from a point to the edge, positive inside."""
+        """Returns the distance [m] from a point to the edge, positive inside."""
 
     @abstractmethod
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:
-        """Places to look at, by parameters without the deceleration, and which points (windows, 2) lie inside."""
+        """Yields regions to try, as parameters without the deceleration, and which points (windows, 2) lie inside."""
 
     @abstractmethod
     def where(self, values: Mapping[str, float]) -> str:
-        """The place as a condition on x and y."""
+        """Returns the region as a condition on x and y."""
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         operations, state = context.operations, context.state
         depth = self.depth(parameters, state["x"], state["y"], context)
         pull = parameters["deceleration"] * (0.5 + 0.5 * operations.tanh(depth / _EDGE))
-        # the sign's rounding off needs a size: what is usual
+        # The smoothed sign needs a typical size: 1, the typical value of the deceleration.
         return {**rates, "speed": rates["speed"] - pull * direction_of(state["speed"], 1.0, REST_SPEED, context)}
 
 
@@ -101,9 +100,10 @@ class CircularRegion(RegionEffect):
         return parameters["radius"] - (dx * dx + dy * dy + 1e-12) ** 0.5
 
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:  # noqa: D102
+        # Quantiles, because a single stray position would stretch the grid.
         low, high = np.quantile(points, [0.03, 0.97], axis=0)
-        for at_x in np.linspace(low[0], high[0], _SIDE).tolist():
-            for at_y in np.linspace(low[1], high[1], _SIDE).tolist():
+        for at_x in np.linspace(low[0], high[0], _CENTRES).tolist():
+            for at_y in np.linspace(low[1], high[1], _CENTRES).tolist():
                 distance = np.hypot(points[:, 0] - at_x, points[:, 1] - at_y)
                 for radius in _RADII:
                     yield {"at_x": at_x, "at_y": at_y, "radius": radius}, distance < radius
@@ -133,10 +133,10 @@ class StripRegion(RegionEffect):
         return parameters["half_width"] - (across * across + 1e-12) ** 0.5
 
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:  # noqa: D102
-        for angle in (math.pi * np.arange(_TURNS) / _TURNS).tolist():
+        for angle in (math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS).tolist():
             across = points[:, 0] * math.cos(angle) + points[:, 1] * math.sin(angle)
             low, high = np.quantile(across, [0.03, 0.97])
-            for offset in np.linspace(low, high, _LINES).tolist():
+            for offset in np.linspace(low, high, _OFFSETS).tolist():
                 for half_width in _HALF_WIDTHS:
                     found = {"angle": angle, "offset": offset, "half_width": half_width}
                     yield found, np.abs(across - offset) < half_width
@@ -147,36 +147,39 @@ class StripRegion(RegionEffect):
         return text.replace("+ -", "- ").replace("- -", "+ ")
 
 
+# Standard errors of gain on unseen blocks: low, because only a few blocks lie in one region.
 _SURE = 2.0
-"""Standard errors of gain on unseen blocks: few blocks lie in one place, so they are never many."""
-_AHEAD = 2.0
-"""Standard errors by which it has to be better than the best effect of the library."""
-_LITTLE = 0.03
-"""Fall of the logarithm of the held-out residual, mean over the states, that is worth a place."""
-_FEWEST = 8
-"""Windows inside."""
-_FEWEST_OF_A_RUN = 3
-_TOUCHED = 0.01
-"""Of the most that a place explains in a window, from which a window counts as inside."""
-_MOST = 0.7
-"""Share of the windows inside: what is nearly everywhere is no place."""
+# Standard errors by which a region has to beat the best effect of the library: as much as it needs by itself.
+_LEAD = 2.0
+# Decrease of the log held-out residual (mean over the states) that a region needs: grids of hundreds of regions fit
+# smaller decreases by chance.
+_MIN_DECREASE = 0.03
+# Windows inside a region: fewer do not determine a position, a size and a deceleration.
+_MIN_WINDOWS = 8
+# Windows of a run inside the region for the run to vote: with fewer its sign is chance.
+_MIN_WINDOWS_OF_RUN = 3
+# A window is inside if the region explains this share of the most that it explains in any window: the smooth edge has
+# no exact border.
+_INSIDE = 0.01
+# Share of windows inside: a region that covers nearly everything is not one, but an effect that acts everywhere.
+_MAX_SHARE = 0.7
 
 
 @dataclass(frozen=True)
 class RegionFit:
-    """The place that explains most, fitted like an effect."""
+    """The region that explains most, fitted like an effect."""
 
-    place: RegionEffect
+    region: RegionEffect
     trial: EffectTrial
     gain: float
     share: float
-    """Of the remaining squared error."""
+    """Share of the remaining squared error that it explains."""
 
     @property
     def values(self) -> dict[str, float]:
-        """Its parameters by name, SI."""
+        """Its parameters by name, in SI units."""
         settings = self.trial.fit.model.settings
-        return {p.name: settings[f"{self.place.name}.{p.name}"].value for p in self.place.parameters}
+        return {p.name: settings[f"{self.region.name}.{p.name}"].value for p in self.region.parameters}
 
     @property
     def expression(self) -> str:
@@ -184,55 +187,56 @@ class RegionFit:
         values = self.values
         size = values["deceleration"]
         sign = "-" if size > 0 else "+"
-        return f"d(speed)/dt {sign}= {abs(size):.2g} sign(speed) where {self.place.where(values)}"
+        return f"d(speed)/dt {sign}= {abs(size):.2g} sign(speed) where {self.region.where(values)}"
 
     def beats(self, effect: EffectTrial, shooting: Shooting) -> bool:
-        """Whether it predicts unseen blocks clearly better than an effect of the library."""
-        return self.trial.loss < effect.loss - _LITTLE and block_gain(effect, self.trial, shooting) > _AHEAD
+        """Returns whether the region predicts unseen blocks clearly better than an effect of the library."""
+        return self.trial.loss < effect.loss - _MIN_DECREASE and block_gain(effect, self.trial, shooting) > _LEAD
 
 
-def clip_outliers(pushes: FloatArray) -> FloatArray:
-    """Pushes (windows, ...) cut at what glitches alone exceed.
+def clip_outliers(inputs: FloatArray) -> FloatArray:
+    """Clips residual inputs (windows, ...) at six medians or the 90 % quantile of their sizes, whichever is larger.
 
-    Six medians or the 90 % quantile of the sizes, whichever is larger: where a fifth of the windows is pushed hard and
-    the rest not at all, the median knows nothing of the hard ones.
+    The quantile matters if a fifth of the windows has a large input and the rest none: the median does not show it.
     """
-    size = np.abs(pushes)
+    size = np.abs(inputs)
     most = np.maximum(6.0 * np.median(size, axis=0), np.quantile(size, 0.9, axis=0)) + 1e-9
-    return np.clip(pushes, -most, most)
+    return np.clip(inputs, -most, most)
 
 
 def best_region(null: EffectTrial, shooting: Shooting) -> RegionFit | None:
-    """The best circle or strip, or None where there is no plane or no place that unseen blocks confirm."""
+    """Returns the best circle or strip; None if the state has no position or unseen blocks confirm no region."""
     names = shooting.windows.system.state_names
-    if not {*PLACE, "speed"} <= set(names) or len(shooting.windows) < 30 or not share_one_area(shooting):
+    # Thirty windows: below that a region with eight windows inside is most of the data.
+    if not {*POSITION, "speed"} <= set(names) or len(shooting.windows) < 30 or not share_one_area(shooting):
         return None
     middle = shooting.measured[:, shooting.measured.shape[1] // 2]
-    points, signs = middle[:, [names.index(name) for name in PLACE]], np.sign(middle[:, names.index("speed")])
+    points, signs = middle[:, [names.index(name) for name in POSITION]], np.sign(middle[:, names.index("speed")])
     along = clip_outliers(residual_inputs(null, shooting, ("speed",))[:, 0]) * signs
     robot = shooting.windows.system.name
     shapes = [(item, _start(item, points, along)) for item in (CircularRegion(robot), StripRegion(robot))]
-    found = [_fitted(item, start, null, shooting) for item, start in shapes if start]
+    found = [_fit_region(item, start, null, shooting) for item, start in shapes if start]
     retained = [
-        patch
-        for patch in found
-        if patch.gain >= _SURE and patch.trial.loss <= null.loss - _LITTLE and _in_most_runs(patch, null, shooting)
+        fit
+        for fit in found
+        if fit.gain >= _SURE and fit.trial.loss <= null.loss - _MIN_DECREASE and _in_most_runs(fit, null, shooting)
     ]
-    return min(retained, key=lambda patch: patch.trial.loss, default=None)
+    return min(retained, key=lambda fit: fit.trial.loss, default=None)
 
 
 def share_one_area(shooting: Shooting) -> bool:
-    """Whether the runs may be of one room: the places where they were overlap, directly or by way of other runs."""
+    """Returns whether the runs may share one room: their areas overlap, directly or through other runs."""
     windows = shooting.windows
-    at = [windows.system.state_names.index(name) for name in PLACE]
+    at = [windows.system.state_names.index(name) for name in POSITION]
     points = shooting.measured[:, shooting.measured.shape[1] // 2][:, at]
     boxes = [np.quantile(points[windows.run == run], [0.02, 0.98], axis=0) for run in np.unique(windows.run)]
-    reached, left = boxes[:1], boxes[1:]
-    while left:
-        near = [box for box in left if any(_overlap(box, other) for other in reached)]
-        if not near:
+    connected, remaining = boxes[:1], boxes[1:]
+    while remaining:
+        adjacent = [box for box in remaining if any(_overlap(box, other) for other in connected)]
+        if not adjacent:
             return False
-        reached, left = [*reached, *near], [box for box in left if not any(box is one for one in near)]
+        remaining = [box for box in remaining if not any(box is one for one in adjacent)]
+        connected = [*connected, *adjacent]
     return True
 
 
@@ -240,30 +244,33 @@ def _overlap(one: FloatArray, other: FloatArray) -> bool:
     return bool((one[0] <= other[1]).all() and (other[0] <= one[1]).all())
 
 
-def _in_most_runs(patch: RegionFit, null: EffectTrial, shooting: Shooting) -> bool:
-    """Whether most of the runs that were in the place are predicted better with it: a floor is the same for all."""
-    inside = (patch.trial.explained**2).sum(axis=1) > _TOUCHED * float((patch.trial.explained**2).sum(axis=1).max())
-    better = ((null.heldout - patch.trial.heldout) / null.fit.scale**2).sum(axis=1)
+def _in_most_runs(region_fit: RegionFit, null: EffectTrial, shooting: Shooting) -> bool:
+    """Returns whether most runs that entered the region are predicted better with it: a floor is the same for all."""
+    inside = (region_fit.trial.explained**2).sum(axis=1) > _INSIDE * float(
+        (region_fit.trial.explained**2).sum(axis=1).max()
+    )
+    better = ((null.heldout - region_fit.trial.heldout) / null.fit.scale**2).sum(axis=1)
     runs = shooting.windows.run
-    there = [run for run in np.unique(runs) if int((inside & (runs == run)).sum()) >= _FEWEST_OF_A_RUN]
-    return sum(float(better[inside & (runs == run)].sum()) > 0 for run in there) > 0.5 * len(there) or not there
+    entered = [run for run in np.unique(runs) if int((inside & (runs == run)).sum()) >= _MIN_WINDOWS_OF_RUN]
+    return sum(float(better[inside & (runs == run)].sum()) > 0 for run in entered) > 0.5 * len(entered) or not entered
 
 
-def _fitted(item: RegionEffect, start: dict[str, float], null: EffectTrial, shooting: Shooting) -> RegionFit:
+def _fit_region(item: RegionEffect, start: dict[str, float], null: EffectTrial, shooting: Shooting) -> RegionFit:
     trial = fit_trial(null, [item], shooting, [with_effect_at(null.fit.model, item, start)])
     ratio = (trial.heldout.sum(axis=0) / null.heldout.sum(axis=0)).mean()
     return RegionFit(item, trial, block_gain(null, trial, shooting), float(1.0 - ratio))
 
 
 def _start(item: RegionEffect, points: FloatArray, along: FloatArray) -> dict[str, float] | None:
-    """The place and deceleration that explain most of the pushes along the motion (windows,)."""
+    """Returns the region and deceleration that explain most of the inputs ``along`` the motion (windows,)."""
     best, found = 0.0, None
-    for place, inside in item.starts(points):
+    for region, inside in item.starts(points):
         count = int(inside.sum())
-        if not _FEWEST <= count <= _MOST * len(points):
+        if not _MIN_WINDOWS <= count <= _MAX_SHARE * len(points):
             continue
         size = float(along[inside].sum()) / count
+        # count * mean^2 is the squares that a constant deceleration inside removes.
         if size * size * count > best:
             best = size * size * count
-            found = {**place, "deceleration": float(np.clip(-size, -9.0, 9.0))}
+            found = {**region, "deceleration": float(np.clip(-size, -9.0, 9.0))}
     return found

@@ -1,4 +1,4 @@
-"""What a search knows: its windows, its present model, what it tried and what it decided."""
+"""The state of a search: its windows, the current model, and all trials with their verdicts."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ class JudgedTrial:
     stage: int
     trial: EffectTrial
     gain: float
-    """Standard errors on unseen blocks."""
+    """Gain on unseen blocks, in standard errors."""
     error: HeldoutError | None
     decision: str
     reason: str
     equals: tuple[str, ...]
     before: float = float("nan")
-    """Held-out error of the model that it was tried next to."""
+    """Held-out error of the model without it."""
 
     @property
     def fall(self) -> float | None:
-        """Share that it takes off the held-out error; None where that was not worked out."""
+        """Relative reduction of the held-out error; None if that was not computed."""
         return None if self.error is None or not self.before > 0 else 1.0 - self.error.value / self.before
 
 
 @dataclass
 class SearchState:
-    """What was found, and everything that was tried on the way."""
+    """What a search has found, and everything that it tried."""
 
     shooting: Shooting
     current: EffectTrial
@@ -46,27 +46,29 @@ class SearchState:
     first_error: HeldoutError
     candidates: list[JudgedTrial] = field(default_factory=list)
     added: list[str] = field(default_factory=list)
-    patch: RegionFit | None = None
+    region: RegionFit | None = None
     rivals: dict[str, list[str]] = field(default_factory=dict)
-    """For each accepted effect the others of its stage, the best first."""
+    """For each accepted effect the other effects of its stage, best first."""
     without: dict[str, tuple[EffectTrial, HeldoutError]] = field(default_factory=dict)
-    """For each accepted effect the model of all others, fitted, where there are two or more."""
+    """For each accepted effect the fitted model of all others, if there are two or more."""
+    # Exchanges, removals and merges try overlapping sets of effects, so the same fit is often requested again.
     refits: dict[tuple[AbstractEffect, ...], EffectTrial] = field(default_factory=dict, init=False)
-    """Models with other effects than the present one, fitted from its numbers."""
+    """Cache of models with other effects, fitted from the values of the current model."""
     refits_of: EffectTrial | None = field(default=None, init=False)
-    """The model from whose numbers they were."""
+    """The current model when the cache was filled; another one makes it stale."""
 
-    def take(self, other: SearchState) -> None:
-        """Goes on from where another search is."""
-        for name in ("shooting", "current", "error", "candidates", "added", "patch", "rivals", "without"):
+    def continue_from(self, other: SearchState) -> None:
+        """Continues from the state of another search."""
+        # ``first`` is not copied: both searches began with the same model. ``refits`` belongs to the old current model.
+        for name in ("shooting", "current", "error", "candidates", "added", "region", "rivals", "without"):
             setattr(self, name, getattr(other, name))
 
 
 def given_effect_names(search: SearchState) -> set[str]:
-    """Effects that the given model has."""
+    """Returns the names of the effects of the model that the user gave."""
     return {item.name for item in search.first.fit.model.effects}
 
 
 def known_effects(search: SearchState, library: Sequence[AbstractEffect]) -> dict[str, AbstractEffect]:
-    """Effects by name: those of the present model with their laws, the others plain."""
+    """Returns effects by name: those of the current model with their laws, the others plain."""
     return {item.name: item for item in (*library, *search.current.fit.model.effects)}

@@ -1,4 +1,4 @@
-"""The model stage after stage: how the held-out error falls with every addition."""
+"""Stages of the report: how the held-out error falls with every added effect."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from safedpa.dynamics import PhysicsModel
 
 __all__ = ["StageReport", "stages_of"]
 
-_WORSE, _NOTHING = 0.05, 0.01
-"""Share by which, and size from which, an error that grew is told."""
+# An error of a state is reported as worse if it grew by 5 % of itself and by 1 % of the state's usual change: less is
+# within the scatter of a held-out error.
+_RELATIVE_INCREASE, _ABSOLUTE_INCREASE = 0.05, 0.01
 
 _Step = tuple[Fit, HeldoutError]
 
 
 @dataclass(frozen=True)
 class StageReport:
-    """The stages, their models, and states that the last stage predicts worse in a run than the first does."""
+    """The stages, their models, and the states that the last stage predicts worse in some run than the first."""
 
     stages: list[DiagnosisStage]
     models: list[PhysicsModel]
@@ -32,33 +33,37 @@ class StageReport:
 
 
 def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageReport:
-    """The given model refitted, then one stage per accepted effect that helps some run, refitted on the same windows.
+    """Returns the stages: the given model refitted, then one per accepted effect, all fitted on the same windows.
 
-    ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
-    in the order in which they were accepted. Where one helps only next to a later one, they are put in the order in
-    which the error falls most, and ``search.added`` with them.
+    ``heldout`` has the search's own horizon and determines the order; the errors are those of ``shown``. Effects are
+    listed in the order in which they were accepted. If an effect helps only together with a later one, the order is
+    that in which the error falls fastest, and ``search.added`` is reordered too. An effect that helps no run by itself
+    shares a stage with the next one.
     """
     first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
-    steps = [first, *(_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
+    steps = [first, *(_refitted_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
+    # Refitting other orders is only worth it if an addition raised the error. Of two effects, one that does not help
+    # alone shares its stage with the other anyway.
     if any(later[1].value > earlier[1].value for earlier, later in pairwise(steps)) and len(search.added) > 2:
-        search.added, steps = _by_fall(search, first, heldout)
+        search.added, steps = _greedy_order(search, first, heldout)
     names = heldout.windows.system.state_names
     errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
-    retained = _that_help(errors)
+    shown_stages = _helpful_stages(errors)
     found = []
-    for number, before in zip(retained, [None, *retained], strict=False):
+    for number, before in zip(shown_stages, [None, *shown_stages], strict=False):
         error = errors[number]
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         gain = _improved(None if before is None else errors[before], error)
         found.append(DiagnosisStage(tuple(search.added[:number]), error.value, per_state, gain))
-    return StageReport(
-        found, [steps[number][0].model for number in retained], _worse([errors[number] for number in retained], shown)
-    )
+    models = [steps[number][0].model for number in shown_stages]
+    return StageReport(found, models, _worsened_states([errors[number] for number in shown_stages], shown))
 
 
-def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
-    """The stages that predict some run better than the one before, the first and the last: what helps only next to a
-    later effect is one stage with it."""
+def _helpful_stages(errors: Sequence[HeldoutError]) -> list[int]:
+    """Returns the indices of the first and the last stage and of all that predict some run better than the one before.
+
+    An effect that helps only together with a later one shares its stage.
+    """
     retained = [0]
     for number in range(1, len(errors)):
         helps = (errors[number].by_run < errors[retained[-1]].by_run).any()
@@ -67,13 +72,13 @@ def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
     return retained
 
 
-def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[WorsenedState, ...]:
-    """What the mean over states and runs hides."""
+def _worsened_states(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[WorsenedState, ...]:
+    """Returns the states of single runs that became worse, which the mean over states and runs hides."""
     if len(errors) < 2:
         return ()
     before, after = errors[0].by_run_and_state, errors[-1].by_run_and_state
     with np.errstate(invalid="ignore"):
-        rows, states = np.nonzero((after > (1.0 + _WORSE) * before) & (after > before + _NOTHING))
+        rows, states = np.nonzero((after > (1.0 + _RELATIVE_INCREASE) * before) & (after > before + _ABSOLUTE_INCREASE))
     names, runs = shown.windows.system.state_names, shown.windows.names
     found = [
         WorsenedState(len(errors) - 1, runs[row], names[state], float(before[row, state]), float(after[row, state]))
@@ -82,34 +87,37 @@ def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[WorsenedStat
     return tuple(sorted(found, key=lambda item: item.before - item.after))
 
 
-def _by_fall(search: SearchState, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
-    """The accepted effects, at each step the one with which the error is lowest."""
+def _greedy_order(search: SearchState, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
+    """Returns the accepted effects in greedy order: at each step the one that gives the lowest error."""
     order: list[str] = []
     steps = [first]
     while len(order) < len(search.added):
-        left = [name for name in search.added if name not in order]
-        tried = {name: _step(search, [*order, name], heldout) for name in left}
-        best = min(left, key=lambda name: tried[name][1].value)
+        remaining = [name for name in search.added if name not in order]
+        tried = {name: _refitted_step(search, [*order, name], heldout) for name in remaining}
+        best = min(remaining, key=lambda name: tried[name][1].value)
         order.append(best)
+        # Greedy: trying all orders would need a factorial number of fits.
         steps.append(tried[best])
     return order, steps
 
 
-def _step(search: SearchState, names: Sequence[str], heldout: Heldout) -> _Step:
-    """The first model with some of the accepted effects, refitted from the numbers of the last model."""
+def _refitted_step(search: SearchState, names: Sequence[str], heldout: Heldout) -> _Step:
+    """Refits the first model with some of the accepted effects, starting from the values of the last model."""
     if set(names) == set(search.added):
         return search.current.fit, error_with(search.current.fit, search.shooting, heldout)
     model, final = search.first.fit.model, search.current.fit.model
     for name in names:
-        item = next(own for own in search.current.fit.model.effects if own.name == name)
+        item = next(effect_paths for effect_paths in search.current.fit.model.effects if effect_paths.name == name)
         model = model.with_effect(item, {p.name: final.settings[f"{name}.{p.name}"] for p in item.parameters})
-    own = [path for path in model.settings if path.split(".")[0] in names]
-    found = fit(model, [*search.first.fit.paths, *own], search.shooting, search.current.fit.scale)
+    effect_paths = [path for path in model.settings if path.split(".")[0] in names]
+    # Refitted, because parameters of a partial model compensate for the missing effects.
+    found = fit(model, [*search.first.fit.paths, *effect_paths], search.shooting, search.current.fit.scale)
     return found, error_with(found, search.shooting, heldout)
 
 
 def _improved(before: HeldoutError | None, after: HeldoutError) -> str:
+    """Returns in how many runs the error fell, such as ``4/5``."""
     if before is None:
         return ""
-    there = np.isfinite(before.by_run) & np.isfinite(after.by_run)
-    return f"{int((after.by_run[there] < before.by_run[there]).sum())}/{int(there.sum())}"
+    both = np.isfinite(before.by_run) & np.isfinite(after.by_run)
+    return f"{int((after.by_run[both] < before.by_run[both]).sum())}/{int(both.sum())}"

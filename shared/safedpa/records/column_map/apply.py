@@ -1,8 +1,6 @@
-"""From the raw columns of a log to time, states and actions of a system, as its column map says."""
+"""Applies a column map: raw columns of a log to time, states and actions of a system."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,27 +11,14 @@ from safedpa.records.column_map.derive import slope
 from safedpa.records.column_map.units import factor_to_si
 from safedpa.records.quality.clock import gap_rows, reset_rows
 from safedpa.records.readers.table import Table
-from safedpa.records.run import Finding, Stretch
+from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System
 
-__all__ = ["Rows", "check_map", "derive_states", "joined_column", "mapped_rows", "resample_rows"]
-
-
-@dataclass(frozen=True)
-class Rows:
-    """t (rows,), states (rows, states) and actions (rows, actions) before anything was judged."""
-
-    t: NDArray[np.float64]
-    states: NDArray[np.float64]
-    actions: NDArray[np.float64]
-
-    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
-        """Some of the rows."""
-        return Rows(self.t[index], self.states[index], self.actions[index])
+__all__ = ["check_map", "derive_states", "joined_column", "mapped_rows", "resample_rows"]
 
 
 def check_map(columns: ColumnMap, system: System) -> None:
-    """Raises ColumnMapError when the map does not give exactly what the system needs."""
+    """Raises ColumnMapError unless the map has exactly the quantities of the system."""
     if columns.robot != system.name:
         raise ColumnMapError(f"{columns.name}: robot: the map is for a {columns.robot}, the model for a {system.name}")
     needed = ("t", *system.state_names, *system.action_names)
@@ -60,33 +45,33 @@ def check_map(columns: ColumnMap, system: System) -> None:
             factor_to_si(column.unit, _unit(system, target), f"{columns.name}: columns.{target}.unit")
 
 
-def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
-    """Rows in SI units under the system's names; derived states are NaN until ``derive_states``."""
-    keep = _retained(table, columns)
+def mapped_rows(table: Table, columns: ColumnMap, system: System) -> RawRows:
+    """Returns rows in SI units with the names of the system; derived states are NaN until ``derive_states``."""
+    keep = _rows_to_keep(table, columns)
     values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
     turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
     turns = turns if columns.unwrap is None else [name for name in turns if name in columns.unwrap]
-    values = {name: _aligned(values["t"], part, columns.columns[name], name in turns) for name, part in values.items()}
+    values = {name: _shifted(values["t"], part, columns.columns[name], name in turns) for name, part in values.items()}
     count = int(keep.sum())
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
     actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
     if columns.tracked_point is not None and count:
-        states[~np.isfinite(states)] = np.nan  # judged later; infinity has no cosine
+        states[~np.isfinite(states)] = np.nan  # cos(inf) would warn; non-finite rows are cut later
         point, at = columns.tracked_point, [system.state_names.index(name) for name in ("x", "y", "yaw")]
         yaw = states[:, at[2]] + point.yaw_offset
         states[:, at[0]] -= point.ahead * np.cos(yaw) - point.left * np.sin(yaw)
         states[:, at[1]] -= point.ahead * np.sin(yaw) + point.left * np.cos(yaw)
         states[:, at[2]] = yaw
-    return Rows(values["t"], states, actions)
+    return RawRows(values["t"], states, actions)
 
 
-def _aligned(
+def _shifted(
     t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn, turns: bool
 ) -> NDArray[np.float64]:
-    """A column that comes late, at the times to which it belongs; NaN where the log does not reach.
+    """Corrects the delay ``shift`` of a column by linear interpolation; NaN beyond the ends of the log.
 
-    The one place where values between rows are made, straight between two: because the map asks for it. Never from one
-    side of a gap or of a clock reset to the other; of an angle that ``turns`` the short way round.
+    This is the only place that interpolates, because the map requests it. It never interpolates across a gap or a clock
+    reset. A column that ``turns`` is an angle, which is unwrapped first.
     """
     if isinstance(column, DerivedColumn) or column.shift == 0.0 or len(t) < 2:
         return values
@@ -95,9 +80,9 @@ def _aligned(
     found = np.full(len(t), np.nan)
     for rows in np.split(timed, ends):
         if len(rows):
-            there = np.isfinite(values[rows])
+            finite = np.isfinite(values[rows])
             part = values[rows].copy()
-            part[there] = np.unwrap(part[there]) if turns else part[there]
+            part[finite] = np.unwrap(part[finite]) if turns else part[finite]
             found[rows] = np.interp(t[rows] + column.shift, t[rows], part, left=np.nan, right=np.nan)
     return found
 
@@ -118,7 +103,7 @@ def _values(table: Table, columns: ColumnMap, system: System, target: str) -> ND
 
 
 def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
-    """The raw column, or several as one, (rows,)."""
+    """Returns the raw column, or several joined into one, shape (rows,)."""
     if not column.others:
         return table.columns[column.source]
     parts = np.stack([table.columns[name] for name in column.sources])
@@ -127,12 +112,12 @@ def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
     if column.join == "difference":
         return np.asarray(parts[0] - parts[1:].sum(axis=0))
     if column.join == "first":
-        there = np.isfinite(parts)
-        return np.asarray(np.take_along_axis(parts, there.argmax(axis=0)[None], axis=0)[0])
+        finite = np.isfinite(parts)
+        return np.asarray(np.take_along_axis(parts, finite.argmax(axis=0)[None], axis=0)[0])
     return np.asarray(parts.sum(axis=0) if column.join == "sum" else parts.mean(axis=0))
 
 
-def _retained(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
+def _rows_to_keep(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
     keep = np.ones(len(next(iter(table.columns.values()))), dtype=bool)
     keep[: columns.skip_first_rows] = False
     for rule in columns.skip_where:
@@ -141,9 +126,9 @@ def _retained(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
 
 
 def derive_states(
-    rows: Rows, stretches: list[Stretch], columns: ColumnMap, system: System
-) -> tuple[Rows, list[Stretch], list[Finding]]:
-    """Fills the derived states within each stretch and trims the rows at its ends, where the window does not fit."""
+    rows: RawRows, stretches: list[Stretch], columns: ColumnMap, system: System
+) -> tuple[RawRows, list[Stretch], list[Finding]]:
+    """Computes the derived states within each stretch, and trims its ends, where the window does not fit."""
     derived = {name: column for name, column in columns.columns.items() if isinstance(column, DerivedColumn)}
     if not derived:
         return rows, stretches, []
@@ -155,7 +140,7 @@ def derive_states(
             states[part, names.index(target)] = _derivative(rows.t[part], states[part], names, column)
     trimmed = [_trimmed(states, stretch) for stretch in stretches]
     findings = [_derived_finding(target, column) for target, column in derived.items()]
-    return Rows(rows.t, states, rows.actions), [stretch for stretch in trimmed if len(stretch) > 1], findings
+    return RawRows(rows.t, states, rows.actions), [stretch for stretch in trimmed if len(stretch) > 1], findings
 
 
 def _derivative(
@@ -185,15 +170,15 @@ def _derived_finding(target: str, column: DerivedColumn) -> Finding:
     )
 
 
-def resample_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[Rows, list[Stretch]]:
-    """Of each stretch the row nearest to each multiple of ``period`` [s], with the action's mean up to the next one.
+def resample_rows(rows: RawRows, stretches: list[Stretch], period: float) -> tuple[RawRows, list[Stretch]]:
+    """Keeps the rows nearest to multiples of ``period`` [s], each with the mean action up to the next kept row.
 
-    Averaged so that a command that changes between two kept rows acts neither earlier nor later than it did. States are
-    picked, not averaged.
+    The action is averaged so that a command that changes between two kept rows has the same total effect. States are
+    not averaged.
     """
     picked: list[NDArray[np.intp]] = []
     actions: list[NDArray[np.float64]] = []
-    retained: list[Stretch] = []
+    resampled: list[Stretch] = []
     for stretch in stretches:
         chosen = _nearest_to_multiples(rows.t[stretch.start : stretch.stop], period) + stretch.start
         if len(chosen) < 2:
@@ -205,11 +190,11 @@ def resample_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[
         actions.append(impulse / np.add.reduceat(held, starts))
         first = sum(len(part) for part in picked)
         picked.append(chosen)
-        retained.append(Stretch(first, first + len(chosen)))
+        resampled.append(Stretch(first, first + len(chosen)))
     if not picked:
         return rows.taken(np.zeros(len(rows.t), dtype=bool)), []
     index = np.concatenate(picked)
-    return Rows(rows.t[index], rows.states[index], np.concatenate(actions)), retained
+    return RawRows(rows.t[index], rows.states[index], np.concatenate(actions)), resampled
 
 
 def _nearest_to_multiples(t: NDArray[np.float64], period: float) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Column maps: how the columns of a foreign log become time, state and action of a system. Errors name the key."""
+"""Data model of a column map: the source of time and of each state and action in a foreign log."""
 
 from __future__ import annotations
 
@@ -21,66 +21,65 @@ __all__ = [
 ]
 
 DERIVATIONS = {"speed_from_position": ("speed", ("x", "y", "yaw")), "rate_from_angle": ("rate", ("angle",))}
-"""What can be derived: its target, and the targets that it is derived from."""
+"""Derivations by name: the derived quantity, and those that it is computed from."""
 SLOPE = "slope"
-"""Derives any state from another one, which the map names with ``of``."""
+"""Name of the derivation of any state as the time derivative of another one, which the map names with ``of``."""
 JOINS = ("mean", "sum", "difference", "norm", "first")
-"""How several columns become one: mean, sum, first less the others, root of the sum of squares, the first that is there
-in each row."""
+"""How several columns are combined: mean, sum, first minus the others, Euclidean norm, first finite value of a row."""
 
 
 KEEPABLE = ("dead_command", "frozen", "out_of_bounds")
-"""Findings whose rows are cut unless a map keeps them."""
+"""Kinds of findings whose rows a map can keep; by default they are cut."""
 
 
 @dataclass(frozen=True)
 class SourceColumn:
     """value(t) = (-1 if flip else 1) scale factor(unit) raw(t + shift) + offset; the offset is in SI units.
 
-    ``shift`` [s]: how late the column comes.
+    ``shift`` [s] is the delay of the column.
     """
 
     source: str
-    """The raw column, of a log of topics ``/odom:pose.pose.position.x``; the first of several that are joined."""
+    """The raw column, such as ``/odom:pose.pose.position.x`` in a log of topics; the first of joined ones."""
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
     flip: bool = False
     shift: float = 0.0
     others: tuple[str, ...] = ()
-    """Further raw columns; what is joined is raw, before unit, scale and offset."""
+    """Further raw columns, joined before unit, scale and offset are applied."""
     join: str = ""
-    """One of JOINS where there are ``others``."""
+    """One of ``JOINS`` if there are ``others``."""
     hold: float | None = None
-    """s; of a log of topics: how old a message may be that a row of another topic still takes; None: the usual."""
+    """Log of topics: maximum age [s] of a message that a row of another topic uses; None for the default."""
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """All raw columns that it is made of."""
+        """All raw columns that are read for it."""
         return (self.source, *self.others)
 
     def gain(self, factor: float) -> float:
-        """What the raw value is multiplied with, given the unit's factor to SI."""
+        """Factor of the raw value, given the factor of its unit to SI."""
         return (-self.scale if self.flip else self.scale) * factor
 
 
 @dataclass(frozen=True)
 class DerivedColumn:
-    """A state that the log lacks, as the derivative of one that it has.
+    """A state that the log lacks, computed as the time derivative of one that it has.
 
-    The derivative at a row is the least-squares slope over the rows within window / 2 [s] on either side: central, so
-    without phase shift; what changes faster than about 1 / window [Hz] is smoothed away.
+    The derivative at a row is the least-squares slope over the rows within window / 2 [s] on either side. It is
+    central, so without phase shift; changes faster than about 1 / window [Hz] are smoothed out.
     """
 
     derive: str
     window: float
     of: str = ""
-    """The state of which a ``slope`` is taken."""
+    """The state whose ``slope`` is computed."""
 
 
 @dataclass(frozen=True)
 class SkipRows:
-    """Rows whose raw column equals a number are left out."""
+    """Skips rows in which a raw column equals a number."""
 
     column: str
     equals: float
@@ -88,7 +87,7 @@ class SkipRows:
 
 @dataclass(frozen=True)
 class TrackedPoint:
-    """Where the tracked point lies on the car, seen from the middle of the rear axle [m], and how its frame is turned.
+    """Position of the tracked point relative to the middle of the rear axle [m], and rotation of its frame.
 
     rear = tracked - R(yaw) (ahead, left), yaw = tracked yaw + yaw_offset [rad].
     """
@@ -105,29 +104,28 @@ class ColumnMap:
     name: str
     robot: str
     columns: Mapping[str, SourceColumn | DerivedColumn]
-    """Targets (t, states, actions) and where each comes from."""
+    """Source of each target: t, states and actions."""
     unwrap: tuple[str, ...] | None = None
     """Angles to unwrap; None: every angle of the system."""
     skip_first_rows: int = 0
     skip_where: tuple[SkipRows, ...] = ()
     tracked_point: TrackedPoint | None = None
     keep_period: float | None = None
-    """s; of a faster log only the row nearest to each multiple is kept, with the action averaged up to the next one."""
-
+    """s; a faster log is reduced to the row nearest to each multiple, with the action averaged up to the next one."""
     keep: tuple[str, ...] = ()
-    """Kinds of findings of which the rows are kept all the same."""
+    """Kinds of findings whose rows are kept."""
     frames: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """By topic: the ``frame_id`` and ``child_frame_id`` that its messages must have."""
+    """Required ``frame_id`` and ``child_frame_id`` of the messages, by topic."""
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The raw columns that are read, each once."""
+        """All raw columns that are read, without duplicates."""
         joined = [column.sources for column in self.columns.values() if isinstance(column, SourceColumn)]
         used = [name for names in joined for name in names]
         return tuple(dict.fromkeys([*used, *(rule.column for rule in self.skip_where)]))
 
 
 def native_map(system: System) -> ColumnMap:
-    """The map of a log whose columns have the native names."""
+    """Returns the map of a log whose columns have the native names."""
     names = ("t", *system.state_names, *system.action_names)
     return ColumnMap("native", system.name, {name: SourceColumn(name) for name in names})

@@ -1,4 +1,4 @@
-"""Derivatives of measured signals, central and without phase shift."""
+"""Time derivatives of measured signals, central and so without phase shift."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def slope(t: FloatArray, values: FloatArray, window: float) -> FloatArray:
     if rows >= 2 * half + 1:
         weights = np.arange(half, -half - 1, -1, dtype=np.float64)
         finite = values[np.isfinite(values)]
-        around = float(finite[0]) if len(finite) else 0.0  # large numbers cost digits
-        change = np.convolve(values - around, weights, "valid")
+        offset = float(finite[0]) if len(finite) else 0.0  # subtract a value first: large numbers lose digits
+        change = np.convolve(values - offset, weights, "valid")
         result[half : rows - half] = change / np.convolve(t - t[0], weights, "valid")
     return result
 
 
 def slopes_within(t: FloatArray, values: FloatArray, stretches: list[Stretch], window: float) -> FloatArray:
-    """d(values)/dt at every row of some stretches, shape (rows,), each by itself; NaN outside, and for no number."""
+    """d(values)/dt within each stretch, shape (rows,); NaN outside and for missing values."""
     result = np.full(len(t), np.nan)
     for stretch in stretches:
         inner = np.flatnonzero(np.isfinite(values[stretch.start : stretch.stop])) + stretch.start

@@ -1,4 +1,4 @@
-"""Column maps on disk: TOML files, some of them shipped."""
+"""Reads column maps from TOML files; some are shipped with the project. Errors name the key."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from safedpa.records.column_map.units import UNITS
 __all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
 
 FORMAT = 1
-_TOP = (
+_KEYS = (
     "format",
     "robot",
     "columns",
@@ -44,9 +44,9 @@ _DERIVED_KEYS = ("derive", "window", "of")
 
 
 def load_column_map(source: str | Path) -> ColumnMap:
-    """The column map in a TOML file, or one that ships with the project, by its name (with or without ``.toml``).
+    """Loads a column map from a TOML file, or a shipped one by its name (with or without ``.toml``).
 
-    Raises ColumnMapError naming the file and the key.
+    Raises ColumnMapError that names the file and the key.
     """
     path, text = text_of_file_or_shipped(source, shipped_column_maps(), "a column map file", ColumnMapError)
     try:
@@ -56,27 +56,24 @@ def load_column_map(source: str | Path) -> ColumnMap:
 
 
 def shipped_column_maps() -> dict[str, Path]:
-    """Column maps that ship with the project, by name without the ending."""
+    """Paths of the shipped column maps, by name without the suffix."""
     with as_file(files("safedpa.records") / "maps") as folder:
         return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def parse_column_map(text: str, name: str = "map") -> ColumnMap:
-    """The column map that a TOML text describes; see docs/column-maps.md.
-
-    Raises ColumnMapError naming the key.
-    """
+    """Parses a column map from TOML (docs/column-maps.md); raises ColumnMapError that names the key."""
     try:
         table = parse_toml(text)
     except InputError as error:
         raise ColumnMapError(str(error)) from error
-    refuse_unknown(table, _TOP, "", ColumnMapError)
+    refuse_unknown(table, _KEYS, "", ColumnMapError)
     if table.get("format") != FORMAT:
         raise ColumnMapError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
     columns = _columns(table.get("columns"))
     return ColumnMap(
         name=name,
-        robot=_text("robot", table.get("robot"), "the robot's name, 'car' say"),
+        robot=_text("robot", table.get("robot"), "the name of the robot, such as 'car'"),
         columns=columns,
         unwrap=_unwrap(table, columns),
         skip_first_rows=_count("skip_first_rows", table.get("skip_first_rows", 0)),
@@ -95,7 +92,7 @@ def _columns(table: Any) -> dict[str, SourceColumn | DerivedColumn]:
     targets: dict[str, str] = {}
     for target, entry in table.items():
         column = columns[target] = _column(target, entry)
-        if isinstance(column, SourceColumn) and not column.others:  # what is joined may serve several: mean, difference
+        if isinstance(column, SourceColumn) and not column.others:  # joined ones may serve several
             if column.source in targets:
                 raise ColumnMapError(
                     f"columns.{target}: column '{column.source}' is already the source of '{targets[column.source]}'; "
@@ -121,7 +118,7 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
     scale = _number(f"{key}.scale", table.get("scale", 1.0))
     if scale == 0.0:
         raise ColumnMapError(f"{key}.scale: got 0, wanted another number; 0 would erase the column")
-    source, others, join = _of_topic(key, table) if "topic" in table else _joined(key, table)
+    source, others, join = _topic_column(key, table) if "topic" in table else _raw_columns(key, table)
     return SourceColumn(
         hold=_positive(f"{key}.hold", table["hold"]) if "hold" in table else None,
         source=source,
@@ -135,8 +132,8 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
     )
 
 
-def _of_topic(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
-    """A field of a topic, or its clock, as one raw column."""
+def _topic_column(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """Raw column for a field of a topic or for its clock."""
     topic = _text(f"{key}.topic", table["topic"], "a topic's name")
     for other in ("from", "join"):
         if other in table:
@@ -156,7 +153,7 @@ def _of_topic(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...],
 
 
 def _with_time(columns: dict[str, SourceColumn | DerivedColumn]) -> dict[str, SourceColumn | DerivedColumn]:
-    """Of a map of topics that names no time: the stamps of the first one's messages."""
+    """Adds the default time of a map of topics: the stamps of the first topic."""
     first = next((item for item in columns.values() if isinstance(item, SourceColumn)), None)
     topic = "" if first is None else first.source.rpartition(":")[0]
     return columns if "t" in columns or not topic else {"t": SourceColumn(f"{topic}:@stamp"), **columns}
@@ -174,8 +171,8 @@ def _frames(table: Any) -> dict[str, dict[str, str]]:
     return found
 
 
-def _joined(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
-    """The first raw column, the others, and how they are joined."""
+def _raw_columns(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """Returns the first raw column, the others, and how they are joined."""
     entry, join = table.get("from"), table.get("join")
     if not isinstance(entry, list):
         if join is not None:
@@ -185,7 +182,7 @@ def _joined(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], s
     if len(names) < 2 or len(set(names)) < len(names):
         raise ColumnMapError(f"{key}.from: got {entry!r}, wanted two different columns or more")
     if join not in JOINS:
-        raise ColumnMapError(f"{key}.join: got {join!r}, wanted how they become one: {', '.join(JOINS)}")
+        raise ColumnMapError(f"{key}.join: got {join!r}, wanted a way to join them: {', '.join(JOINS)}")
     return names[0], names[1:], str(join)
 
 
@@ -195,10 +192,10 @@ def _derived(key: str, table: Mapping[str, Any]) -> DerivedColumn:
     if derive not in (*DERIVATIONS, SLOPE):
         raise ColumnMapError(f"{key}.derive: got '{derive}'; {did_you_mean(derive, (*DERIVATIONS, SLOPE))}")
     if (derive == SLOPE) != ("of" in table):
-        wanted = "missing; wanted the state of which it is the slope" if derive == SLOPE else f"unknown with '{derive}'"
+        wanted = "missing; wanted the state whose slope it is" if derive == SLOPE else f"unknown with '{derive}'"
         raise ColumnMapError(f"{key}.of: {wanted}")
     if "window" not in table:
-        raise ColumnMapError(f"{key}.window: missing; wanted the seconds over which the slope is taken, 0.1 say")
+        raise ColumnMapError(f"{key}.window: missing; wanted the seconds over which the slope is computed, such as 0.1")
     of = _text(f"{key}.of", table["of"], "a state's name") if derive == SLOPE else ""
     return DerivedColumn(derive, _positive(f"{key}.window", table["window"]), of)
 

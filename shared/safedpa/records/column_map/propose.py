@@ -1,4 +1,4 @@
-"""A column map for a log of topics, proposed from what its topics hold; a person looks at it before it is used."""
+"""Proposes a column map for a log of topics from its fields and topic names; the user must check it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safedpa.systems import System
 __all__ = ["best_system", "propose_map", "propose_sources", "sources_of"]
 
 _WINDOW = 0.1
-"""s over which a slope is taken that the proposal derives."""
+"""Window for derived states in a proposal, s."""
 _PATHS: Mapping[str, tuple[str, ...]] = {
     "x": ("pose.pose.position.x", "pose.position.x", "transform.translation.x", "vehicle_local_position:x"),
     "y": ("pose.pose.position.y", "pose.position.y", "transform.translation.y", "vehicle_local_position:y"),
@@ -31,8 +31,8 @@ _PATHS: Mapping[str, tuple[str, ...]] = {
     "rate": ("velocity[0]",),
     "torque": ("effort[0]",),
 }  # fmt: skip
-"""Fields in which messages of ROS and PX4 carry a quantity, the likeliest first."""
-_TEXT: Mapping[str, tuple[str, ...]] = {
+"""Fields of ROS and PX4 messages that contain a quantity, the most common first."""
+_TOPIC_KEYWORDS: Mapping[str, tuple[str, ...]] = {
     "throttle": ("throttle", "motor", "duty"),
     "steer": ("steering", "steer", "servo"),
     "target_speed": ("target_speed", "speed_cmd", "cmd_speed", "v_ref"),
@@ -40,15 +40,15 @@ _TEXT: Mapping[str, tuple[str, ...]] = {
     "angle": ("angle",),
     "rate": ("rate",),
 }
-"""Words in the names of topics that carry one number."""
+"""Words in the names of topics with a single number."""
 _FLIPPED = ("vehicle_local_position:y", "vehicle_local_position:heading")
-"""PX4 counts y to the right and yaw clockwise."""
-_MOST_FIELDS = 40
-"""Fields of a topic that are listed."""
+"""PX4 has y to the right and yaw clockwise, so the sign is flipped."""
+_MAX_FIELDS = 40
+"""Number of fields that are listed for a topic."""
 
 
 def sources_of(topics: Iterable[LoggedTopic], *, clocks: bool = False) -> list[str]:
-    """Every raw column of a log's topics, those of the topics with the most messages first; ``clocks``: and times."""
+    """Lists the raw columns of all topics, those with most messages first; with ``clocks`` also their times."""
     ordered = sorted((topic for topic in topics if topic.count), key=lambda topic: (-topic.count, topic.name))
     return [
         f"{topic.name}:{path}" for topic in ordered for path in (*topic.fields, *(_clocks(topic) if clocks else ()))
@@ -61,9 +61,9 @@ def _clocks(topic: LoggedTopic) -> tuple[str, ...]:
 
 
 def propose_sources(targets: Sequence[str], sources: Sequence[str]) -> dict[str, str]:
-    """Raw columns for quantities, as far as their fields or topics say what they hold; each once.
+    """Guesses a raw column for each quantity from fields and topic names; uses each column at most once.
 
-    A quantity is rather taken from a topic that already gives another one.
+    Topics that already supply another quantity are preferred.
     """
     found: dict[str, str] = {}
     for target in targets:
@@ -85,7 +85,7 @@ def _by_path(target: str, sources: Sequence[str]) -> list[str]:
 
 def _by_topic(target: str, sources: Sequence[str]) -> list[str]:
     single = [source for source in sources if split_source(source)[1] == "data"]
-    for word in _TEXT.get(target, ()):
+    for word in _TOPIC_KEYWORDS.get(target, ()):
         same = [source for source in single if word in split_source(source)[0].lower()]
         if same:
             return sorted(same, key=len)
@@ -93,20 +93,20 @@ def _by_topic(target: str, sources: Sequence[str]) -> list[str]:
 
 
 def best_system(systems: Sequence[System], sources: Sequence[str]) -> System:
-    """The set of states and actions of which the log shows the most."""
+    """The system for which the log has most of the states and actions."""
     return max(systems, key=lambda one: len(propose_sources((*one.state_names, *one.action_names), sources)))
 
 
 def propose_map(log: AbstractLog, system: System, others: Sequence[System] = ()) -> str:
-    """A column map as TOML, with the log's topics, rates and fields as comments before it.
+    """Returns a column map as TOML, preceded by comments with the topics, rates and fields of the log.
 
-    ``others``: sets of states and actions of the same robot; what they have besides stands there as comments.
+    ``others`` are variants of the robot; columns for their additional states and actions are added as comments.
     """
     topics = log.topics()
     found = propose_sources((*system.state_names, *system.action_names), sources_of(topics.values()))
-    lines = [f"# Proposed for {_plain(log.path.name)}, a {log.kind}; look at every line before you believe it.", "#"]
+    lines = [f"# Proposed for {_toml_safe(log.path.name)}, a {log.kind}; check every line before you use it.", "#"]
     for topic in topics.values():
-        lines += _described(topic)
+        lines += _topic_comment(topic)
     lines += ["", "format = 1", f'robot = "{system.name}"', "", "[columns]"]
     first = next((found[name] for name in system.state_names if name in found), "")
     if first:
@@ -118,45 +118,45 @@ def propose_map(log: AbstractLog, system: System, others: Sequence[System] = ())
     else:
         lines.append('# t = { topic = "/...", clock = "receipt" }   # a row for each message of this topic')
     names = (*system.state_names, *system.action_names)
-    lines += [_line(name, system, found) for name in names]
+    lines += [_map_line(name, system, found) for name in names]
     for other in others:
-        lines += _besides(other, names, found, sources_of(topics.values()))
+        lines += _alternatives(other, names, found, sources_of(topics.values()))
     return "\n".join(lines) + "\n"
 
 
-def _besides(other: System, names: Sequence[str], found: Mapping[str, str], sources: Sequence[str]) -> list[str]:
+def _alternatives(other: System, names: Sequence[str], found: Mapping[str, str], sources: Sequence[str]) -> list[str]:
     more = [name for name in (*other.state_names, *other.action_names) if name not in names]
     given = propose_sources(more, [source for source in sources if source not in found.values()])
     taken = ", ".join(name for name in names if name not in (*other.state_names, *other.action_names))
-    return [f"# {_line(name, other, given)}, for a model that wants it in place of {taken}" for name in given]
+    return [f"# {_map_line(name, other, given)}, for a model that has it in place of {taken}" for name in given]
 
 
-def _line(name: str, system: System, found: Mapping[str, str]) -> str:
+def _map_line(name: str, system: System, found: Mapping[str, str]) -> str:
     unit = {variable.name: variable.unit for variable in (*system.state, *system.action)}[name]
     derivation = next((how for how, (target, _) in DERIVATIONS.items() if target == name), "")
     if name in found:
         topic, path = split_source(found[name])
-        parts = [f'topic = "{_plain(topic)}"', f'field = "{path}"']
+        parts = [f'topic = "{_toml_safe(topic)}"', f'field = "{path}"']
         parts += ["flip = true"] if found[name] in _FLIPPED else []
         return f"{name} = {{ {', '.join(parts)} }}   # {unit}"
     if derivation:
         return f'{name} = {{ derive = "{derivation}", window = {_WINDOW} }}   # {unit}; no topic measures it'
-    return f'# {name} = {{ topic = "/...", field = "..." }}   # {unit}: no topic looks like it; choose from above'
+    return f'# {name} = {{ topic = "/...", field = "..." }}   # {unit}: no topic matches; choose one from above'
 
 
-def _described(topic: LoggedTopic) -> list[str]:
+def _topic_comment(topic: LoggedTopic) -> list[str]:
     rate = f"{topic.rate:.3g} Hz" if topic.rate else "no rate"
-    head = f"# {_plain(topic.name)}   {_plain(topic.type)}, {topic.count} messages, {rate}"
+    head = f"# {_toml_safe(topic.name)}   {_toml_safe(topic.type)}, {topic.count} messages, {rate}"
     if topic.problem:
-        return [head, f"#     cannot be read: {_plain(topic.problem)}"]
+        return [head, f"#     cannot be read: {_toml_safe(topic.problem)}"]
     fields = list(topic.fields)
-    more = [f"and {len(fields) - _MOST_FIELDS} more"] if len(fields) > _MOST_FIELDS else []
-    phrase = ", ".join(_shortened(fields)[:_MOST_FIELDS] + more)
+    more = [f"and {len(fields) - _MAX_FIELDS} more"] if len(fields) > _MAX_FIELDS else []
+    phrase = ", ".join(_short_field_list(fields)[:_MAX_FIELDS] + more)
     return [head, *textwrap.wrap(phrase, 118, initial_indent="#     ", subsequent_indent="#     ")]
 
 
-def _shortened(fields: Sequence[str]) -> list[str]:
-    """Long arrays as their first and last."""
+def _short_field_list(fields: Sequence[str]) -> list[str]:
+    """Shortens arrays to their index range."""
     short: list[str] = []
     for path in fields:
         index = re.search(r"\[(\d+)\]", path)
@@ -167,6 +167,6 @@ def _shortened(fields: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(short))
 
 
-def _plain(text: str) -> str:
-    """For a comment or a string of TOML: nothing that ends either."""
+def _toml_safe(text: str) -> str:
+    """Makes a text safe inside a TOML comment or string."""
     return printable(text, but='"\\')

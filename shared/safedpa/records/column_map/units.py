@@ -1,4 +1,4 @@
-"""Units that a column map may name, and the factor that takes each to SI and radians."""
+"""Units that a column map may name, with their factors to SI units and radians."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["UNITS", "Unit", "factor_to_si"]
 
 @dataclass(frozen=True)
 class Unit:
-    """value in SI = factor times value in this unit."""
+    """A unit: value in ``si`` = ``factor`` * value in this unit."""
 
     factor: float
     si: str
@@ -52,9 +52,9 @@ UNITS: dict[str, Unit] = {
 
 
 def factor_to_si(unit: str, wanted: str, key: str) -> float:
-    """Factor from ``unit`` to the SI unit ``wanted``.
+    """Returns the factor from ``unit`` to the SI unit ``wanted``.
 
-    Raises ColumnMapError naming ``key`` when the unit is unknown or measures something else.
+    Raises ColumnMapError that names ``key`` if the unit is unknown or measures another quantity.
     """
     if unit not in UNITS:
         raise ColumnMapError(f"{key}: unknown unit '{unit}'; {did_you_mean(unit, UNITS)}")

@@ -1,6 +1,6 @@
-"""Defects of the clock: repeated rows, clock resets, gaps, irregular sampling; and stair-case columns.
+"""Checks of the clock: repeated rows, resets, gaps, irregular sampling; and held (stair-case) columns.
 
-A stair-case column holds its values over several rows, because its source is slower than the log.
+A held column keeps each value over several rows, because its source is slower than the log.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from safedpa.records.run import Finding, Stretch
 from safedpa.systems import System
 
 if TYPE_CHECKING:
-    from safedpa.records.column_map.apply import Rows
+    from safedpa.records.run import RawRows
 
 __all__ = [
     "change_rows",
@@ -32,18 +32,18 @@ __all__ = [
 Found = tuple[BoolArray, list[Finding]]
 
 _NEIGHBOURS = 7
-"""Steps on either side that say how long a step is usual there."""
+"""Steps on either side that define the local median step."""
 _BLOCK = 100_000
-_LASTING = 40
-"""Steps over which a rate has to last."""
+_RATE_STEPS = 40
+"""Steps that a rate must last to count as one."""
 _OTHER_RATE = 1.6
-"""Ratio of the longest to the shortest lasting step from which they are two rates."""
+"""Ratio of the longest to the shortest lasting step above which the log has two rates."""
 _IRREGULAR_SHARE = 0.2
-"""Sampling is called irregular when one step in ten differs from the median by more than this share of it."""
+"""Sampling is irregular if one step in ten differs from the median by more than this share of it."""
 
 
-def without_repeats(rows: Rows) -> tuple[Rows, list[Finding]]:
-    """Rows whose time equals that of the row before are dropped, whatever else they hold."""
+def without_repeats(rows: RawRows) -> tuple[RawRows, list[Finding]]:
+    """Drops rows whose time equals that of the row before, whatever their values."""
     repeated = np.append(False, np.diff(rows.t) == 0.0)
     count = int(repeated.sum())
     if not count:
@@ -59,7 +59,7 @@ def without_repeats(rows: Rows) -> tuple[Rows, list[Finding]]:
 
 
 def reset_rows(t: NDArray[np.float64]) -> Found:
-    """Rows at which time runs backwards."""
+    """Rows at which time goes backwards."""
     mask = np.append(False, np.diff(t) < 0.0)
     count = int(mask.sum())
     if not count:
@@ -70,9 +70,9 @@ def reset_rows(t: NDArray[np.float64]) -> Found:
 
 
 def gap_rows(t: NDArray[np.float64]) -> Found:
-    """Rows behind a gap: a step longer than 1.75 times the median step and beyond its usual spread.
+    """Rows after a gap: a step longer than 1.75 times the median step and beyond its usual spread.
 
-    Where the steps around are as long, the log has another rate there, and no gap.
+    It is no gap if the neighbouring steps are as long: the log then has another rate there.
     """
     steps = np.diff(t)
     forward = steps[steps > 0.0]
@@ -82,7 +82,7 @@ def gap_rows(t: NDArray[np.float64]) -> Found:
     median = float(np.median(forward))
     spread = 1.4826 * float(np.median(np.abs(forward - median)))
     long = np.flatnonzero(steps > max(1.75 * median, median + 8.0 * spread))
-    mask[1 + long[steps[long] > 1.75 * _around(steps, long)]] = True
+    mask[1 + long[steps[long] > 1.75 * _local_median(steps, long)]] = True
     count = int(mask.sum())
     if not count:
         return mask, []
@@ -91,8 +91,8 @@ def gap_rows(t: NDArray[np.float64]) -> Found:
     return mask, [finding("gap", text, count, t[np.flatnonzero(mask)[0] - 1], "cut there")]
 
 
-def _around(steps: NDArray[np.float64], at: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Median of the steps on either side of some, at least the usual step, in blocks to bound the memory."""
+def _local_median(steps: NDArray[np.float64], at: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Median of each given step and its neighbours on either side; in blocks, to bound the memory."""
     if not len(at):
         return np.empty(0)
     padded = np.pad(steps, _NEIGHBOURS, mode="reflect" if len(steps) > _NEIGHBOURS else "edge")
@@ -101,11 +101,11 @@ def _around(steps: NDArray[np.float64], at: NDArray[np.intp]) -> NDArray[np.floa
 
 
 def rates_finding(t: NDArray[np.float64]) -> list[Finding]:
-    """Whether the log changes to another rate on the way and stays there for long."""
+    """Reports a log that changes to another rate and keeps it for long."""
     steps = np.diff(t[np.isfinite(t)])
-    if len(steps) < 2 * _LASTING:
+    if len(steps) < 2 * _RATE_STEPS:
         return []
-    usual = np.array([np.median(part) for part in np.array_split(steps, max(2, len(steps) // _LASTING))])
+    usual = np.array([np.median(part) for part in np.array_split(steps, max(2, len(steps) // _RATE_STEPS))])
     low, high = float(usual.min()), float(usual.max())
     if not (low > 0.0 and high > _OTHER_RATE * low):
         return []
@@ -113,13 +113,13 @@ def rates_finding(t: NDArray[np.float64]) -> list[Finding]:
     share = float(steps[steps > middle].sum() / steps[steps > 0].sum())
     text = (
         f"two rates in one file: rows are {low:.4g} s apart, and {high:.4g} s for {share:.0%} of the time; both were "
-        "used, each step as long as it was; give two files to judge them apart"
+        "used with their true steps; give two files to analyse them separately"
     )
     return [finding("two_rates", text, len(steps))]
 
 
 def sampling_finding(t: NDArray[np.float64]) -> list[Finding]:
-    """Whether the steps between rows vary, gaps aside."""
+    """Reports steps between rows that vary, apart from gaps."""
     steps = np.diff(t)
     steps = steps[steps > 0.0]
     if len(steps) < 10:
@@ -134,9 +134,9 @@ def sampling_finding(t: NDArray[np.float64]) -> list[Finding]:
     return [finding("irregular_sampling", text, len(steps))]
 
 
-_LONGEST_HOLD = 0.25
-"""s; inputs that are held longer are manoeuvres, not slow sources."""
-_FEWEST_CHANGES = 20
+_MAX_HOLD = 0.25
+"""s; an input that is held longer is a manoeuvre, not a slow source."""
+_MIN_CHANGES = 20
 
 
 def change_rows(values: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -145,13 +145,13 @@ def change_rows(values: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def hold_rows(values: NDArray[np.float64]) -> float:
-    """Rows over which a stair-case column usually holds its value; 1 for a column that is none.
+    """Median number of rows for which a column holds its value; 1 for a column that is not held.
 
-    A stair-case: at least 20 changes, median hold of 2 rows or more, more than half of the holds within 15 % (or one
-    row) of the median.
+    A column is held if it has at least 20 changes, a median hold of 2 rows or more, and more than half of the holds
+    within 15 % (or one row) of the median.
     """
     changes = change_rows(values)
-    if len(changes) < _FEWEST_CHANGES:
+    if len(changes) < _MIN_CHANGES:
         return 1.0
     holds = np.diff(changes)
     median = float(np.median(holds))
@@ -159,8 +159,8 @@ def hold_rows(values: NDArray[np.float64]) -> float:
     return median if median >= 2.0 and float(near.mean()) > 0.5 else 1.0
 
 
-def held_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
-    """Which measured states and which actions are held, and for how long."""
+def held_findings(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Reports measured states and actions that are held, and for how long."""
     if not stretches:
         return []
     longest = max(stretches, key=len)
@@ -171,12 +171,12 @@ def held_findings(rows: Rows, stretches: list[Stretch], system: System, measured
     held: dict[float, list[str]] = {}
     for name, values in columns:
         hold = hold_rows(values)
-        if hold > 1.0 and hold * period <= _LONGEST_HOLD:
+        if hold > 1.0 and hold * period <= _MAX_HOLD:
             held.setdefault(hold, []).append(name)
-    return [_held(names, hold, period, float(rows.t[longest.start])) for hold, names in held.items()]
+    return [_held_finding(names, hold, period, float(rows.t[longest.start])) for hold, names in held.items()]
 
 
-def _held(names: list[str], hold: float, period: float, start_t: float) -> Finding:
+def _held_finding(names: list[str], hold: float, period: float, start_t: float) -> Finding:
     verb = "is" if len(names) == 1 else "are"
-    text = f"{' and '.join(names)} {verb} updated only every {hold:g} rows ({hold * period:.3g} s) and held between"
+    text = f"{' and '.join(names)} {verb} updated only every {hold:g} rows ({hold * period:.3g} s) and held in between"
     return finding("held", text, len(names), start_t, "nothing was cut for it")

@@ -1,7 +1,7 @@
-"""Do the columns agree with each other, in size, in sign and in time?
+"""Checks whether the columns agree with each other in size, sign and time.
 
-Speed with the change of position, heading with the direction of motion, what is driven with the command that drives it;
-and whether a channel comes late next to what it should be the rate of.
+Compared are speed and change of position, heading and direction of motion, a driven state and its command, and the
+delay of a measured rate against the derivative of its quantity.
 """
 
 from __future__ import annotations
@@ -10,38 +10,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa.records.column_map.apply import Rows
 from safedpa.records.column_map.derive import slopes_within
 from safedpa.records.quality.clock import hold_rows
 from safedpa.records.quality.findings import finding
-from safedpa.records.run import Finding, Stretch
+from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System
 
 __all__ = ["consistency_findings", "drive_findings", "late_findings"]
 
-_FARTHEST = 1.0
-"""s that are looked at, to either side."""
-_SAME = 0.9
-"""Correlation at the best shift, without which two channels do not say the same."""
-_BETTER = 0.02
-"""By which it has to be better than without a shift."""
-_SEVERE = 0.15
-"""s, and twice what a channel is held, from which nothing is judged before it is aligned."""
-_REPORTED = 0.05
-"""s from which it is said at all."""
+_MAX_SHIFT = 1.0
+"""Largest shift that is tried in either direction, s."""
+_MIN_CORRELATION = 0.9
+"""Correlation at the best shift below which a rate and a slope are not compared."""
+_MIN_IMPROVEMENT = 0.02
+"""Smallest improvement of the correlation by a shift."""
+_SEVERE_OFFSET = 0.15
+"""s; from it, and from twice the hold of a channel, a shift must be corrected before the log is used."""
+_MIN_OFFSET = 0.05
+"""s; smaller shifts are not reported."""
 
 
-def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
-    """Measured rates that come later, or earlier, than the change of what they are the rate of; nothing is cut."""
+def late_findings(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Reports measured rates that are delayed against the derivative of their quantity; nothing is cut."""
     found = []
-    for name, notice, seen in _rates_alongside_slopes(rows, stretches, system, measured):
-        late = _lateness(rows.t, notice, seen)
-        if late is None or abs(late[0]) < _REPORTED:
+    for name, rate, slope in _rates_and_slopes(rows, stretches, system, measured):
+        late = _delay(rows.t, rate, slope)
+        if late is None or abs(late[0]) < _MIN_OFFSET:
             continue
         seconds, best, now = late
-        held = hold_rows(notice[np.isfinite(notice)]) * _period(rows.t)
+        held = hold_rows(rate[np.isfinite(rate)]) * _median_step(rows.t)
         side = "late" if seconds > 0 else "early"
-        kind = "time_offset" if abs(seconds) >= max(_SEVERE, 2.0 * held) else "slightly_late"
+        kind = "time_offset" if abs(seconds) >= max(_SEVERE_OFFSET, 2.0 * held) else "slightly_late"
         text = (
             f"{name} comes {abs(seconds):.2f} s {side} against the change of what it is the rate of (correlation "
             f"{best:.3f} when it is shifted, {now:.3f} as it is)"
@@ -51,10 +50,10 @@ def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured
     return found
 
 
-def _rates_alongside_slopes(
-    rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]
+def _rates_and_slopes(
+    rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]
 ) -> list[tuple[str, FloatArray, FloatArray]]:
-    """(name of a measured rate, its values, the slope that it should be)."""
+    """(name of a measured rate, its values, the derivative that it should equal)."""
     names, states = system.state_names, rows.states
     if {"x", "y", "yaw", "speed"} <= set(names):
         index = names.index("speed")
@@ -71,117 +70,120 @@ def _rates_alongside_slopes(
     return found
 
 
-def _lateness(t: FloatArray, notice: FloatArray, seen: FloatArray) -> tuple[float, float, float] | None:
-    """(seconds by which ``notice`` comes after ``seen``, correlation then, correlation as it is); None where unclear."""
-    period = _period(t)
+def _delay(t: FloatArray, rate: FloatArray, slope: FloatArray) -> tuple[float, float, float] | None:
+    """(delay [s] of ``rate`` after ``slope``, correlation when shifted, correlation without); None if unclear."""
+    period = _median_step(t)
     if not period > 0.0:
         return None
-    most = max(1, round(_FARTHEST / period))
+    most = max(1, round(_MAX_SHIFT / period))
     step = max(1, most // 40)
     shifts = np.unique(np.concatenate([np.arange(-most, most + 1, step), [0]]))
-    values = np.array([_correlation_when_shifted(notice, seen, int(shift)) for shift in shifts])
+    values = np.array([_correlation_when_shifted(rate, slope, int(shift)) for shift in shifts])
     best = int(np.nanargmax(values)) if np.isfinite(values).any() else -1
-    if best < 0 or values[best] < _SAME:
+    if best < 0 or values[best] < _MIN_CORRELATION:
         return None
     around = np.arange(shifts[best] - step, shifts[best] + step + 1)
-    finer = np.array([_correlation_when_shifted(notice, seen, int(shift)) for shift in around])
+    finer = np.array([_correlation_when_shifted(rate, slope, int(shift)) for shift in around])
     top = int(np.nanargmax(finer))
-    now = _correlation_when_shifted(notice, seen, 0)
-    if finer[top] < now + _BETTER or abs(around[top]) >= most:
+    now = _correlation_when_shifted(rate, slope, 0)
+    if finer[top] < now + _MIN_IMPROVEMENT or abs(around[top]) >= most:
         return None
     return float(around[top]) * period, float(finer[top]), now
 
 
-def _period(t: FloatArray) -> float:
-    """Usual seconds between rows; 0 where there are none."""
+def _median_step(t: FloatArray) -> float:
+    """Median time between rows [s]; 0 without rows."""
     steps = np.diff(t[np.isfinite(t)])
     return float(np.median(steps)) if len(steps) else 0.0
 
 
-def _correlation_when_shifted(notice: FloatArray, seen: FloatArray, shift: int) -> float:
-    """Of said[k + shift] with seen[k]."""
-    if abs(shift) > len(notice) - _FEWEST:
+def _correlation_when_shifted(rate: FloatArray, slope: FloatArray, shift: int) -> float:
+    """Correlation of rate[k + shift] with slope[k]."""
+    if abs(shift) > len(rate) - _MIN_PAIRS:
         return float("nan")
     if shift >= 0:
-        one, other = notice[shift:], seen[: len(seen) - shift]
+        one, other = rate[shift:], slope[: len(slope) - shift]
     else:
-        one, other = notice[:shift], seen[-shift:]
+        one, other = rate[:shift], slope[-shift:]
     good = np.isfinite(one) & np.isfinite(other)
-    if good.sum() < _FEWEST or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+    if good.sum() < _MIN_PAIRS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
         return float("nan")
     return float(np.corrcoef(one[good], other[good])[0, 1])
 
 
 _DRIVES = {"throttle": "speed", "target_speed": "speed", "torque": "rate"}
-"""Actions, and the state that grows with them."""
-_FEWEST = 100
-_AGAINST = 0.5
-"""Partial correlation from which it certainly goes against the command."""
-_CLEAR = 0.3
-"""Partial correlation from which a delay shows anything."""
+"""State that grows with each action."""
+_MIN_PAIRS = 100
+_OPPOSITE = 0.5
+"""Negative partial correlation from which a state certainly opposes its command."""
+_SIGNIFICANT = 0.3
+"""Partial correlation from which a delay counts."""
 
 
-def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
-    """Actions that slow down what they should drive: d(state)/dt on action, state and constant; nothing is cut.
+def drive_findings(rows: RawRows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Reports actions that slow down the state that they should drive; nothing is cut.
 
-    The action is correlated with what the rest leaves, at delays of up to half a second. Drags, gains, lags and loads
-    change the size, and never the sign.
+    The action is correlated with the residual of d(state)/dt after regression on the state and a constant, at delays of
+    up to half a second. Drag, gain, lag and load change the size of this correlation but not its sign.
     """
     found = []
     for index, variable in enumerate(system.action):
         driven = _DRIVES.get(variable.name)
         if driven not in system.state_names:
             continue
-        value = _partial(rows, stretches, rows.actions[:, index], system, driven)
-        if value < -_AGAINST:
+        value = _correlate(rows, stretches, rows.actions[:, index], system, driven)
+        if value < -_OPPOSITE:
             text = f"{driven} falls as {variable.name} rises (correlation {value:.2f} next to what else drives it)"
             done = f"flip {variable.name} in a column map"
             found.append(finding("opposite_sign", text, done=done))
     return found
 
 
-def _partial(rows: Rows, stretches: list[Stretch], action: FloatArray, system: System, driven: str) -> float:
-    """Partial correlation of the slope of a state with an earlier action, of the sign that shows first."""
+def _correlate(
+    rows: RawRows, stretches: list[Stretch], action: FloatArray, system: System, driven: str
+) -> float:
+    """Partial correlation of the derivative of a state with an earlier action."""
     at = system.state_names.index(driven)
     slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)
     angles = [np.sin(rows.states[:, index]) for index, item in enumerate(system.state) if item.angle]
-    alongside = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
+    covariates = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
     steps = np.diff(rows.t[np.isfinite(rows.t)])
     period = float(np.median(steps)) if len(steps) else 1.0
-    most = max(0, round(_LATEST / max(period, 1e-6)))
-    values = [_alongside(slopes, action, alongside, shift) for shift in range(0, most + 1, max(1, most // 10))]
-    # what comes late by half a swing goes against anything: the first delay at which anything shows has the sign
-    first = next((value for value in values if abs(value) > _CLEAR), 0.0)
+    most = max(0, round(_MAX_DELAY / max(period, 1e-6)))
+    shifts = range(0, most + 1, max(1, most // 10))
+    values = [_partial_correlation(slopes, action, covariates, shift) for shift in shifts]
+    # a delay of half an oscillation inverts the sign, so the first significant delay decides
+    first = next((value for value in values if abs(value) > _SIGNIFICANT), 0.0)
     return min(values) if first < 0.0 else max(first, 0.0)
 
 
-def _alongside(slopes: FloatArray, action: FloatArray, alongside: NDArray[np.float64], shift: int) -> float:
-    """Partial correlation of slopes[k + shift] with action[k] next to some columns (rows, columns) at k + shift."""
+def _partial_correlation(slopes: FloatArray, action: FloatArray, covariates: NDArray[np.float64], shift: int) -> float:
+    """Partial correlation of slopes[k + shift] with action[k], given the covariates (rows, columns) at k + shift."""
     count = len(slopes) - shift
-    if count < _FEWEST:
+    if count < _MIN_PAIRS:
         return 0.0
-    wanted, command, columns = slopes[shift:], action[:count], alongside[shift:]
+    wanted, command, columns = slopes[shift:], action[:count], covariates[shift:]
     good = np.isfinite(wanted) & np.isfinite(command) & np.isfinite(columns).all(axis=1)
-    if good.sum() < _FEWEST or not np.ptp(command[good]) > 1e-9:
+    if good.sum() < _MIN_PAIRS or not np.ptp(command[good]) > 1e-9:
         return 0.0
     both = np.column_stack([wanted[good], command[good]])
-    left = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
-    size = float(np.sqrt((left[:, 0] ** 2).sum() * (left[:, 1] ** 2).sum()))
-    return float(left[:, 0] @ left[:, 1]) / size if size > 1e-12 else 0.0
+    residual = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
+    size = float(np.sqrt((residual[:, 0] ** 2).sum() * (residual[:, 1] ** 2).sum()))
+    return float(residual[:, 0] @ residual[:, 1]) / size if size > 1e-12 else 0.0
 
 
 _WINDOW = 0.2
-"""s over which slopes are taken; long enough for noise, short against a robot's motion."""
-_FEWEST_ROWS = 30
+"""Window of the derivatives, s: long enough to average noise, short compared with the motion."""
+_MIN_ROWS = 30
 _SCALE_TOLERANCE = 0.2
-_FEWEST_STEERED = 100
-"""Rows from which the steering is judged."""
-_STEERED = 0.03
-"""rad or rad/s of standard deviation without which nothing can be told."""
-_LATEST = 0.5
-"""s by which the heading may follow the steering."""
-_TURNS = 0.5
-"""Correlation from which the heading certainly depends on the steering."""
+_MIN_STEERED_ROWS = 100
+"""Fewest rows for a check of the steering."""
+_MIN_STEERING = 0.03
+"""Smallest standard deviation (rad or rad/s) for a check of the steering."""
+_MAX_DELAY = 0.5
+"""Largest delay of the heading after the steering, s."""
+_DEPENDENT = 0.5
+"""Correlation above which the heading certainly depends on the steering."""
 _UNRELATED = 0.2
 """Correlation below which it certainly does not."""
 _MISTAKES = (
@@ -196,15 +198,17 @@ _MISTAKES = (
     (1000.0, "m/s while positions are in mm"),
     (100.0, "m/s while positions are in cm"),
 )
-"""Slope of the position over the measured speed, and the unit in which the speed then probably is."""
+"""Ratio of the derivative of the position to the measured speed, and the probable unit of the speed."""
 
 
-def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
-    """What does not fit together; nothing is cut for it."""
+def consistency_findings(
+    rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]
+) -> list[Finding]:
+    """Reports columns that contradict each other; nothing is cut."""
     names = system.state_names
     if {"x", "y", "yaw", "speed"} <= set(names):
         found = _car(rows, stretches, names, measured[names.index("speed")])
-        return found or _steering(rows, stretches, system) + _turning(rows, stretches, names, measured)
+        return found or _steering(rows, stretches, system) + _turn_rate(rows, stretches, names, measured)
     if {"angle", "rate"} <= set(names):
         angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
         moved = slopes_within(rows.t, angle, stretches, _WINDOW)
@@ -214,9 +218,9 @@ def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, m
 
 
 def _upright(angle: FloatArray, rate: FloatArray, acceleration: FloatArray, actions: FloatArray) -> list[Finding]:
-    """Gravity pulls away from angle 0: in acceleration = a torque + b sin(angle) + c rate + d, b must be positive."""
+    """Checks that 0 is upright: in acceleration = a torque + b sin(angle) + c rate + d, b must be positive."""
     good = np.isfinite(acceleration) & np.isfinite(rate)
-    if int(good.sum()) < _FEWEST_ROWS or np.ptp(angle[good]) < 1.0:
+    if int(good.sum()) < _MIN_ROWS or np.ptp(angle[good]) < 1.0:
         return []
     columns = np.column_stack([np.sin(angle), rate, np.ones_like(rate), actions])[good]
     wanted = acceleration[good]
@@ -228,10 +232,10 @@ def _upright(angle: FloatArray, rate: FloatArray, acceleration: FloatArray, acti
     return [finding("angle_zero", f"{text}; offset the angle by half a turn in a column map")]
 
 
-def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
-    """Does the heading turn as it is steered? Correlation of d(yaw)/dt with speed tan(steer) up to half a second later.
+def _steering(rows: RawRows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Checks that the heading follows the steering: correlates d(yaw)/dt with speed tan(steer), up to 0.5 s later.
 
-    Lags, delays and offsets leave it well above 0.5; the other sign, another column or shuffled rows do not.
+    It stays above 0.5 with lags, delays and offsets, but not with a wrong sign, another column or shuffled rows.
     """
     if "steer" not in system.action_names:
         return []
@@ -240,46 +244,46 @@ def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Find
     turning, asked = slopes_within(rows.t, yaw, stretches, _WINDOW), speed * np.tan(np.clip(steer, -1.5, 1.5))
     good = np.isfinite(turning) & np.isfinite(asked)
     moved = [float(np.std(values[good])) if good.any() else 0.0 for values in (steer, asked, turning)]
-    if int(good.sum()) < _FEWEST_STEERED or min(moved) < _STEERED:
+    if int(good.sum()) < _MIN_STEERED_ROWS or min(moved) < _MIN_STEERING:
         return []
     period = float(np.median(np.diff(rows.t[good])))
-    shifts = range(0, max(1, round(_LATEST / max(period, 1e-6))) + 1, max(1, round(0.05 / max(period, 1e-6))))
+    shifts = range(0, max(1, round(_MAX_DELAY / max(period, 1e-6))) + 1, max(1, round(0.05 / max(period, 1e-6))))
     found = [_correlation(asked[: len(asked) - shift], turning[shift:]) for shift in shifts]
     best = max(found, key=abs)
-    if best < -_TURNS:
+    if best < -_DEPENDENT:
         text = f"the heading turns against steer (correlation {best:.2f}); flip steer or yaw in a column map"
         return [finding("opposite_sign", text)]
     if abs(best) < _UNRELATED:
-        text = f"the heading does not turn as it is steered (correlation {best:.2f}, up to {_LATEST:g} s later)"
+        text = f"the heading does not turn as it is steered (correlation {best:.2f}, up to {_MAX_DELAY:g} s later)"
         return [finding("steer_inconsistent", f"{text}; check the column steer and that the rows belong together")]
     return []
 
 
-def _turning(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], measured: list[bool]) -> list[Finding]:
-    """Does the heading turn at the measured rate? A gyroscope counts the other way round as easily, or in degrees."""
+def _turn_rate(rows: RawRows, stretches: list[Stretch], names: tuple[str, ...], measured: list[bool]) -> list[Finding]:
+    """Checks the measured turn rate: a gyroscope may have the opposite sign, or degrees."""
     if "turn_rate" not in names or not measured[names.index("turn_rate")]:
         return []
     yaw, rate = (rows.states[:, names.index(name)] for name in ("yaw", "turn_rate"))
     known = rate[np.isfinite(rate)]
-    if len(known) < _FEWEST_ROWS or float(known.std()) < _STEERED:
+    if len(known) < _MIN_ROWS or float(known.std()) < _MIN_STEERING:
         return []
     return _scale("turn_rate", "yaw", rate, slopes_within(rows.t, yaw, stretches, _WINDOW))
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
     good = np.isfinite(one) & np.isfinite(other)
-    if int(good.sum()) < _FEWEST_ROWS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+    if int(good.sum()) < _MIN_ROWS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
         return 0.0
     return float(np.corrcoef(one[good], other[good])[0, 1])
 
 
-def _car(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], speed_measured: bool) -> list[Finding]:
+def _car(rows: RawRows, stretches: list[Stretch], names: tuple[str, ...], speed_measured: bool) -> list[Finding]:
     x, y, yaw, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "yaw", "speed"))
     along_x, along_y = slopes_within(rows.t, x, stretches, _WINDOW), slopes_within(rows.t, y, stretches, _WINDOW)
     course_speed = np.hypot(along_x, along_y)
     moving = np.isfinite(course_speed)
     moving &= course_speed > max(0.05, 0.1 * float(np.quantile(course_speed[moving], 0.9)) if moving.any() else 0.0)
-    if int(moving.sum()) < _FEWEST_ROWS:
+    if int(moving.sum()) < _MIN_ROWS:
         return []
     sign = np.where(speed[moving] < 0.0, -1.0, 1.0) if speed_measured else 1.0
     found = _scale("speed", "position", np.abs(speed), course_speed) if speed_measured else []
@@ -288,14 +292,14 @@ def _car(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], speed_mea
 
 
 def _scale(name: str, source: str, measured: FloatArray, moved: FloatArray) -> list[Finding]:
-    """Compares a measured speed with the slope of what moves: gain = sum(moved measured) / sum(measured^2).
+    """Compares a measured rate with the derivative of its quantity: gain = sum(moved measured) / sum(measured^2).
 
-    Noise in the measured speed lowers this gain and raises its inverse gain / correlation^2: the true one lies between.
+    Noise in the measured rate lowers this gain and raises gain / correlation^2; the true gain lies between the two.
     """
     good = np.isfinite(moved) & np.isfinite(measured)
     measured, moved = measured[good], moved[good]
     power = float(measured @ measured)
-    if len(measured) < _FEWEST_ROWS or power == 0.0 or not np.any(moved):
+    if len(measured) < _MIN_ROWS or power == 0.0 or not np.any(moved):
         return []
     gain = float(measured @ moved) / power
     correlation = float(measured @ moved) / float(np.sqrt(power * (moved @ moved)))
@@ -318,8 +322,8 @@ def _scale(name: str, source: str, measured: FloatArray, moved: FloatArray) -> l
 def _direction(velocity: NDArray[np.complex128], yaw: FloatArray) -> list[Finding]:
     """Compares the direction of motion with the heading.
 
-    direct = mean exp(i (course - yaw)), mirrored = mean exp(i (course + yaw)), weighted with speed: near 1 in absolute
-    value when the two agree up to a constant angle, directly or as mirror images.
+    direct = mean exp(i (course - yaw)), mirrored = mean exp(i (course + yaw)), weighted by speed: near 1 in absolute
+    value if the two agree up to a constant angle, directly or mirrored.
     """
     weight = float(np.abs(velocity).sum())
     direct = complex(np.sum(velocity * np.exp(-1j * yaw))) / weight

@@ -1,6 +1,6 @@
-"""From rows to a run: judged, cut, derived, thinned; what is wrong with a recording is said in sentences.
+"""Turns the rows of a file into a run: checks and cuts them, derives missing states and resamples.
 
-Cut means: rows with defects end one stretch, the next begins behind them. Nothing is interpolated.
+A defective row ends a stretch, and the next stretch begins after it. Nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safedpa.arrays import BoolArray
 from safedpa.errors import RunError
 from safedpa.limits import readable
-from safedpa.records.column_map.apply import Rows, derive_states, resample_rows
+from safedpa.records.column_map.apply import derive_states, resample_rows
 from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
 from safedpa.records.quality.channels import dead_rows, frozen_rows, jump_rows
 from safedpa.records.quality.clock import (
@@ -35,27 +35,27 @@ from safedpa.records.quality.values import (
     other_units,
     out_of_bounds,
 )
-from safedpa.records.run import Finding, Run, Stretch
+from safedpa.records.run import Finding, RawRows, Run, Stretch
 from safedpa.systems import System
 
 __all__ = ["SHORTEST_STRETCH", "run_of_rows"]
 
 SHORTEST_STRETCH = 5
-"""Rows; a shorter one says nothing about dynamics."""
-_WANTED = f"; wanted {SHORTEST_STRETCH} rows one after another without a defect, or more"
+"""Rows; a shorter stretch has no information about the dynamics."""
+_REQUIREMENT = f"; wanted at least {SHORTEST_STRETCH} consecutive rows without a defect"
 
 
-_WRONG = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "yaw_offset", "angle_zero")
-"""Findings with which columns are not what they seem."""
+_WRONG_COLUMNS = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "yaw_offset", "angle_zero")
+"""Findings that say that some column is not what the map claims."""
 
 
-def _judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[Stretch], list[Finding]]:
-    """Rows without repeats and with angles unwrapped, the stretches between defects, and what was found.
+def _check_rows(rows: RawRows, mapping: ColumnMap, system: System) -> tuple[RawRows, list[Stretch], list[Finding]]:
+    """Returns rows without repeats and with unwrapped angles, the stretches between defects, and the findings.
 
-    ``breaks`` below are rows before which a stretch ends; ``bad`` are rows that belong to none.
+    Below, a stretch ends before each row in ``breaks``; rows in ``bad`` belong to no stretch.
     """
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
-    rows = Rows(*(np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions)))
+    rows = RawRows(*(np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions)))
     rows, findings = without_repeats(rows)
     bad, found = _bad_values(rows, mapping, system, measured)
     findings += found
@@ -64,24 +64,24 @@ def _judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[
         breaks |= mask
         findings += found
     findings += [*sampling_finding(rows.t), *rates_finding(rows.t)]
-    rows = Rows(rows.t, _unwrapped(rows.states, bad, system, mapping), rows.actions)
+    rows = RawRows(rows.t, _unwrap(rows.states, bad, system, mapping), rows.actions)
     stretches = _stretches(bad, breaks)
     mask, found = jump_rows(rows, stretches, system, measured)
     breaks |= mask
     findings += found
-    stretches = _long_enough(bad, breaks)
+    stretches = _usable_stretches(bad, breaks)
     if stretches:
         mask, found = frozen_rows(rows, stretches, system, measured)
         bad, findings = _cut(bad, findings, "frozen", mask, found, mapping)
-        stretches = _long_enough(bad, breaks)
-    findings += _message(rows, stretches, system, measured)
+        stretches = _usable_stretches(bad, breaks)
+    findings += _other_findings(rows, stretches, system, measured)
     return rows, stretches, [*findings, *_cut_finding(rows.t, stretches)]
 
 
 def _bad_values(
-    rows: Rows, mapping: ColumnMap, system: System, measured: list[bool]
+    rows: RawRows, mapping: ColumnMap, system: System, measured: list[bool]
 ) -> tuple[BoolArray, list[Finding]]:
-    """Rows whose numbers cannot be used as they are, and why."""
+    """Rows with unusable values, and the findings."""
     bad, findings = not_a_number(rows, system, measured)
     for mask, found in (other_units(rows, system, mapping), degrees_for_radians(rows, system)):
         bad = bad | mask
@@ -95,30 +95,30 @@ def _bad_values(
 def _cut(
     bad: BoolArray, findings: list[Finding], kind: str, mask: BoolArray, found: list[Finding], mapping: ColumnMap
 ) -> tuple[BoolArray, list[Finding]]:
-    """Bad rows and findings with one more kind, whose rows stay where the map keeps them."""
+    """Adds findings of one kind; their rows become bad unless the map keeps this kind."""
     if kind not in mapping.keep:
         return bad | mask, [*findings, *found]
-    retained = [replace(item, message=f"{item.message.split('; cut out')[0]}; kept, as the map says") for item in found]
-    return bad, [*findings, *retained]
+    kept = [replace(item, message=f"{item.message.split('; cut out')[0]}; kept, as the map says") for item in found]
+    return bad, [*findings, *kept]
 
 
-def _message(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
-    """What nothing is cut for."""
+def _other_findings(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Findings for which nothing is cut."""
     found = [*held_findings(rows, stretches, system, measured), *constant_findings(rows, stretches, system)]
     disagree = consistency_findings(rows, stretches, system, measured)
     if disagree or not stretches:
-        return [*found, *disagree]  # with wrong columns nothing can be said about signs and times
+        return [*found, *disagree]  # with wrong columns signs and delays cannot be checked
     return [*found, *late_findings(rows, stretches, system, measured)]
 
 
-def _judged_whole(
-    rows: Rows, stretches: list[Stretch], mapping: ColumnMap, system: System, before: Sequence[Finding]
+def _check_commands(
+    rows: RawRows, stretches: list[Stretch], mapping: ColumnMap, system: System, before: Sequence[Finding]
 ) -> tuple[list[Stretch], list[Finding]]:
-    """What needs every state, derived ones as well: commands that are dead, or drive the other way.
+    """Checks that need all states, also derived ones: dead commands, and commands of the opposite sign.
 
-    With wrong columns (``before``) nothing can be said about either.
+    They are skipped if an earlier finding in ``before`` says that a column is wrong.
     """
-    if not stretches or {item.kind for item in before} & set(_WRONG):
+    if not stretches or {item.kind for item in before} & set(_WRONG_COLUMNS):
         return stretches, []
     mask, found = dead_rows(rows, stretches, system)
     bad, findings = _cut(np.zeros(len(rows.t), dtype=bool), [], "dead_command", mask, found, mapping)
@@ -133,11 +133,11 @@ def _judged_whole(
     return stretches, [*findings, *(drive_findings(rows, stretches, system) if stretches else [])]
 
 
-def _long_enough(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:
+def _usable_stretches(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:
     return [stretch for stretch in _stretches(bad, breaks) if len(stretch) >= SHORTEST_STRETCH]
 
 
-def _unwrapped(states: NDArray[np.float64], bad: BoolArray, system: System, mapping: ColumnMap) -> NDArray[np.float64]:
+def _unwrap(states: NDArray[np.float64], bad: BoolArray, system: System, mapping: ColumnMap) -> NDArray[np.float64]:
     states = states.copy()
     for index in system.angles:
         if mapping.unwrap is None or system.state_names[index] in mapping.unwrap:
@@ -146,7 +146,7 @@ def _unwrapped(states: NDArray[np.float64], bad: BoolArray, system: System, mapp
 
 
 def _stretches(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:
-    """Maximal ranges without a bad row, ended before each break."""
+    """Maximal ranges of rows without a bad row or a break inside."""
     good = np.concatenate(([False], ~bad, [False]))
     starts = np.flatnonzero((good[1:-1] & ~good[:-2]) | (good[1:-1] & breaks))
     ends = np.flatnonzero((good[1:-1] & ~good[2:]) | (good[1:-1] & np.append(breaks[1:], True)))
@@ -154,36 +154,36 @@ def _stretches(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:
 
 
 def _cut_finding(t: NDArray[np.float64], stretches: list[Stretch]) -> list[Finding]:
-    retained = np.zeros(len(t), dtype=bool)
+    kept = np.zeros(len(t), dtype=bool)
     for stretch in stretches:
-        retained[stretch.start : stretch.stop] = True
-    if retained.all():
+        kept[stretch.start : stretch.stop] = True
+    if kept.all():
         return []
-    cut = np.flatnonzero(~retained)
+    cut = np.flatnonzero(~kept)
     share = 100.0 * len(cut) / len(t)
     remain = count_text(len(stretches), "stretch remains", "stretches remain")
     text = f"{len(cut)} of {len(t)} rows ({share:.3g} %) were cut in all; {remain}"
     return [finding("cut", text, len(cut), t[cut[0]])]
 
 
-def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, findings: tuple[Finding, ...]) -> Run:
-    """The run that the rows of a file make: judged, cut, derived, thinned; raises RunError when nothing is left."""
+def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: RawRows, findings: tuple[Finding, ...]) -> Run:
+    """Turns the rows of a file into a run; raises RunError if no usable stretch is left."""
     if not len(rows.t):
-        raise RunError(f"{path}: no rows" + _listed(findings) + _WANTED)
-    rows, stretches, found = _judged(rows, mapping, system)
+        raise RunError(f"{path}: no rows" + _listed(findings) + _REQUIREMENT)
+    rows, stretches, found = _check_rows(rows, mapping, system)
     rows, stretches, derived = derive_states(rows, stretches, mapping, system)
-    stretches, whole = _judged_whole(rows, stretches, mapping, system, found)
+    stretches, whole = _check_commands(rows, stretches, mapping, system, found)
     if mapping.keep_period is not None:
         rows, stretches = resample_rows(rows, stretches, mapping.keep_period)
     rows, stretches = _compact(rows, stretches)
     every = (*findings, *found, *derived, *whole)
     if not stretches:
-        raise RunError(f"{path}: no usable stretch of rows" + _listed(every) + _WANTED)
+        raise RunError(f"{path}: no usable stretch of rows" + _listed(every) + _REQUIREMENT)
     return Run(readable(path.stem), system, rows.t, rows.states, rows.actions, tuple(stretches), every)
 
 
-def _compact(rows: Rows, stretches: list[Stretch]) -> tuple[Rows, list[Stretch]]:
-    """Only the rows within stretches, so that no one meets the others by accident."""
+def _compact(rows: RawRows, stretches: list[Stretch]) -> tuple[RawRows, list[Stretch]]:
+    """Removes the rows outside the stretches, so that they cannot be used by accident."""
     lengths = [len(stretch) for stretch in stretches]
     ends = np.cumsum(lengths, dtype=np.intp)
     index = np.concatenate([np.arange(part.start, part.stop) for part in stretches] or [np.empty(0, dtype=np.intp)])

@@ -1,6 +1,6 @@
-"""Defects of single values: not a number, beyond bounds, inputs that never change, another unit than was said.
+"""Checks of single values: not finite, out of bounds, constant inputs, and wrong units.
 
-What looks like another unit (time, commands, angles in degrees) spoils every row until a column map names the unit.
+If time, commands or angles seem to have another unit, all rows are cut until a column map names the unit.
 """
 
 from __future__ import annotations
@@ -8,10 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.records.column_map.apply import Rows
 from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
 from safedpa.records.quality.findings import count_text, finding
-from safedpa.records.run import Finding, Stretch
+from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System, Variable
 
 __all__ = ["constant_findings", "degrees_for_radians", "not_a_number", "other_units", "out_of_bounds"]
@@ -19,13 +18,13 @@ __all__ = ["constant_findings", "degrees_for_radians", "not_a_number", "other_un
 Found = tuple[NDArray[np.bool_], list[Finding]]
 
 
-def _columns(rows: Rows, system: System, measured: list[bool]) -> list[tuple[Variable, NDArray[np.float64]]]:
-    """Every measured column with its variable; derived ones are not judged, they follow from others."""
+def _columns(rows: RawRows, system: System, measured: list[bool]) -> list[tuple[Variable, NDArray[np.float64]]]:
+    """All measured columns with their variables; derived ones are not checked, because they follow from others."""
     states = [(variable, rows.states[:, index]) for index, variable in enumerate(system.state) if measured[index]]
     return states + [(variable, rows.actions[:, index]) for index, variable in enumerate(system.action)]
 
 
-def not_a_number(rows: Rows, system: System, measured: list[bool]) -> Found:
+def not_a_number(rows: RawRows, system: System, measured: list[bool]) -> Found:
     """Rows in which time, a measured state or an action is missing, NaN or infinite."""
     columns = [("t", rows.t), *((variable.name, values) for variable, values in _columns(rows, system, measured))]
     masks = {name: ~np.isfinite(values) for name, values in columns}
@@ -39,12 +38,12 @@ def not_a_number(rows: Rows, system: System, measured: list[bool]) -> Found:
 
 
 def _time_at(t: NDArray[np.float64], row: int) -> float | None:
-    """Time of a row, or of the last one before it that has a time."""
+    """Time of a row, or of the last row before it with a finite time."""
     before = t[: row + 1][np.isfinite(t[: row + 1])]
     return float(before[-1]) if len(before) else None
 
 
-def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
+def out_of_bounds(rows: RawRows, system: System, measured: list[bool]) -> Found:
     """Rows with a measured state or an action outside the range that its system declares."""
     bad = np.zeros(len(rows.t), dtype=bool)
     found = []
@@ -60,7 +59,7 @@ def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
                 f"{variable.unit}, the worst {worst:.4g}"
             )
             done = (
-                "cut out; if the robot does that, widen the bound in its system, or say "
+                "cut out; if the robot really does that, widen the bound in its system, or set "
                 'keep = ["out_of_bounds"] in a column map; else name the unit or scale there'
             )
             found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), done))
@@ -68,70 +67,70 @@ def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
     return bad, found
 
 
-def constant_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
-    """Actions that never change, and runs in which nothing moves."""
+def constant_findings(rows: RawRows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Reports actions that never change, and runs in which no state changes."""
     if not stretches:
         return []
-    retained = np.concatenate([np.arange(stretch.start, stretch.stop) for stretch in stretches])
+    rows_used = np.concatenate([np.arange(stretch.start, stretch.stop) for stretch in stretches])
     found = []
     for index, variable in enumerate(system.action):
-        values = rows.actions[retained, index]
+        values = rows.actions[rows_used, index]
         if np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())):
             text = (
                 f"{variable.name} is always {values[0]:.4g} {variable.unit}: "
-                "the run cannot show what it does; nothing was cut for it"
+                "its effect cannot be identified; nothing was cut for it"
             )
-            found.append(finding("constant_input", text, len(retained)))
-    if np.nanmax(np.ptp(rows.states[retained], axis=0), initial=0.0) <= 1e-9:
-        found.append(finding("no_motion", "no state ever changes: the run says nothing about dynamics", len(retained)))
+            found.append(finding("constant_input", text, len(rows_used)))
+    if np.nanmax(np.ptp(rows.states[rows_used], axis=0), initial=0.0) <= 1e-9:
+        found.append(finding("no_motion", "no state ever changes: the run cannot show the dynamics", len(rows_used)))
     return found
 
 
 _PERIODS = (2e-4, 0.5)
-"""s between rows of a log that one may take for another unit's."""
+"""Plausible range of the time between rows, s."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _EPOCH = (1e9, 4e9)
-"""s since 1970: 2001 to 2096."""
+"""s since 1970: the years 2001 to 2096."""
 _PERCENT = (1.5, 100.5)
-"""What a command of which 1 is all reaches in percent."""
-_FEWEST = 20
-_FEWEST_STEPS = 30
+"""Range of the largest value of a normalised command that is given in percent."""
+_MIN_ROWS = 20
+_MIN_STEPS = 30
 _DONE = 'name unit = "deg" in a column map'
 
 
-def other_units(rows: Rows, system: System, mapping: ColumnMap) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Every row, where time looks like ms, us or ns, or a command like percent, and no column map names the unit."""
+def other_units(rows: RawRows, system: System, mapping: ColumnMap) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """All rows, if time seems to be in ms, us or ns, or a command in percent, and no column map names the unit."""
     named = {name for name, item in mapping.columns.items() if isinstance(item, SourceColumn) and item.unit is not None}
-    found = [] if "t" in named else _time(rows, system)
+    found = [] if "t" in named else _time_unit(rows, system)
     found += _percent(rows, system, named)
     return np.full(len(rows.t), bool(found)), found
 
 
-def _time(rows: Rows, system: System) -> list[Finding]:
+def _time_unit(rows: RawRows, system: System) -> list[Finding]:
     steps = np.diff(rows.t[np.isfinite(rows.t)])
     steps = steps[steps > 0.0]
-    if len(steps) < _FEWEST:
+    if len(steps) < _MIN_ROWS:
         return []
     period, last = float(np.median(steps)), float(np.nanmax(np.abs(rows.t)))
     for unit, factor in _UNITS:
         if not _PERIODS[0] <= factor * period <= _PERIODS[1]:
             continue
-        slow = period > 10.0 * _PERIODS[1]  # taken for seconds; a log of 1 kHz that counts ms is not
+        slow = period > 10.0 * _PERIODS[1]  # far too slow if these were seconds
         epoch = _EPOCH[0] <= factor * last <= _EPOCH[1]
-        if epoch or (slow and (_faster(rows, system, factor) or _counted(rows.t, period))):
+        if epoch or (slow and (_rates_fit_factor(rows, system, factor) or _in_whole_units(rows.t, period))):
             text = f"t steps by {period:.4g}: it looks like {unit}, not seconds, so every row was cut"
             done = f'name unit = "{unit}" for t in a column map, or unit = "s" if it is seconds'
             return [finding("unit_mistake", text, len(rows.t), None, done)]
     return []
 
 
-def _counted(t: NDArray[np.float64], period: float) -> bool:
-    """Whether time is counted in whole steps of a finer unit, the rows a round number of them apart."""
+def _in_whole_units(t: NDArray[np.float64], period: float) -> bool:
+    """Whether times are whole numbers of a finer unit, with a round number of them between rows."""
     return bool((t[np.isfinite(t)] % 1.0 == 0.0).all()) and period in (10.0, 20.0, 25.0, 40.0, 50.0, 100.0)
 
 
-def _faster(rows: Rows, system: System, factor: float) -> bool:
-    """Whether some state moves as fast as another says only once time is multiplied with a factor."""
+def _rates_fit_factor(rows: RawRows, system: System, factor: float) -> bool:
+    """Whether some state changes at the measured rate only if time is multiplied by a factor."""
     for at, variable in enumerate(system.state):
         for other, rate in enumerate(system.state):
             if rate.unit != f"{variable.unit}/s" or variable.name in ("x", "y"):
@@ -145,42 +144,43 @@ def _faster(rows: Rows, system: System, factor: float) -> bool:
     good = np.isfinite(x) & np.isfinite(y) & np.isfinite(speed) & np.isfinite(rows.t)
     with np.errstate(all="ignore"):
         moved = np.hypot(np.diff(x[good]), np.diff(y[good])).sum()
-        notice = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
-        return bool(0.7 < notice / moved < 1.4)  # of one that stands no number
+        expected = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
+        return bool(0.7 < expected / moved < 1.4)  # False for NaN: a robot that does not move
 
 
 def _agrees(t: NDArray[np.float64], values: NDArray[np.float64], rates: NDArray[np.float64], factor: float) -> bool:
     good = np.isfinite(values) & np.isfinite(rates) & np.isfinite(t)
-    if good.sum() < _FEWEST:
+    if good.sum() < _MIN_ROWS:
         return False
     moved = np.abs(np.diff(np.unwrap(values[good]))).sum()
-    notice = float((np.abs(rates[good][:-1]) * np.diff(t[good])).sum()) * factor
-    return bool(moved > 0 and 0.7 < notice / moved < 1.4)
+    expected = float((np.abs(rates[good][:-1]) * np.diff(t[good])).sum()) * factor
+    return bool(moved > 0 and 0.7 < expected / moved < 1.4)
 
 
-def _percent(rows: Rows, system: System, named: set[str]) -> list[Finding]:
+def _percent(rows: RawRows, system: System, named: set[str]) -> list[Finding]:
     found = []
     for index, variable in enumerate(system.action):
         values = rows.actions[:, index]
         values = np.abs(values[np.isfinite(values)])
-        if variable.unit != "1" or variable.high > 1.0 or len(values) < _FEWEST or variable.name in named:
+        if variable.unit != "1" or variable.high > 1.0 or len(values) < _MIN_ROWS or variable.name in named:
             continue
         largest = float(np.quantile(values, 0.99))
         if _PERCENT[0] < largest <= _PERCENT[1] and float((values > variable.high).mean()) > 0.2:
-            text = f"{variable.name} reaches {largest:.4g} where 1 is all: it looks like percent, so every row was cut"
+            text = f"{variable.name} reaches {largest:.4g} where 1 is the maximum: it looks like percent, so every row "
+            text += "was cut"
             done = f'name unit = "%" for {variable.name} in a column map'
             found.append(finding("unit_mistake", text, len(rows.t), None, done))
     return found
 
 
-def degrees_for_radians(rows: Rows, system: System) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Every row, when an angle commanded to an actuator or the heading is in degrees; before anything is unwrapped."""
-    found = _commanded(rows, system) + _heading(rows, system)
+def degrees_for_radians(rows: RawRows, system: System) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """All rows, if a commanded angle or the heading is in degrees. Must run before angles are unwrapped."""
+    found = _commands_in_degrees(rows, system) + _heading_in_degrees(rows, system)
     return np.full(len(rows.t), bool(found)), found
 
 
-def _commanded(rows: Rows, system: System) -> list[Finding]:
-    """Actions in rad beyond pi / 2: no joint and no wheel turns that far."""
+def _commands_in_degrees(rows: RawRows, system: System) -> list[Finding]:
+    """Reports actions in rad beyond pi / 2: no joint or wheel turns that far."""
     found = []
     for index, variable in enumerate(system.action):
         values = rows.actions[:, index]
@@ -193,10 +193,10 @@ def _commanded(rows: Rows, system: System) -> list[Finding]:
     return found
 
 
-def _heading(rows: Rows, system: System) -> list[Finding]:
-    """Compares the direction of the steps with yaw as it is and with yaw taken for degrees.
+def _heading_in_degrees(rows: RawRows, system: System) -> list[Finding]:
+    """Compares the direction of motion with yaw in radians and with yaw in degrees.
 
-    agreement = |sum step exp(-i yaw)| / sum |step|: 1 when the car moves the way it looks, up to a constant angle.
+    agreement = |sum step exp(-i yaw)| / sum |step|: 1 if the car moves along its heading, up to a constant angle.
     """
     if not {"x", "y", "yaw"} <= set(system.state_names):
         return []
@@ -205,7 +205,7 @@ def _heading(rows: Rows, system: System) -> list[Finding]:
     good = np.isfinite(steps) & np.isfinite(yaw[:-1])
     steps, yaw = steps[good], yaw[:-1][good]
     total = float(np.abs(steps).sum())
-    if len(steps) < _FEWEST_STEPS or total == 0.0 or float(np.abs(yaw).max()) < 2.0 * np.pi:
+    if len(steps) < _MIN_STEPS or total == 0.0 or float(np.abs(yaw).max()) < 2.0 * np.pi:
         return []
     as_it_is = float(np.abs(np.sum(steps * np.exp(-1j * yaw)))) / total
     as_degrees = float(np.abs(np.sum(steps * np.exp(-1j * np.radians(yaw))))) / total

@@ -1,4 +1,4 @@
-"""CSV files as tables, fast, and with line and column of what is no number."""
+"""Reads CSV files as tables; an error names the line and column of the bad cell."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ __all__ = ["read_csv_table"]
 
 _DELIMITERS = ",;\t"
 _NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"]
-_PIECE = 1 << 16
-_FIRST = 60
-"""Lines among which the header is looked for."""
+_READ_BYTES = 1 << 16
+_MAX_HEADER_LINES = 60
+"""The header is searched among so many first lines."""
 _COMMENTS = ("#", "%", "//")
 _DATE = re.compile(r"\s*\d{1,4}[-/.:]\d{1,2}[-/.:]\d")
 
 
 def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
-    """The wanted columns of a CSV file with a header line, separated by comma, semicolon or tab.
+    """Reads the wanted columns of a CSV file with a header line, separated by commas, semicolons or tabs.
 
     Lines with too few or too many cells, and a last line that was cut off within a number, are dropped and reported.
-    Raises RunError when a column is missing, or naming line and column of the first cell that is no number.
+    Raises RunError for a missing column, and for the first cell that is not a number, with its line and column.
     """
     import pyarrow
 
@@ -56,15 +56,15 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
         columns = _numbers(_parse(path, wanted, layout, pyarrow.float64(), malformed), wanted)
     except pyarrow.ArrowInvalid:
         malformed.clear()
-        columns = _numbers_of_texts(path, _texts(path, wanted, layout, malformed), wanted, malformed, layout)
-    _refuse_open_quotes(path, layout, len(columns[wanted[0]]) + len(malformed))
+        columns = _numbers_from_text(path, _read_as_text(path, wanted, layout, malformed), wanted, malformed, layout)
+    _check_quotes(path, layout, len(columns[wanted[0]]) + len(malformed))
     findings = (_malformed_finding(path, malformed, layout),) if malformed else ()
     return Table(columns, (*layout.findings, *findings))
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a file is written: lines before the header's, the columns' names, what separates cells, the decimal mark."""
+    """Layout of a file: lines before the header, column names, delimiter, decimal mark and encoding."""
 
     before: int
     header: list[str]
@@ -77,32 +77,32 @@ class _Layout:
 def _layout(path: Path, wanted: Sequence[str]) -> _Layout:
     read = [_decoded(line) for line in _first_lines(path)]
     lines = [line or "" for line in read]
-    before = _lines_before(lines, wanted)
-    if read[0] is None:  # a header behind it has names, and so is text
-        raise RunError(f"{path}: the first line is no text; wanted a CSV file in UTF-8 with a header line")
-    text = lines[before].lstrip("".join(_COMMENTS)).strip() if before or _commented(lines[0]) else lines[0]
+    before = _lines_before_header(lines, wanted)
+    if read[0] is None:  # binary: no header can follow
+        raise RunError(f"{path}: the first line is not text; wanted a CSV file in UTF-8 with a header line")
+    text = lines[before].lstrip("".join(_COMMENTS)).strip() if before or _is_comment(lines[0]) else lines[0]
     if not text:
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
     delimiter = max(_DELIMITERS, key=text.count)
-    header = _cells(path, text, delimiter)
+    header = _header_cells(path, text, delimiter)
     findings = []
     if before:
-        notice = f"{before} {'line' if before == 1 else 'lines'} before the header were taken for comments and left out"
+        notice = f"{before} {'line' if before == 1 else 'lines'} before the header were ignored as comments"
         findings.append(Finding("comment_lines", f"{notice}; the header is line {before + 1}", before))
     point = "." if delimiter == "," else _decimal_mark(lines[before + 1 :], header, delimiter, wanted)
     if point == ",":
-        text = "numbers have decimal commas; they were read as such; write points to be understood everywhere"
+        text = "numbers have decimal commas and were read so; other programs may want decimal points"
         findings.append(Finding("decimal_comma", text))
     elif delimiter == "," and _twice_as_many(lines[before + 1 :], len(header)):
         raise RunError(
-            f"{path}: rows have twice as many cells as the header's {len(header)}: decimal commas in a file that "
-            "commas separate; save it with decimal points, or with semicolons between the cells"
+            f"{path}: rows have twice as many cells as the header's {len(header)}: decimal commas in a file "
+            "separated by commas; save it with decimal points, or with semicolons between the cells"
         )
     return _Layout(before, header, delimiter, point, tuple(findings))
 
 
 def _decoded(line: bytes) -> str | None:
-    """A line in UTF-8, else in what Windows writes where people say degrees; None for what is neither."""
+    """Decodes a line as UTF-8, else as Windows-1252 (a degree sign in a header); None if it is not text."""
     for encoding in ("utf-8-sig", "cp1252"):
         with contextlib.suppress(UnicodeDecodeError):
             text = line.decode(encoding).strip()
@@ -110,47 +110,48 @@ def _decoded(line: bytes) -> str | None:
     return None
 
 
-def _cells(path: Path, text: str, delimiter: str) -> list[str]:
+def _header_cells(path: Path, text: str, delimiter: str) -> list[str]:
     try:
         return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     except csv.Error as error:
         raise RunError(f"{path}: the first line cannot be read ({error}); wanted the columns' names") from error
 
 
-def _lines_before(lines: Sequence[str], wanted: Sequence[str]) -> int:
-    """How many lines stand before the header: none where the first one is no comment and no other has the names."""
+def _lines_before_header(lines: Sequence[str], wanted: Sequence[str]) -> int:
+    """Lines before the header, which is the first line with all wanted names, else the first non-comment."""
     for number, line in enumerate(lines):
         text = line.lstrip("".join(_COMMENTS)).strip()
         if set(wanted) <= {cell.strip() for cell in text.split(max(_DELIMITERS, key=text.count))}:
             return number
-    return next((number for number, line in enumerate(lines) if line and not _commented(line)), 0)
+    return next((number for number, line in enumerate(lines) if line and not _is_comment(line)), 0)
 
 
-def _commented(line: str) -> bool:
+def _is_comment(line: str) -> bool:
     return line.startswith(_COMMENTS)
 
 
 def _decimal_mark(rows: Sequence[str], header: Sequence[str], delimiter: str, wanted: Sequence[str]) -> str:
-    """A comma where cells of the wanted columns look like 1,5 and none like 1.5; next to them may stand a date."""
+    """A comma if cells of the wanted columns look like 1,5 and none like 1.5. Other columns may hold dates."""
     used = [place for place, name in enumerate(header) if name in wanted]
     cells = [row.split(delimiter) for row in rows]
-    text = " ".join(row[place] for row in cells for place in used if place < len(row))
+    # a row with fewer cells than the header is malformed: commas in it may separate cells
+    text = " ".join(row[place] for row in cells if len(row) >= len(header) for place in used)
     return "," if re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text) else "."
 
 
 def _twice_as_many(rows: Sequence[str], cells: int) -> bool:
-    """Whether every row has twice the header's cells, whole numbers all: 0,05,1,25 for 0.05 and 1.25."""
+    """Whether every row has twice as many cells as the header, all whole numbers: 0,05,1,25 for 0.05 and 1.25."""
     filled = [row for row in rows if row][:-1]  # the last one may be cut off
     numbers = all(re.fullmatch(r"[-+\d, ]+", row) for row in filled)
     return bool(filled) and numbers and all(row.count(",") + 1 == 2 * cells for row in filled)
 
 
 def _first_lines(path: Path) -> list[bytes]:
-    """The lines among which the header is looked for, up to line ends of any kind."""
+    """The first lines of the file, among which the header is searched; any kind of line end."""
     most = limit("header_bytes")
     with path.open("rb") as file:
         start = file.read(most + 1)
-    lines = start.splitlines()[:_FIRST] or [b""]
+    lines = start.splitlines()[:_MAX_HEADER_LINES] or [b""]
     if len(start) > most and len(lines) == 1:
         raise too_much("header_bytes", f"more than {most} bytes in the first line", str(path))
     return lines
@@ -159,19 +160,21 @@ def _first_lines(path: Path) -> list[bytes]:
 def _has_rows(path: Path, layout: _Layout) -> bool:
     with path.open("rb") as file:
         file.seek(sum(len(line) for line in _first_lines(path)[: layout.before + 1]))
-        while piece := file.read(_PIECE):
+        while piece := file.read(_READ_BYTES):
             if piece.strip():
                 return True
     return False
 
 
-def _texts(path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[tuple[int, int]]) -> pyarrow.Table:
+def _read_as_text(
+    path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[tuple[int, int]]
+) -> pyarrow.Table:
     import pyarrow
 
     with contextlib.suppress(pyarrow.ArrowInvalid):
         return _parse(path, wanted, layout, pyarrow.string(), malformed)
     malformed.clear()
-    try:  # a line that is not UTF-8 is told by its cells, as others are
+    try:  # in Latin-1 every byte is a character, so the bad cell can be named
         return _parse(path, wanted, replace(layout, encoding="latin-1"), pyarrow.string(), malformed)
     except pyarrow.ArrowInvalid as error:
         reason = str(error).splitlines()[0]
@@ -186,13 +189,13 @@ def _parse(
         malformed.append((row.number, row.actual_columns))
         return "skip"
 
-    with _quiet():
+    with _without_tracebacks():
         return _read(path, wanted, layout, kind, skip)
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """A line that is no text makes the library print a traceback before it gives up."""
+def _without_tracebacks() -> Iterator[None]:
+    """Suppresses the traceback that pyarrow prints for a line that is not text, before it raises."""
     before = sys.unraisablehook
     sys.unraisablehook = lambda _: None
     try:
@@ -209,7 +212,7 @@ def _read(
     return arrow_csv.read_csv(
         path,
         read_options=arrow_csv.ReadOptions(
-            use_threads=False,  # with threads the reader does not know line numbers
+            use_threads=False,  # with threads pyarrow does not report line numbers
             skip_rows=layout.before + 1,
             column_names=layout.header,
             encoding=layout.encoding,
@@ -228,29 +231,29 @@ def _numbers(table: pyarrow.Table, wanted: Sequence[str]) -> dict[str, NDArray[n
     return {name: np.asarray(table.column(name).to_numpy(), dtype=np.float64) for name in wanted}
 
 
-def _numbers_of_texts(
+def _numbers_from_text(
     path: Path, texts: pyarrow.Table, wanted: Sequence[str], malformed: list[tuple[int, int]], layout: _Layout
 ) -> dict[str, NDArray[np.float64]]:
-    """The slow road, when some cell is no number: finds the first; forgives it in a last line that was cut off."""
+    """Slow path if some cell is not a number: raises for the first one, but drops a last line that was cut off."""
     rows = texts.num_rows
     cells, point = {name: texts.column(name).to_pylist() for name in wanted}, layout.point
     bad = min((_first_bad(cells[name], point), name) for name in wanted)
     row, name = bad
-    if row == rows:  # blanks around a number, of a kind that the fast reader does not know
+    if row == rows:  # every cell is a number: pyarrow does not accept some kinds of blanks around one
         return {name: np.array([_number(cell, point) for cell in column]) for name, column in cells.items()}
     line = _line_of(row, malformed, layout.before)
     if row < rows - 1 or _ends_with_newline(path):
-        place = f"{path}: line {_with_blanks(path, line, layout.before)}, column '{name}'"
-        raise RunError(f"{place}: {_no_number(str(cells[name][row]), point)}")
+        place = f"{path}: line {_line_in_file(path, line, layout.before)}, column '{name}'"
+        raise RunError(f"{place}: {_bad_cell_message(str(cells[name][row]), point)}")
     malformed.append((line, -1))
     return {name: np.array([_number(cell, point) for cell in column[:-1]]) for name, column in cells.items()}
 
 
-def _no_number(cell: str, point: str) -> str:
-    """What is wrong with a cell, and what to do."""
-    wanted = "wanted a number" if point == "." else "wanted a number with a decimal comma, as others have here"
-    cure = "write it as seconds" if _DATE.match(cell) else "correct or remove the line"
-    return f"got '{readable(cell)}', {wanted}; {cure}"
+def _bad_cell_message(cell: str, point: str) -> str:
+    """Describes a bad cell and how to fix it."""
+    wanted = "wanted a number" if point == "." else "wanted a number with a decimal comma, as in other cells"
+    fix = "write it as seconds" if _DATE.match(cell) else "correct or remove the line"
+    return f"got '{readable(cell)}', {wanted}; {fix}"
 
 
 def _first_bad(cells: Sequence[str | None], point: str) -> int:
@@ -263,9 +266,10 @@ def _first_bad(cells: Sequence[str | None], point: str) -> int:
 
 
 def _number(cell: str | None, point: str) -> float:
-    """Raises ValueError for what is no number; Python would take 1_0 for ten, and digits of any script.
+    """Converts a cell; raises ValueError if it is not a number.
 
-    Among decimal commas a point may separate thousands: 1.234 is then no number of which one could be sure.
+    Stricter than ``float``, which accepts 1_0 and digits of other scripts. With decimal commas a point is refused,
+    because it may separate thousands (1.234).
     """
     if cell is None or cell.strip() in _NULLS:
         return float("nan")
@@ -275,25 +279,24 @@ def _number(cell: str | None, point: str) -> float:
 
 
 def _line_of(row: int, malformed: list[tuple[int, int]], before: int) -> int:
-    """Line (from 1, blank ones not counted behind the header) of a row, given the lines that were dropped before it."""
+    """Line number of a row, from 1, given the dropped lines; blank lines after the header are not counted."""
     line = row + before + 2
     for dropped, _ in sorted(malformed):
         line += dropped <= line
     return line
 
 
-def _with_blanks(path: Path, line: int, before: int) -> int:
-    """The line in the file of one that was counted without the blank lines behind the header."""
+def _line_in_file(path: Path, line: int, before: int) -> int:
+    """Converts a line number without blank lines after the header into the line number in the file."""
     with path.open(encoding="latin-1") as file:
         filled = (number for number, text in enumerate(file, 1) if text != "\n" or number <= before + 1)
         return next(islice(filled, line - 1, None), line)
 
 
-def _refuse_open_quotes(path: Path, layout: _Layout, read: int) -> None:
-    """Raises RunError where a quotation mark opens and whole rows stand before the next one: the reader takes them for
-    one cell, and would lose them without a word. A note that goes over several lines is none of these.
+def _check_quotes(path: Path, layout: _Layout, read: int) -> None:
+    """Raises RunError for a stray quotation mark that swallows whole rows: pyarrow would read them as one cell.
 
-    ``read``: lines behind the header that the reader knows.
+    A quoted note over several lines is accepted. ``read`` is the number of lines after the header that pyarrow found.
     """
     if not _may_have_open_quotes(path, layout.before + 1 + read):
         return
@@ -305,7 +308,7 @@ def _refuse_open_quotes(path: Path, layout: _Layout, read: int) -> None:
             if opened and '"' not in line and line.count(layout.delimiter) + 1 == len(layout.header) > 1:
                 raise RunError(
                     f"{path}: line {opened}: a quotation mark opens there and none closes it on that line, so the rows "
-                    "behind it cannot be told from a text; correct or remove the line"
+                    "after it would be read as text; correct or remove the line"
                 )
             rest = line.partition('"')[2] if opened else line
             if '"' in line and number > layout.before:
@@ -313,7 +316,7 @@ def _refuse_open_quotes(path: Path, layout: _Layout, read: int) -> None:
 
 
 def _may_have_open_quotes(path: Path, known: int) -> bool:
-    """Whether there are quotation marks, and other lines than those that the reader knows."""
+    """Whether the file has quotation marks, and a number of lines other than ``known``."""
     marks = ends = 0
     last = b"\n"
     with path.open("rb") as file:
@@ -331,7 +334,7 @@ def _ends_with_newline(path: Path) -> bool:
 
 
 def _malformed_finding(path: Path, malformed: list[tuple[int, int]], layout: _Layout) -> Finding:
-    line = _with_blanks(path, malformed[0][0], layout.before)
+    line = _line_in_file(path, malformed[0][0], layout.before)
     lines = "line was" if len(malformed) == 1 else "lines were"
     return Finding(
         "malformed_line",

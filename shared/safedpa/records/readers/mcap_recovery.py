@@ -1,4 +1,7 @@
-"""Records of an MCAP file, each measured before it is opened: the format lets a byte of a chunk become any number."""
+"""Reads the records of an MCAP file up to its first damage, in bounded memory.
+
+Every record is measured before it is unpacked: compression lets one byte of a chunk expand to any size.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,20 @@ if TYPE_CHECKING:
 __all__ = ["DamageError", "channels_at_end", "records_of"]
 
 _MAGIC = b"\x89MCAP0\r\n"
-_MOST_PASSED_OVER = 10_000
-"""Records of private kinds in one chunk, and those of them outside of chunks, with what is too short for its kind."""
-_SHORTEST, _FIRST_PRIVATE = 6, 0x80
-"""Bytes of the shortest record that is passed over (an empty index of messages); opcodes."""
+_MAX_SKIPPED = 10_000
+"""Limit for records of unknown kinds in one chunk, and for unknown or too short ones outside of chunks."""
+_MIN_RECORD_BYTES, _FIRST_PRIVATE_OPCODE = 6, 0x80
+"""Bytes of the shortest record that is skipped (an empty message index); first opcode of private records."""
 _HEAD = struct.Struct("<BQ")
 """Opcode and length of a record."""
 _MESSAGE = struct.Struct("<HIQQ")
-"""Channel, number, when it was logged, when it was published."""
+"""Channel, sequence number, log time, publish time."""
 _FOOTER = struct.Struct("<BQQQI8s")
-"""Opcode 2, length 20, where the summary begins, where its offsets begin, checksum; then the magic again."""
+"""Opcode 2, length 20, start of the summary, start of its offsets, checksum, magic."""
 
 
 class DamageError(Exception):
-    """The file is damaged or cut off from ``offset`` on."""
+    """The file is damaged or truncated at byte ``offset``."""
 
     def __init__(self, offset: int, size: int) -> None:
         super().__init__(f"damaged at byte {offset} of {size}")
@@ -40,10 +43,10 @@ class DamageError(Exception):
 
 
 def records_of(path: Path, *, validate: bool = True) -> Iterator[Any]:
-    """Records of the file, chunks opened, up to its end.
+    """Yields the records of the file, with chunks unpacked, up to its end.
 
-    Raises RunError where it is no MCAP file, LimitError naming the limit that a record passes, and DamageError where it
-    cannot be read further. Memory is bounded by the limits whatever the file says.
+    Raises RunError if it is not an MCAP file, LimitError if a record passes a limit, and DamageError at the first
+    damage. Memory is bounded by the limits, whatever the file contains.
     """
     size = path.stat().st_size
     with _BoundedReader(path) as file:
@@ -55,13 +58,13 @@ def records_of(path: Path, *, validate: bool = True) -> Iterator[Any]:
                 record = next(records)
             except StopIteration:
                 return
-            except _damages() as error:
+            except _damage_errors() as error:
                 raise DamageError(file.tell(), size) from error
             yield record
 
 
 def channels_at_end(path: Path) -> list[Any] | None:
-    """Channels that the index at the file's end names; None where it has none: not closed, damaged, or no MCAP file."""
+    """Channels listed in the index at the end of the file; None without an index (not closed, damaged, no MCAP)."""
     from mcap.records import Channel
 
     size = path.stat().st_size
@@ -74,12 +77,12 @@ def channels_at_end(path: Path) -> list[Any] | None:
             file.seek(summary)
             records = _records_in(file, _SizeBudget(path, size), validate=False)
             return [record for record in records if isinstance(record, Channel)] or None
-        except _damages():
+        except _damage_errors():
             return None
 
 
-def _damages() -> tuple[type[Exception], ...]:
-    """What reading damaged bytes raises."""
+def _damage_errors() -> tuple[type[Exception], ...]:
+    """Exceptions that reading damaged bytes can raise."""
     import zstandard
     from mcap.exceptions import McapError
 
@@ -87,8 +90,10 @@ def _damages() -> tuple[type[Exception], ...]:
 
 
 def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iterator[Any]:
-    """Records behind the magic up to the data's end or the footer. What holds lists without end is passed over:
-    indices, statistics, attachments."""
+    """Yields the records after the magic up to the footer.
+
+    Indices, statistics and attachments are skipped: their lists have no limit of their own.
+    """
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel, Chunk, DataEnd, Message, Schema
@@ -96,118 +101,118 @@ def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iter
     stream, most = ReadDataStream(file, calculate_crc=validate), limit("mcap_record_bytes")
     if validate:
         stream._crc = zlib.crc32(_MAGIC)
-    passed_over = 0
+    skipped = 0
     while True:
         before = stream.checksum() if validate else 0
         opcode, length = stream.read1(), stream.read8()
         if length > most:
             raise ValueError(f"a record of {length} bytes")
-        passed_over += length < _SHORTEST or opcode >= _FIRST_PRIVATE
-        if opcode == 0 or passed_over > _MOST_PASSED_OVER:
-            raise ValueError("records that no one knows")
+        skipped += length < _MIN_RECORD_BYTES or opcode >= _FIRST_PRIVATE_OPCODE
+        if opcode == 0 or skipped > _MAX_SKIPPED:
+            raise ValueError("unknown records")
         end = stream.count + length
         if opcode == Opcode.FOOTER:
             return
         if opcode == Opcode.CHUNK:
-            yield from _opened(Chunk.read(stream), budget, validate=validate)
+            yield from _records_in_chunk(Chunk.read(stream), budget, validate=validate)
         elif opcode == Opcode.MESSAGE:
             yield Message.read(stream, length)
         elif opcode == Opcode.CHANNEL:
-            budget.one_more_channel()
+            budget.count_channel()
             yield Channel.read(stream)
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(stream)
         elif opcode == Opcode.DATA_END and validate and DataEnd.read(stream).data_section_crc not in (0, before):
-            raise ValueError("the data are not what was written")
+            raise ValueError("checksum of the data section")
         if stream.count < end:
             stream.read(end - stream.count)
 
 
 @final
 class _SizeBudget:
-    """How many bytes the chunks of one file may become."""
+    """Counts the channels and the unpacked bytes of one file against their limits."""
 
     def __init__(self, path: Path, size: int) -> None:
         self._path = path
         self._channels = 0
         self._left = max(limit("expansion_free_bytes"), size * limit("expansion"))
 
-    def one_more_channel(self) -> None:
-        """Raises LimitError where there are too many."""
+    def count_channel(self) -> None:
+        """Counts a channel; raises LimitError if there are too many."""
         self._channels += 1
         if self._channels > limit("mcap_channels"):
             raise too_much("mcap_channels", self._channels, str(self._path))
 
-    def take(self, reported: int) -> None:
-        """Raises LimitError where a chunk, or all of them together, would be too large."""
-        if reported > limit("mcap_chunk_bytes"):
-            raise too_much("mcap_chunk_bytes", f"{reported} bytes", str(self._path))
-        self._left -= reported
+    def take(self, declared: int) -> None:
+        """Counts a chunk of ``declared`` bytes; raises LimitError if it, or all chunks together, are too large."""
+        if declared > limit("mcap_chunk_bytes"):
+            raise too_much("mcap_chunk_bytes", f"{declared} bytes", str(self._path))
+        self._left -= declared
         if self._left < 0:
             raise too_much("expansion", "more", str(self._path))
 
 
-def _opened(chunk: Chunk, budget: _SizeBudget, *, validate: bool) -> Iterator[Any]:
+def _records_in_chunk(chunk: Chunk, budget: _SizeBudget, *, validate: bool) -> Iterator[Any]:
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel, Message, Schema
 
-    data = _data(chunk, budget)
+    data = _unpack(chunk, budget)
     if validate and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError("the chunk is not what was written")
-    at, size, passed_over = 0, len(data), 0
+        raise ValueError("checksum of a chunk")
+    at, size, skipped = 0, len(data), 0
     while at < size:
         opcode, length = _HEAD.unpack_from(data, at)
         begin = at + _HEAD.size
         at = begin + length
         if at > size or opcode == 0 or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
-            raise ValueError("a record is none, or longer than its chunk")
+            raise ValueError("a record is invalid or longer than its chunk")
         if opcode == Opcode.MESSAGE:
             number, sequence, logged, published = _MESSAGE.unpack_from(data, begin)
             content = data[begin + _MESSAGE.size : at]
             yield Message(channel_id=number, log_time=logged, data=content, publish_time=published, sequence=sequence)
         elif opcode == Opcode.CHANNEL:
-            budget.one_more_channel()
+            budget.count_channel()
             yield Channel.read(ReadDataStream(io.BytesIO(data[begin:at])))
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(ReadDataStream(io.BytesIO(data[begin:at])))
         else:
-            passed_over += 1
-            if passed_over > _MOST_PASSED_OVER:
-                raise ValueError("a chunk of records that no one knows")
+            skipped += 1
+            if skipped > _MAX_SKIPPED:
+                raise ValueError("unknown records in a chunk")
 
 
-def _data(chunk: Chunk, budget: _SizeBudget) -> bytes:
-    """What the chunk holds: never more than it says, and that was measured."""
-    reported = chunk.uncompressed_size
-    budget.take(max(reported, len(chunk.data)))
+def _unpack(chunk: Chunk, budget: _SizeBudget) -> bytes:
+    """Unpacks a chunk; never produces more than its declared size, which is checked first."""
+    declared = chunk.uncompressed_size
+    budget.take(max(declared, len(chunk.data)))
     if chunk.compression == "zstd":
         import zstandard
 
         with zstandard.ZstdDecompressor(max_window_size=limit("mcap_chunk_bytes")).stream_reader(chunk.data) as stream:
-            data: bytes = stream.read(reported + 1)
+            data: bytes = stream.read(declared + 1)
     elif chunk.compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=reported + 1)
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=declared + 1)
     elif chunk.compression == "":
         data = chunk.data
     else:
-        raise ValueError(f"chunks packed by {chunk.compression!r}")
-    if len(data) != reported:
-        raise ValueError(f"a chunk holds other than the {reported} bytes that it says")
+        raise ValueError(f"compression {chunk.compression!r}")
+    if len(data) != declared:
+        raise ValueError(f"a chunk does not have its declared {declared} bytes")
     return data
 
 
 @final
 class _BoundedReader(io.BufferedReader):
-    """A file of which no one reads more at once than a record may have: lengths within a record can be damaged, too."""
+    """A file whose reads are bounded by the record limit: lengths inside a damaged record can be arbitrary."""
 
     def __init__(self, path: Path) -> None:
-        raw: IO[bytes] = io.FileIO(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC))  # a pipe would wait
+        raw: IO[bytes] = io.FileIO(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC))  # O_NONBLOCK for pipes
         super().__init__(raw)  # type: ignore[arg-type]
         self._most = limit("mcap_record_bytes")
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """At most ``size`` bytes; fewer than asked for is an end of the file to anyone who reads a record."""
+        """Reads at most ``size`` bytes, and no more than the limit; a short read looks like the end of the file."""
         return super().read(size if size is None else min(size, self._most))

@@ -1,4 +1,4 @@
-"""Parquet files as tables."""
+"""Reads Parquet files as tables."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _NUMBER_BYTES = 8
 
 
 def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
-    """The wanted columns of a Parquet file.
+    """Reads the wanted columns of a Parquet file.
 
-    Raises RunError when it is no Parquet file, or a column is missing or holds no numbers.
+    Raises RunError if it is not a Parquet file, or if a column is missing or not numeric.
     """
     import pyarrow
 
@@ -37,13 +37,13 @@ def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RunError(f"{path}: cannot be read as Parquet ({reason}); it may be cut off or another format") from error
-    # nanoseconds since 1970 have more digits than a float64: to 256 ns, as in every other kind of log
+    # safe=False: ns since 1970 exceed the 53 bits of a float64, so times are rounded to 256 ns, as in all logs
     numbers = {name: table.column(name).cast(pyarrow.float64(), safe=False) for name in wanted}
     return Table({name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in numbers.items()})
 
 
 def open_parquet(path: Path) -> ParquetFile:
-    """The file with its description read. Raises LimitError naming the limit, and what pyarrow raises."""
+    """Opens the file and reads its footer; raises LimitError for a passed limit, and the errors of pyarrow."""
     from pyarrow import parquet
 
     size = path.stat().st_size
@@ -60,14 +60,14 @@ def open_parquet(path: Path) -> ParquetFile:
 
 
 def _footer_bytes(path: Path, size: int) -> int:
-    """Length of the description, which stands before the last four bytes; 0 of what is too short to have one."""
+    """Length of the footer, which is stored before the last four bytes; 0 if the file is too short."""
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
         return int.from_bytes(file.read(8)[:4], "little") if size >= 12 else 0
 
 
 def _check_wanted(path: Path, file: ParquetFile, wanted: Sequence[str]) -> None:
-    """Raises RunError where a column holds no numbers, LimitError where they would be far more than the file."""
+    """Raises RunError for a column without numbers, and LimitError if the data would expand too much."""
     import pyarrow
 
     for name in wanted:
@@ -76,8 +76,8 @@ def _check_wanted(path: Path, file: ParquetFile, wanted: Sequence[str]) -> None:
             raise RunError(f"{path}: column '{name}': got {kind}, wanted numbers")
     size, about = path.stat().st_size, file.metadata
     most = max(limit("expansion_free_bytes"), size * limit("expansion"))
-    reported = _NUMBER_BYTES * about.num_rows * len(wanted)
-    for group in range(about.num_row_groups):  # not by column: pyarrow ends the process where one contradicts itself
-        reported += about.row_group(group).total_byte_size // 8
-    if about.num_rows < 0 or reported > most:
-        raise too_much("expansion", reported // max(1, size), str(path))
+    expanded = _NUMBER_BYTES * about.num_rows * len(wanted)
+    for group in range(about.num_row_groups):  # not per column: pyarrow aborts the process if a column is inconsistent
+        expanded += about.row_group(group).total_byte_size // 8
+    if about.num_rows < 0 or expanded > most:
+        raise too_much("expansion", expanded // max(1, size), str(path))

@@ -1,4 +1,4 @@
-"""A table of numbers as it lies in a file, before anything is made of it."""
+"""The table of raw numbers that every reader returns."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["Table", "require_columns", "require_file"]
 
 @dataclass(frozen=True)
 class Table:
-    """Columns (rows,) by name; missing cells are NaN."""
+    """Columns by name, each of shape (rows,); missing cells are NaN."""
 
     columns: Mapping[str, NDArray[np.float64]]
     findings: tuple[Finding, ...] = ()
 
 
 def require_file(path: Path) -> None:
-    """Raises RunError when there is no file, or an empty one."""
+    """Raises RunError if the file is missing or empty."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "no such file"
         raise RunError(f"{path}: {what}; {near_files(path)}wanted a recording (.csv, .parquet or .mcap)")
@@ -33,7 +33,7 @@ def require_file(path: Path) -> None:
 
 
 def require_columns(path: Path, wanted: Iterable[str], present: list[str]) -> None:
-    """Raises RunError naming the columns that are missing or there twice."""
+    """Raises RunError that names the columns that are missing or duplicated."""
     missing = [name for name in wanted if name not in present]
     if missing:
         rest = f" (and {len(missing) - 1} more: {', '.join(missing[1:])})" if len(missing) > 1 else ""
@@ -41,6 +41,8 @@ def require_columns(path: Path, wanted: Iterable[str], present: list[str]) -> No
             f"{path}: column '{missing[0]}' is missing{rest}; {did_you_mean(missing[0], present)}; "
             "rename it in the file, or name a column map"
         )
-    twice = [name for name in wanted if present.count(name) > 1]
-    if twice:
-        raise RunError(f"{path}: column '{twice[0]}' is there {present.count(twice[0])} times; give each its own name")
+    duplicated = [name for name in wanted if present.count(name) > 1]
+    if duplicated:
+        raise RunError(
+            f"{path}: column '{duplicated[0]}' occurs {present.count(duplicated[0])} times; rename the others"
+        )

@@ -1,1 +1,1 @@
-"""Writers of runs and recordings."""
+"""Writers: ``mcap`` records bus messages, ``tables`` writes runs and recordings as CSV or Parquet."""

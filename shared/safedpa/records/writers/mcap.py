@@ -1,6 +1,6 @@
-"""Writing what is said on the bus to an MCAP file, so that neither a kill nor a full disk costs what was written.
+"""Records bus messages to an MCAP file that stays readable after a kill, a power cut or a full disk.
 
-Each channel carries the JSON Schema of its message, for tools that know MCAP and not this project.
+Each channel has the JSON Schema of its message, for MCAP tools that do not know this project.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 __all__ = ["McapRecorder", "schema_of"]
 
 _CHUNK_BYTES = 16 * 1024
-"""About half a second of one robot; with flushing, a kill then loses less than a second."""
+"""About half a second of one robot, so that a kill loses less than a second."""
 _FLUSH_NANOSECONDS = 500_000_000
 
 
 @final
 class McapRecorder:
-    """One MCAP file: a channel per key with the JSON Schema of its message, messages msgpack as on the bus.
+    """Writes one MCAP file with a channel per key; messages are msgpack as on the bus.
 
-    What is older than 0.5 s (by log time) when ``write`` is called has reached the file; ``flush`` writes the rest,
-    ``sync`` waits until all of it is on the disk: the first ``acknowledged`` messages are there, whatever happens to
-    process or power afterwards. When the disk is full the file is cut back to its last whole record and stays readable;
-    from then on every call but ``close`` raises RecordingError. A file that exists is never overwritten: ``path`` then
-    ends in -2, -3, ... ``about`` is kept as the metadata record ``safedpa``.
+    Messages older than 0.5 s (by log time) are in the file after each ``write``; ``flush`` writes the rest. ``sync``
+    waits for the disk: the first ``acknowledged`` messages then survive a power cut. When the disk is full, the file is
+    truncated to its last complete record and stays readable; every later call but ``close`` raises RecordingError.
+    An existing file is never overwritten: ``path`` then ends in -2, -3, ... ``about`` is stored as the metadata record
+    ``safedpa``.
     """
 
     def __init__(self, path: str | Path, about: Mapping[str, str] | None = None) -> None:
@@ -56,32 +56,32 @@ class McapRecorder:
         self._last_flush_ns: int | None = None
         self._failure = ""
         self.written = 0
-        """Messages taken so far."""
+        """Number of messages written so far."""
         self.acknowledged = 0
-        """Messages, the first ones, that are known to be on the disk."""
+        """Number of messages, from the first, that are known to be on the disk."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _WholeRecordFile(self.path.open("wb", buffering=0))
             _sync_folder(self.path.parent)
         except OSError as error:
             raise RecordingError(
-                f"{self.path}: cannot be written ({error.strerror}); choose another place for the recording"
+                f"{self.path}: cannot be written ({error.strerror}); choose another folder for the recording"
             ) from error
         self._writer: Writer | None = Writer(self._file, chunk_size=_CHUNK_BYTES)
-        self._guarded(lambda writer: (writer.start(profile="safedpa"), writer.flush()))
+        self._attempt(lambda writer: (writer.start(profile="safedpa"), writer.flush()))
         if about:
-            self._guarded(lambda writer: (writer.add_metadata("safedpa", dict(about)), writer.flush()))
+            self._attempt(lambda writer: (writer.add_metadata("safedpa", dict(about)), writer.flush()))
 
     def write(self, key: str, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Adds one message as it came from the bus; times in nanoseconds since 1970.
+        """Adds one encoded message; times are in nanoseconds since 1970.
 
-        Raises RecordingError when the file cannot grow, InputError when the key is not one of this project's.
+        Raises RecordingError if the file cannot grow, and InputError if the key is not one of this project.
         """
         if key not in self._channels:
             self._register(key)
         channel = self._channels[key]
         sequence = self._sequences[channel] = self._sequences[channel] + 1
-        self._guarded(
+        self._attempt(
             lambda writer: writer.add_message(
                 channel, max(log_time_ns, 0), payload, max(publish_time_ns, 0), sequence=sequence
             )
@@ -94,19 +94,19 @@ class McapRecorder:
             self.flush()
 
     def flush(self) -> None:
-        """Ends the chunk in progress and hands everything to the operating system. Raises RecordingError."""
-        self._guarded(lambda writer: writer.flush())
+        """Writes the present chunk to the operating system. Raises RecordingError."""
+        self._attempt(lambda writer: writer.flush())
 
     def sync(self) -> None:
-        """Flushes, and returns when all is on the disk: ``acknowledged`` then counts it. Raises RecordingError."""
-        self._guarded(lambda writer: self._file.sync(after=writer.flush))
+        """Flushes, and waits until everything is on the disk and acknowledged. Raises RecordingError."""
+        self._attempt(lambda writer: self._file.sync(after=writer.flush))
         self.acknowledged = self.written
 
     def close(self) -> None:
-        """Writes index and end, and waits for the disk; after a failure it does nothing. Raises RecordingError."""
+        """Writes the index, closes and syncs the file; does nothing after a failure. Raises RecordingError."""
         if self._writer is not None and not self._failure:
             try:
-                self._guarded(lambda writer: self._file.sync(after=writer.finish))
+                self._attempt(lambda writer: self._file.sync(after=writer.finish))
                 self.acknowledged = self.written
             finally:
                 self._writer = None
@@ -117,16 +117,16 @@ class McapRecorder:
         kind = topic_of(key)[2].message
         if kind not in self._schemas:
             name, text = f"safedpa.{kind.__name__}", schema_of(kind)
-            self._guarded(lambda writer: self._schemas.update({kind: writer.register_schema(name, "jsonschema", text)}))
+            self._attempt(lambda writer: self._schemas.update({kind: writer.register_schema(name, "jsonschema", text)}))
         schema, metadata = self._schemas[kind], {"message": kind.__name__}
-        self._guarded(
+        self._attempt(
             lambda writer: self._channels.update(
                 {key: writer.register_channel(key, "msgpack", schema, metadata=metadata)}
             )
         )
         self._sequences[self._channels[key]] = 0
 
-    def _guarded(self, work: Callable[[Writer], object]) -> None:
+    def _attempt(self, work: Callable[[Writer], object]) -> None:
         if self._failure:
             raise RecordingError(self._failure)
         if self._writer is None:
@@ -135,8 +135,8 @@ class McapRecorder:
             work(self._writer)
         except OSError as error:
             self._failure = (
-                f"{self.path}: the recording stopped after {self._file.whole} bytes ({error.strerror}); what was "
-                "written before is readable; free space or choose another place, then record again"
+                f"{self.path}: the recording stopped after {self._file.whole_bytes} bytes ({error.strerror}); what was "
+                "written before is readable; free space or choose another folder, then record again"
             )
             self._file.cut_back()
             self._file.close()
@@ -153,30 +153,30 @@ class McapRecorder:
 
 @final
 class _WholeRecordFile:
-    """An unbuffered file that takes every write whole or not at all.
+    """An unbuffered file that knows the length of its complete records.
 
-    The MCAP writer hands over one or several whole records at a time, so that a kill leaves whole records behind.
+    The MCAP writer passes complete records to each ``write``, so a kill leaves complete records behind.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self.whole = 0
+        self.whole_bytes = 0
 
     def write(self, data: bytes) -> int:
         rest = memoryview(data)
         while rest:
             rest = rest[self._file.write(rest) :]
-        self.whole += len(data)
+        self.whole_bytes += len(data)
         return len(data)
 
     def tell(self) -> int:
-        return self.whole
+        return self.whole_bytes
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Does nothing: the file is unbuffered."""
 
     def sync(self, after: Callable[[], None]) -> None:
-        """Returns when what ``after`` wrote, and all before, is on the disk; a pipe knows no such thing."""
+        """Calls ``after``, then waits until everything written is on the disk (not for a pipe, which cannot sync)."""
         after()
         try:
             os.fsync(self._file.fileno())
@@ -185,19 +185,19 @@ class _WholeRecordFile:
                 raise
 
     def cut_back(self) -> None:
-        """Removes the part of a record that still fitted."""
-        with contextlib.suppress(OSError):  # a device has no length to cut
-            os.ftruncate(self._file.fileno(), self.whole)
+        """Truncates the file to its last complete record."""
+        with contextlib.suppress(OSError):  # a device cannot be truncated
+            os.ftruncate(self._file.fileno(), self.whole_bytes)
 
     def close(self) -> None:
         self._file.close()
 
 
 def _sync_folder(folder: Path) -> None:
-    """The file's name on the disk, too: else a power cut could leave its content without a name."""
+    """Syncs the folder entry too: otherwise a power cut could leave the content without a file name."""
     number = os.open(folder, os.O_RDONLY)
     try:
-        with contextlib.suppress(OSError):  # not every file system can
+        with contextlib.suppress(OSError):  # not every file system supports it
             os.fsync(number)
     finally:
         os.close(number)
@@ -226,8 +226,8 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 def schema_of(kind: type[Message]) -> bytes:
-    """The JSON Schema of a message's map of fields, with each field's meaning and unit in words."""
-    meanings = {name: text for owner in reversed(kind.__mro__) for name, text in _meanings().get(owner.__name__, ())}
+    """Returns the JSON Schema of a message; the description of a field is the docstring below it."""
+    meanings = {name: text for owner in reversed(kind.__mro__) for name, text in _field_texts().get(owner.__name__, ())}
     properties = {
         item.name: {**_TYPES[str(item.type)], **({"description": meanings[item.name]} if item.name in meanings else {})}
         for item in fields(kind)
@@ -244,17 +244,17 @@ def schema_of(kind: type[Message]) -> bytes:
 
 
 @cache
-def _meanings() -> dict[str, tuple[tuple[str, str], ...]]:
-    """(field, meaning) pairs by message, from the texts below the fields; nothing where the source is not there."""
+def _field_texts() -> dict[str, tuple[tuple[str, str], ...]]:
+    """(field, description) pairs by message, from the source of the messages; empty if there is no source."""
     try:
         tree = ast.parse(inspect.getsource(messages))
     except OSError:
         return {}
     classes = (node for node in tree.body if isinstance(node, ast.ClassDef))
-    return {node.name: tuple(_of_body(node.body)) for node in classes}
+    return {node.name: tuple(_descriptions_in_class(node.body)) for node in classes}
 
 
-def _of_body(body: list[ast.stmt]) -> list[tuple[str, str]]:
+def _descriptions_in_class(body: list[ast.stmt]) -> list[tuple[str, str]]:
     found = []
     for node, following in pairwise(body):
         if not (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)):

@@ -1,7 +1,4 @@
-"""Runs, and recordings of the bus, as CSV and Parquet: under the native column names, whole or not at all.
-
-Files that are there whole or not at all.
-"""
+"""Writes runs and bus recordings as CSV or Parquet with the native column names; files are written atomically."""
 
 from __future__ import annotations
 
@@ -37,9 +34,9 @@ __all__ = [
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path next to ``path``; renamed to it at the end, removed when the block raises.
+    """Yields a temporary path that is renamed to ``path`` at the end, or removed if the block raises.
 
-    Raises RecordingError when it cannot be written.
+    Raises RecordingError if the file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")
     try:
@@ -48,25 +45,25 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         raise RecordingError(
-            f"{path}: cannot be written ({why_not_written(error)}); nothing was changed there; choose another place"
+            f"{path}: cannot be written ({why_not_written(error)}); nothing was changed; choose another folder"
         ) from error
     finally:
-        with suppress(OSError):  # the folder may be what is missing
+        with suppress(OSError):  # the folder itself may be missing
             temporary.unlink(missing_ok=True)
 
 
 def write_csv(run: Run, path: str | Path) -> None:
-    """The run as CSV, every digit kept, the rows outside all stretches left out. Raises RecordingError."""
+    """Writes the rows within stretches as CSV in full precision. Raises RecordingError."""
     write_columns(run_columns(run), Path(path), "csv")
 
 
 def write_parquet(run: Run, path: str | Path) -> None:
-    """The run as Parquet, the rows outside all stretches left out. Raises RecordingError."""
+    """Writes the rows within stretches as Parquet. Raises RecordingError."""
     write_columns(run_columns(run), Path(path), "parquet")
 
 
 def run_columns(run: Run) -> dict[str, Any]:
-    """Columns by native name: t, states, actions, of the rows within stretches."""
+    """Returns the columns t, states and actions by native name, for the rows within stretches."""
     parts = list(run.parts())
     t, states, actions = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     columns = {"t": t}
@@ -76,7 +73,7 @@ def run_columns(run: Run) -> dict[str, Any]:
 
 
 def write_columns(columns: Mapping[str, Any], path: Path, kind: str) -> None:
-    """Writes columns of equal length as ``csv`` or ``parquet``, whole or not at all. Raises RecordingError."""
+    """Writes columns of equal length as ``csv`` or ``parquet``, atomically. Raises RecordingError."""
     import pyarrow
 
     table = pyarrow.table(dict(columns))
@@ -87,7 +84,7 @@ def write_columns(columns: Mapping[str, Any], path: Path, kind: str) -> None:
 def _write_csv(table: pyarrow.Table, path: Path) -> None:
     from pyarrow import csv
 
-    # Without quotes: names and statuses hold no comma, and every program reads such a file.
+    # without quotes every program can read the file; names and statuses contain no comma
     csv.write_csv(table, path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
 
 
@@ -99,7 +96,7 @@ def _write_parquet(table: pyarrow.Table, path: Path) -> None:
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What was written."""
+    """Summary of an export."""
 
     robot: str
     rows: int
@@ -107,18 +104,18 @@ class ExportResult:
 
 
 def export_recording(recording: Path, out: Path, kind: str, robot: str | None = None) -> ExportResult:
-    """Writes one robot's ticks as ``csv`` or ``parquet``, whole or not at all.
+    """Writes the ticks of one robot as ``csv`` or ``parquet``, atomically.
 
-    Columns: t [s], the states, the actions in force until the next row and, where verdicts were recorded, status,
-    slack, h_now, h_next and margin (empty at ticks without one). The last tick, whose action the robot never reported,
-    is left out, so are ticks before a lost one. Raises RunError when the recording cannot be used, RecordingError when
-    ``out`` cannot be written.
+    Columns: t [s], states, actions applied until the next row and, if verdicts were recorded, status, slack, h_now,
+    h_next and margin (empty at ticks without one). Ticks before a missing one, and the last tick, are omitted: the
+    robot reports their action with the next tick. Raises RunError if the recording cannot be used, and RecordingError
+    if ``out`` cannot be written.
     """
     ticks = read_recording(recording, robot, with_verdicts=True)
     system = _system_of(recording, ticks)
     known = np.flatnonzero(np.isfinite(ticks.actions).all(axis=1))
     if not len(known):
-        raise RunError(f"{recording}: robot '{ticks.robot}' has no two ticks in a row; wanted a longer recording")
+        raise RunError(f"{recording}: robot '{ticks.robot}' has no two consecutive ticks; wanted a longer recording")
     columns: dict[str, Any] = {"t": ticks.t[known]}
     columns |= {name: ticks.states[known, index] for index, name in enumerate(system.state_names)}
     columns |= {name: ticks.actions[known, index] for index, name in enumerate(system.action_names)}

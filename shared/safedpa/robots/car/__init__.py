@@ -1,4 +1,10 @@
-"""The car: system, bases, effects, barriers, observation, controllers, and what a person may choose of it."""
+"""The car with front steering, the largest of the shipped robots; read ``robot`` and ``system`` first.
+
+``dynamics`` holds base model and limits, ``effects`` its effects, ``barriers`` the barrier equations and ``scenes`` the
+barriers of a scene. ``controllers`` are goal seeker, route follower and MPPI planner, ``observation`` and
+``perception`` the input of a learned policy, ``adapters`` ROS and Gazebo. ``robot_throttle`` is the variant with a
+throttle.
+"""
 
 from safedpa.robots.car.robot import ROBOT, Car
 

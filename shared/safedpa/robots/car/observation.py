@@ -1,7 +1,7 @@
-"""What a learned policy sees: the goal and the free space around the robot, in the robot's own frame.
+"""The observation of a learned policy: goal and free space around the car, in its own frame, for batches of cars.
 
-The same function serves the batched simulator in training and robots at work: one or many at a time. A service, which
-asks for one robot at a time, takes ``safedpa.robots.car.perception``, the same equations over plain numbers.
+Training uses this module. A service, which has one car at a time, uses ``safedpa.robots.car.perception``, the same
+equations over plain floats.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ __all__ = [
 
 
 RAYS = 16
-"""Directions, evenly around the robot, the first straight ahead."""
+"""Number of rays, evenly spaced around the car; the first points straight ahead."""
 OBSTACLES = 4
-"""How many of the nearest obstacles are told one by one."""
+"""Number of nearest obstacles that are observed individually."""
 
 FAR_AWAY = (1e4, 1e4, 0.0)
-"""An obstacle that fills a row and is nowhere near."""
+"""Padding for unused obstacle rows: an obstacle far away."""
 FULL_SPEED = 2.0
 FULL_STEER = 0.34
 FULL_RADIUS = 0.45
 NEAR = 1.0
-"""m at which the closeness near / (near + distance) is a half."""
+"""m; distance at which the closeness near / (near + distance) is 0.5."""
 TOUCHING = 0.2
-"""m; the same for the clearance of the nearest obstacles, where centimetres count."""
+"""m; the same for the clearance of the nearest obstacles, where centimetres matter."""
 _GOAL = 5
 _OWN = 4
 _PER_OBSTACLE = 5
@@ -49,7 +49,7 @@ _ANGLES = 2.0 * np.pi / RAYS * np.arange(RAYS)
 
 
 def observation_length(latents: int) -> int:
-    """How many numbers an observation has."""
+    """Returns the number of entries of an observation."""
     return _GOAL + _OWN + _PER_OBSTACLE * OBSTACLES + RAYS + latents
 
 
@@ -62,13 +62,13 @@ def observe(
     footprint: AnyFloatArray,
     latent: AnyFloatArray,
 ) -> AnyFloatArray:
-    """Observations (..., observation_length) of cars: goal, own motion, nearest obstacles, rays, latent.
+    """Returns observations (..., observation_length) of cars: goal, own motion, nearest obstacles, rays, latent.
 
-    State (..., 4) and the action in force ``applied`` (..., 2) in SI units, goal (..., 2) [m], obstacles (..., m, 3):
-    x, y, radius [m], m >= OBSTACLES (``padded`` sees to it), field (..., 4): lowest x, highest x, lowest y, highest y,
-    footprint (..., 3): rear, front, radius, latent (..., latents). A distance d is told as closeness near / (near + d).
-    Rays begin in the footprint's middle and tell how far a disc of the footprint's radius gets: what they leave open,
-    the robot fits through.
+    State (..., 4) and the current action ``applied`` (..., 2) are in SI units, goal (..., 2) [m], obstacles (..., m, 3)
+    x, y, radius [m] with m >= OBSTACLES (see ``padded``), field (..., 4) lowest x, highest x, lowest y, highest y,
+    footprint (..., 3) rear, front, radius, latent (..., latents). Distances d are encoded as closeness near / (near +
+    d). Rays start at the footprint's centre and measure how far a disc of the footprint's radius can move, so that the
+    car fits through wherever a ray is free.
     """
     cosine, sine = np.cos(state[..., 2]), np.sin(state[..., 2])
     own = _own_frame(obstacles[..., :2] - state[..., np.newaxis, :2], cosine[..., np.newaxis], sine[..., np.newaxis])
@@ -83,7 +83,7 @@ def observe(
 
 
 def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> AnyFloatArray:
-    """Obstacles (m, 3) with as many added far away as are lacking to ``least``."""
+    """Pads obstacles (m, 3) with far-away ones to at least ``least`` rows."""
     rows = [tuple(row) for row in obstacles]
     return np.array(rows + [FAR_AWAY] * (least - len(rows)), dtype=np.float64)
 
@@ -91,10 +91,10 @@ def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> AnyF
 def clearances(
     own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray
 ) -> tuple[AnyFloatArray, AnyFloatArray]:
-    """Room [m] between capsule and obstacles (..., m), negative inside, and what leads there (..., m, 2).
+    """Returns the clearance [m] of the capsule to obstacles (..., m), negative inside, and vectors (..., m, 2) to them.
 
-    ``own``: the obstacles' centres (..., m, 2) in the robot's frame; the second result points from the nearest point of
-    the capsule's line to the centre, in the same frame.
+    ``own`` holds the obstacles' centres (..., m, 2) in the car's frame. The vectors point from the closest point of the
+    capsule's axis to the centres, in the same frame.
     """
     rear, front, radius = (footprint[..., index, np.newaxis] for index in range(3))
     offset = own.copy()
@@ -122,7 +122,11 @@ def _motion(state: AnyFloatArray, applied: AnyFloatArray, footprint: AnyFloatArr
 
 
 def _nearest(own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray) -> AnyFloatArray:
-    """Of the nearest obstacles, nearest first: closeness of surface, direction and centre, clearance, size."""
+    """Returns five entries for each of the nearest obstacles, nearest first.
+
+    Direction to the surface times closeness (2), direction to the centre times closeness (2), closeness of the
+    clearance.
+    """
     room, offset = clearances(own, radii, footprint)
     order = np.argsort(room, axis=-1)[..., :OBSTACLES]
     room = np.take_along_axis(room, order, axis=-1)
@@ -139,12 +143,12 @@ def _nearest(own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray)
 def _rays(
     state: AnyFloatArray, own: AnyFloatArray, radii: AnyFloatArray, field: AnyFloatArray, footprint: AnyFloatArray
 ) -> AnyFloatArray:
-    """Closeness of what stops a disc of the footprint's radius that leaves the footprint's middle, per ray."""
+    """Returns for each ray the closeness of what stops a disc of the footprint's radius from the footprint's centre."""
     middle = 0.5 * (footprint[..., 1] - footprint[..., 0])
     radius = footprint[..., 2]
     cosine, sine = (turn(_ANGLES).astype(state.dtype) for turn in (np.cos, np.sin))
     nearest = _to_walls(state, middle, radius, field)
-    for index in range(own.shape[-2]):  # one after the other: the arrays in between stay small enough for the cache
+    for index in range(own.shape[-2]):  # one at a time keeps the intermediate arrays in the cache
         ahead = (own[..., index, 0] - middle)[..., np.newaxis]
         aside = own[..., index, 1, np.newaxis]
         along = ahead * cosine + aside * sine
@@ -159,7 +163,7 @@ def _rays(
 def _to_walls(
     state: AnyFloatArray, middle: AnyFloatArray, radius: AnyFloatArray, field: AnyFloatArray
 ) -> AnyFloatArray:
-    """How far [m] the same disc gets on each ray until it touches a wall, shape (..., RAYS)."""
+    """Returns how far [m] the same disc moves along each ray before it touches a wall, (..., RAYS)."""
     angle = state[..., 2, np.newaxis] + _ANGLES.astype(state.dtype)
     nearest: AnyFloatArray = np.full(angle.shape, FAR_AWAY[0], dtype=state.dtype)
     for axis, slope in ((0, np.cos(angle)), (1, np.sin(angle))):

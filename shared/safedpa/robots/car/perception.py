@@ -1,9 +1,7 @@
-"""From a car's state message to what its learned policy sees.
+"""The learned policy's observation of one car, computed from its state message; compiled by mypyc.
 
-What a learned policy sees, for one car: ``observe`` without the overhead of small arrays.
-
-The same equations over plain numbers; a ray is looked at only where an obstacle can stand in its way. The reference is
-``safedpa.robots.car.observation.observe``, with which it agrees to rounding.
+``observe_one`` has the equations of ``safedpa.robots.car.observation.observe`` over plain floats, without the overhead
+of small arrays, and agrees with it up to rounding. A ray is checked only against obstacles that it can hit.
 """
 
 from __future__ import annotations
@@ -44,9 +42,9 @@ Row = Sequence[float]
 def observe_one(
     state: Row, applied: Row, goal: Row, obstacles: Sequence[Row], field: Row, footprint: Row, latent: Row
 ) -> list[float]:
-    """The observation of one car, as ``observe`` describes it; fewer obstacles than OBSTACLES are no matter.
+    """Returns the observation of one car, as ``observe`` does; any number of obstacles is accepted.
 
-    Raises ValueError or OverflowError for numbers that are not finite.
+    Raises ValueError or OverflowError for values that are not finite.
     """
     x, y, yaw, speed = state
     cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -119,7 +117,7 @@ def _rays_towards(ahead: float, aside: float, reach: float, distance: float) -> 
 
 
 def _to_walls(pose: tuple[float, float, float, float], middle: float, radius: float, field: Row) -> list[float]:
-    """How far [m] the disc gets on each ray until a wall stops it; opposite rays have the same slopes but for sign."""
+    """Returns how far [m] the disc gets along each ray before it touches a wall; opposite rays share their slopes."""
     x, y, cosine, sine = pose
     west, east, south, north = field
     x, y = x + middle * cosine, y + middle * sine

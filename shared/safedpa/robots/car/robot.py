@@ -1,4 +1,4 @@
-"""What the car declares."""
+"""The declaration of the car."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from safedpa.bus import StateMessage
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.dynamics.elsewhere import SimulatorExport
+    from safedpa.dynamics.simulator_export import SimulatorExport
     from safedpa.networks.frame import Frame
     from safedpa.operations import Operations, Scalar
     from safedpa.policy.controller import Controller
@@ -31,7 +31,7 @@ __all__ = ["ROBOT", "Car"]
 
 @final
 class Car(ShippedRobot):
-    """A small four-wheeled robot with front steering and a speed servo, which may tow something."""
+    """A small four-wheeled robot with front steering and a speed servo, which may tow a load."""
 
     system = CAR
     variants = (ThrottleCar(),)
@@ -79,10 +79,10 @@ class Car(ShippedRobot):
 
         return swept_capsule(state, settings)
 
-    def elsewhere(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
-        from safedpa.robots.car.adapters.gazebo import elsewhere
+    def simulator_export(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
+        from safedpa.robots.car.adapters.gazebo import simulator_export
 
-        return elsewhere(model)
+        return simulator_export(model)
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
         from safedpa.robots.car.controllers.goal_seeker import GoalSeekerSettings, InverseDynamicsGoalSeeker
@@ -126,7 +126,7 @@ class Car(ShippedRobot):
 
 
 def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    """What the networks see of a state."""
+    """Returns the features of a state for the networks."""
     return [operations.cos(state[2]), operations.sin(state[2]), state[3]]
 
 

@@ -1,4 +1,4 @@
-"""What the car declares where it is commanded by throttle in place of a speed."""
+"""The declaration of the car that is commanded by throttle instead of speed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["ThrottleCar"]
 
 @final
 class ThrottleCar(ShippedRobot):
-    """The small car of the DART logs: a throttle from -1 to 1 moves it, and 0 lets it roll. It tows nothing."""
+    """The small car of the DART logs, with a throttle from -1 to 1 (0 lets it roll); it cannot tow a load."""
 
     system = CAR_THROTTLE
     rate = 20.0

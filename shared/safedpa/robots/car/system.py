@@ -21,11 +21,11 @@ CAR = System(
     state=_STATE,
     action=(Variable("target_speed", "m/s", -8.0, 8.0), _STEER),
 )
-"""A car whose speed is held by a servo: position of the middle of the rear axle, heading, forward speed."""
+"""A car with a speed servo. State: position of the rear axle's centre, heading, forward speed."""
 
 CAR_THROTTLE = System(
     name="car",
     state=_STATE,
     action=(Variable("throttle", "1", -1.0, 1.0), _STEER),
 )
-"""The same car commanded by throttle, -1 to 1."""
+"""The same car commanded by a throttle from -1 to 1."""

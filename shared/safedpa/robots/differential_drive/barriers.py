@@ -1,15 +1,15 @@
-"""The barriers of a robot on two braking wheels: obstacles and walls around all that it may still sweep.
+"""The barriers of a differential drive: obstacles and walls around the area that it sweeps while both wheels brake.
 
 Each wheel, w = speed -+ turn_rate track / 2, stops within a signed stopping distance s_left, s_right (``Braking``).
-So the middle of the axle goes D = (s_left + s_right) / 2 along its path at most, while the heading turns by no more
-than T = |s_right - s_left| / track. Every point of the body then stays within
+So the centre of the axle moves at most D = (s_left + s_right) / 2 along its path, while the heading turns by at most
+T = |s_right - s_left| / track. Every point of the body then stays within
 
     the segment from p - (rear - min(D, 0)) e to p + (front + max(D, 0)) e, e = (cos yaw, sin yaw),
     thickened by the radius and by (L + |D|) T, L = max(|rear|, |front|):
 
-a path of length |D| whose heading is never more than T off goes aside by |D| T at most, and an end of the body L away
-by L T more. While both wheels brake, D and T fall, and what is left of the path lies within what it was before, so that
-no h falls under the brake.
+because a path of length |D| with a heading error of at most T deviates by at most |D| T, and an end of the body at
+distance L by L T more. While both wheels brake, D and T decrease and the rest of the path stays within the previous
+region, so that no h decreases under braking.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ _SPEED = 3
 
 
 class Shape(NamedTuple):
-    """The robot's measures: m."""
+    """The robot's dimensions in m."""
 
     rear: float
-    """How far it reaches behind the middle of the axle."""
+    """Extent behind the centre of the axle."""
     front: float
     radius: float
     track: float
@@ -74,7 +74,7 @@ def _swept(given: Given, operations: Operations) -> _Swept:
 class WheeledObstacleBarrier(AbstractEquationBarrier):
     """h_i = distance(c_i, swept segment) - (R_i + radius + clearance + (L + |D|) T), centre c_i, radius R_i [m].
 
-    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape or a number that is none.
+    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape or a value that is not finite.
     """
 
     kind = "obstacle"
@@ -94,8 +94,8 @@ class WheeledObstacleBarrier(AbstractEquationBarrier):
         self.each = tuple((float(x), float(y), float(size) + room) for x, y, size in table)
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Of an obstacle x, y and what its distance has to exceed [m]."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns h of an obstacle: x, y and required distance [m]."""
         x, y, reach = given.each
         swept = _swept(given, operations)
         apart_x, apart_y = x - given.state[0], y - given.state[1]
@@ -109,7 +109,7 @@ class WheeledObstacleBarrier(AbstractEquationBarrier):
 class WheeledFieldBarrier(AbstractEquationBarrier):
     """h = b - n . end - (radius + clearance + (L + |D|) T), both ends of the swept segment, four walls n . p <= b.
 
-    ``field`` = lowest x, highest x, lowest y, highest y [m]. Raises InputError for one that is empty or not finite.
+    ``field`` = lowest x, highest x, lowest y, highest y [m]. Raises InputError for an empty field or non-finite values.
     """
 
     kind = "field"
@@ -128,8 +128,8 @@ class WheeledFieldBarrier(AbstractEquationBarrier):
         self.each = ((sides[0] + room, sides[1] - room, sides[2] + room, sides[3] - room),)
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Of the four walls, less what they have to be away: how far both ends lie within each."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns h of both ends for the four walls, which are already moved inwards by the required distance."""
         low_x, high_x, low_y, high_y = given.each
         swept, found = _swept(given, operations), list[Scalar]()
         for reach in (swept.front, swept.rear):
@@ -141,9 +141,9 @@ class WheeledFieldBarrier(AbstractEquationBarrier):
 def wheeled_barriers(
     settings: FilterSettings, shape: Shape, obstacles: ArrayLike, field: Sequence[float] = ()
 ) -> list[AbstractBarrier]:
-    """Obstacles (m, 3), the field (4,) if there is one, and limits of the speed, for the five states.
+    """Returns the barriers of obstacles (m, 3), the field (4,) if given, and the speed limits, for the five states.
 
-    Raises InputError for a wrong shape or a number that is not finite.
+    Raises InputError for a wrong shape or a value that is not finite.
     """
     braking = Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
     found: list[AbstractBarrier] = [WheeledObstacleBarrier(obstacles, shape, braking, settings.barrier("clearance"))]

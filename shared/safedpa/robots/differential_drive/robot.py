@@ -1,4 +1,4 @@
-"""What the differential drive declares."""
+"""The declaration of the differential drive."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ __all__ = ["ROBOT", "DifferentialDrive"]
 
 _STAND_IN = "safedpa_sim.differential_drive.stand_in"
 _RADIUS = 0.17
-"""m, where no one tells the footprint."""
+"""m; radius of the body, when a state has no footprint."""
 _WHEEL = 0.05
-"""m; half of what is drawn of a wheel."""
+"""m; half of the drawn length of a wheel."""
 _BARRIER_SETTINGS: Final = (
-    BarrierSetting("braking_deceleration", "m/s2", 0.7, "of a wheel, with every load that is driven", positive=True),
-    BarrierSetting("braking_gain", "1/s", 5.0, "of a wheel's servo, likewise", positive=True),
-    BarrierSetting("clearance", "m", 0.03, "kept to obstacles and walls beyond its own radius"),
-    BarrierSetting("speed_low", "m/s", -0.3, "a little beyond the actuators'", signed=True),
-    BarrierSetting("speed_high", "m/s", 0.65, "likewise", signed=True, above="speed_low"),
+    BarrierSetting("braking_deceleration", "m/s2", 0.7, "guaranteed braking of a wheel with every load", positive=True),
+    BarrierSetting("braking_gain", "1/s", 5.0, "least gain of a wheel's servo, with every load", positive=True),
+    BarrierSetting("clearance", "m", 0.03, "distance kept from obstacles and walls beyond the radius"),
+    BarrierSetting("speed_low", "m/s", -0.3, "slightly beyond the actuator limit", signed=True),
+    BarrierSetting("speed_high", "m/s", 0.65, "slightly beyond the actuator limit", signed=True, above="speed_low"),
 )
-"""The defaults fit the simulated one."""
+"""The defaults fit the simulated robot."""
 
 
 @final
 class DifferentialDrive(ShippedRobot):
-    """A robot on two driven wheels, commanded by speed and turn rate as most are."""
+    """A robot with two driven wheels on one axle, commanded by speed and turn rate."""
 
     system = DIFFERENTIAL_DRIVE
     rate = 20.0
@@ -75,7 +75,7 @@ class DifferentialDrive(ShippedRobot):
         return wheeled_barriers(settings, Measures(rear, front, radius, track), state.obstacles, state.field)
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
-        from safedpa.robots.differential_drive.seeker import WheeledSeeker
+        from safedpa.robots.differential_drive.goal_seeker import WheeledSeeker
 
         del model
         return {"goal_seeker": WheeledSeeker, "straight": lambda: WheeledSeeker(looks=False)}
@@ -100,19 +100,19 @@ class DifferentialDrive(ShippedRobot):
 
 
 def _drawn(state: StateMessage, radius: float) -> Mapping[str, Shape]:
-    """A disc with its two wheels and a nose."""
+    """Returns a disc with two wheels and a line for the heading."""
     from safedpa.drawing import Lines, Rings
 
     x, y, yaw = state.values[:3]
     ahead, aside = (cos(yaw), sin(yaw)), (-sin(yaw), cos(yaw))
 
-    def place(forward: float, left: float) -> tuple[float, float]:
+    def position(forward: float, left: float) -> tuple[float, float]:
         return x + forward * ahead[0] + left * aside[0], y + forward * ahead[1] + left * aside[1]
 
-    wheels = [(place(-_WHEEL, side * TRACK / 2), place(_WHEEL, side * TRACK / 2)) for side in (-1.0, 1.0)]
+    wheels = [(position(-_WHEEL, side * TRACK / 2), position(_WHEEL, side * TRACK / 2)) for side in (-1.0, 1.0)]
     return {
         "body": Rings(((x, y),), (radius,), 0xE6EDF3FF, 0.012),
-        "wheels": Lines((*wheels, ((x, y), place(radius, 0.0))), (0x8B949EFF, 0x8B949EFF, 0xE3B341FF), 0.03),
+        "wheels": Lines((*wheels, ((x, y), position(radius, 0.0))), (0x8B949EFF, 0x8B949EFF, 0xE3B341FF), 0.03),
     }
 
 

@@ -1,4 +1,4 @@
-"""The differential drive as ROS sees it: driven by Twist."""
+"""ROS interface of the differential drive, commanded by Twist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two wheels, each with a servo of its speed."""
+"""The base model of the differential drive: two wheels, each with a speed servo."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["ServoWheels"]
 
 @final
 class ServoWheels(AbstractBase):
-    """x' = speed cos(yaw), y' = speed sin(yaw), yaw' = turn_rate; each wheel's speed w follows its target:
+    """x' = speed cos(yaw), y' = speed sin(yaw), yaw' = turn_rate, with servos for both wheel speeds w:
 
-    w = speed -+ turn_rate track / 2 (left, right),  w' = clip(gain (target - w), +-acceleration_limit),
-    speed' = (w_left' + w_right') / 2,  turn_rate' = (w_right' - w_left') / track.
+        w = speed -+ turn_rate track / 2 (left, right),  w' = clip(gain (target - w), +-acceleration_limit),
+        speed' = (w_left' + w_right') / 2,  turn_rate' = (w_right' - w_left') / track.
 
     Source: Siegwart, Nourbakhsh, Scaramuzza, Introduction to Autonomous Mobile Robots, 2nd ed., section 3.2. Valid
     while no wheel slips.

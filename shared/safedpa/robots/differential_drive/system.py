@@ -1,4 +1,4 @@
-"""The differential drive: two driven wheels on one axle, told a speed and a turn rate, as by a Twist of ROS."""
+"""The system of the differential drive: two driven wheels on one axle, commanded by speed and turn rate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from safedpa.systems.system import System, Variable
 __all__ = ["DIFFERENTIAL_DRIVE", "TRACK"]
 
 TRACK = 0.233
-"""m between the wheels, where a model does not say."""
+"""m between the wheels; default of the models."""
 
 DIFFERENTIAL_DRIVE = System(
     name="differential_drive",
@@ -22,4 +22,4 @@ DIFFERENTIAL_DRIVE = System(
     ),
     action=(Variable("target_speed", "m/s", -5.0, 5.0), Variable("target_turn_rate", "rad/s", -20.0, 20.0)),
 )
-"""Position of the middle of the axle; speed along the heading."""
+"""Position of the axle's centre; speed along the heading."""

@@ -1,4 +1,4 @@
-"""What a learned policy sees of a pendulum that has to reach an angle, and that from its state message."""
+"""The observation of a learned pendulum policy, from arrays or from a state message."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ __all__ = ["PERCEPTION", "observe_pendulum", "pendulum_observation_length"]
 
 
 _FAST = 10.0
-"""rad/s that count as 1."""
+"""rad/s; scale of the rate."""
 
 
 def pendulum_observation_length(latents: int) -> int:
-    """How many numbers an observation has."""
+    """Returns the number of entries of an observation."""
     return 4 + latents
 
 
 def observe_pendulum(state: AnyFloatArray, goal: AnyFloatArray, latent: AnyFloatArray) -> AnyFloatArray:
-    """Observations (..., 4 + latents): cosine and sine of the angle, rate / 10, (goal - angle) / pi, latent.
+    """Returns observations (..., 4 + latents): cosine and sine of the angle, rate / 10, (goal - angle) / pi, latent.
 
-    State (..., 2) and goal (...,) [rad] with turns counted: the way to the goal has a direction, and goes all around
-    where the goal is a turn away.
+    State (..., 2) and goal (...,) [rad] are not wrapped, so that the sign of goal - angle is the direction to turn,
+    even if the goal is a full turn away.
     """
     angle, rate = state[..., 0], state[..., 1]
     own = np.stack((np.cos(angle), np.sin(angle), rate / _FAST, (goal - angle) / np.pi), axis=-1)

@@ -1,4 +1,4 @@
-"""The pendulum: a mass at the end of a massless rod, turned by a motor."""
+"""The base model of the pendulum: a mass at the end of a massless rod, driven by a motor."""
 
 from __future__ import annotations
 

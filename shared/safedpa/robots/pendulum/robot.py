@@ -1,4 +1,4 @@
-"""What the pendulum declares."""
+"""The declaration of the pendulum."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.dynamics.elsewhere import SimulatorExport
+    from safedpa.dynamics.simulator_export import SimulatorExport
     from safedpa.networks.frame import Frame
     from safedpa.operations import Operations, Scalar
     from safedpa.policy.perception import ObservationModel
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 __all__ = ["ROBOT", "Pendulum"]
 
 _EDGE = 1.0
-"""rad from the pendulum to the edges of a drawn corridor; any number would do."""
+"""rad from the pendulum to the edges of a random corridor; any value would do."""
 
 
 @final
 class Pendulum(ShippedRobot):
-    """An inverted pendulum on a motor, in the wind, which must stay within its corridor."""
+    """An inverted pendulum with a motor in the wind, which must stay within a corridor of angles."""
 
     system = PENDULUM
     rate = 100.0
@@ -39,11 +39,13 @@ class Pendulum(ShippedRobot):
     calibrates_from_logs = True
     kinds = ("corridor",)
     barrier_settings = (
-        BarrierSetting("corridor_seconds", "s", 0.25, "how far ahead the angle must be in its corridor", positive=True),
+        BarrierSetting(
+            "corridor_seconds", "s", 0.25, "time ahead at which the angle must be in the corridor", positive=True
+        ),
     )
     options = ("task", "wind", "wind_direction", "payload", "dry_friction")
     nominal_range = ((-10.0, 10.0),)
-    stationary_for = False
+    can_stop = False
     default_controller = "random"
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
@@ -51,13 +53,13 @@ class Pendulum(ShippedRobot):
 
         return {RigidPendulum.kind: RigidPendulum}
 
-    def elsewhere(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
-        from safedpa.robots.pendulum.elsewhere import elsewhere
+    def simulator_export(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
+        from safedpa.robots.pendulum.simulator_export import simulator_export
 
-        return elsewhere(model)
+        return simulator_export(model)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
-        from safedpa.robots.pendulum.pendulum_scene import PendulumScene
+        from safedpa.robots.pendulum.scene import PendulumScene
 
         del model
         return PendulumScene(settings)
@@ -87,7 +89,7 @@ class Pendulum(ShippedRobot):
 
 
 def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    """What the networks see of a state."""
+    """Returns the features of a state for the networks."""
     return [operations.cos(state[0]), operations.sin(state[0]), state[1]]
 
 

@@ -1,4 +1,4 @@
-"""The inverted pendulum on a motor."""
+"""The system of the inverted pendulum with a motor."""
 
 from __future__ import annotations
 

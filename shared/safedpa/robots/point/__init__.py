@@ -1,4 +1,7 @@
-"""The point robot: system, base, effects, hazards with a stopping manoeuvre, goal seeker."""
+"""The point robot among hazards; read ``robot``, then ``system`` and ``point_mass`` (base model).
+
+``scene`` builds barriers with a backup manoeuvre from each state message, ``goal_seeker`` is the controller.
+"""
 
 from safedpa.robots.point.robot import ROBOT, Point
 

@@ -1,4 +1,4 @@
-"""The point mass: a body on frictionless slides, pushed along its heading."""
+"""The base model of the point robot: a point mass on frictionless slides with thrust along its heading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["PointMass"]
 class PointMass(AbstractBase):
     """mass d(vx, vy)/dt = thrust (cos(yaw), sin(yaw)), d(x, y)/dt = (vx, vy), d(yaw)/dt = turn.
 
-    Source: Newton's second law. Valid while the turn servo is quick next to the motion and thrust does not saturate.
+    Source: Newton's second law. Valid while the turn servo is fast compared to the motion and thrust does not saturate.
     """
 
     kind = "point_mass"

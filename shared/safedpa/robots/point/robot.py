@@ -1,4 +1,4 @@
-"""What the point declares."""
+"""The declaration of the point robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["ROBOT", "Point"]
 
 @final
 class Point(ShippedRobot):
-    """A small body on slides that a thruster pushes and a servo turns, among hazards and in a wind."""
+    """A small body on slides with a thruster along its heading and a turn servo, among hazards in a wind."""
 
     system = POINT
     rate = 50.0
@@ -30,7 +30,7 @@ class Point(ShippedRobot):
     measurement_deviation = (0.0005, 0.0005, 0.005, 0.005, 0.005)
     smallest_motion = 0.1
     kinds = ("obstacle",)
-    barrier_settings = (BarrierSetting("clearance", "m", 0.05, "kept to hazards beyond their radius"),)
+    barrier_settings = (BarrierSetting("clearance", "m", 0.05, "distance kept from hazards beyond their radius"),)
     options = ("force", "wind_direction")
     nominal_range = ((-0.015, 0.015), (-3.0, 3.0))
 
@@ -40,12 +40,12 @@ class Point(ShippedRobot):
         return {PointMass.kind: PointMass}
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
-        from safedpa.robots.point.point_scene import PointScene
+        from safedpa.robots.point.scene import PointScene
 
         return PointScene(model, settings)
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
-        from safedpa.robots.point.point_seeker import PointSeeker
+        from safedpa.robots.point.goal_seeker import PointSeeker
 
         return {"goal_seeker": lambda: PointSeeker(model)}
 
@@ -66,7 +66,7 @@ def _rotation(state: Sequence[Scalar], operations: Operations) -> tuple[Scalar, 
 
 
 def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    """What the networks see of a state."""
+    """Returns the features of a state for the networks."""
     cosine, sine = _rotation(state, operations)
     x, y = state[3], state[4]
     return [cosine, sine, cosine * x + sine * y, cosine * y - sine * x]

@@ -1,4 +1,4 @@
-"""The point robot: a small body on slides that a thruster pushes and a servo turns, seen from above."""
+"""The system of the point robot: a small body on slides with a thruster along its heading and a turn servo."""
 
 from __future__ import annotations
 
@@ -19,4 +19,4 @@ POINT = System(
     ),
     action=(Variable("thrust", "N", -10.0, 10.0), Variable("turn", "rad/s", -10.0, 10.0)),
 )
-"""Velocity in the world's frame; thrust acts along the heading; the turn rate is commanded."""
+"""Velocity in the world frame; the thrust acts along the heading, the turn rate is commanded."""

@@ -1,5 +1,6 @@
-"""Barriers h >= 0: how a safe set is written down.
+"""Barriers h >= 0 define the safe set.
 
-Read ``base`` first. ``function`` and ``equation`` are the two ways to write h; ``stack`` evaluates many at once.
-``limits``, ``stopping``, ``rollout`` and ``higher_order`` are ready-made.
+Read ``base`` first (the interface). ``function`` and ``equation`` are the two ways to define h. ``stack`` evaluates
+many barriers at once, with ``cache`` for repeated states. Ready-made are ``limits``, ``stopping``, ``higher_order`` and
+``rollout`` (with ``backup_rollout`` and ``path_minimum``).
 """

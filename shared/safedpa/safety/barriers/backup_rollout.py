@@ -1,4 +1,4 @@
-"""A model driven by its backup: where a state would go from now on."""
+"""A model under its backup action: where a state would go from now on."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Model: TypeAlias = AbstractDynamics | Prediction | Callable[..., Any]
 
 
 def prediction_of(model: Model) -> Prediction:
-    """What the filter predicts with; of a function of two arguments only the next state is known.
+    """Returns the prediction of a model; of a function ``step(x, a)`` only the next state is known.
 
-    Raises InputError for what is no model, and for a model whose actuators remember: that would be missing in x.
+    Raises InputError for an object that is no model, and for a model with actuator memory, which x does not contain.
     """
     if isinstance(model, Prediction):
         return model
@@ -33,8 +33,8 @@ def prediction_of(model: Model) -> Prediction:
         memory = model.initial_memory(middle)
         if any(part is not None and np.size(part) for part in memory or ()):
             raise InputError(
-                f"model: got one of '{model.system.name}' whose actuators remember, wanted one whose next state "
-                "follows from state and action alone; put a delay into the state (PendingActions), not the model"
+                f"model: got one of '{model.system.name}' with actuator memory, wanted one whose next state follows "
+                "from state and action alone; put a delay into the state (PendingActions), not into the model"
             )
         return Prediction.of_model(model)
     if not callable(model):
@@ -43,18 +43,19 @@ def prediction_of(model: Model) -> Prediction:
 
 
 def _no_tangent(state: FloatArray) -> Any:
-    raise InputError("model: got step(x, a) alone, wanted affine(x) for slopes; give Prediction(affine, step)")
+    raise InputError("model: got step(x, a) alone, wanted affine(x) for derivatives; give Prediction(affine, step)")
 
 
 def _arguments(function: Callable[..., Any]) -> int:
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    # Arguments with a default do not count: step(x, a, dt=0.05) is a step, affine(x, dt=0.05) is not.
     needed = [p for p in inspect.signature(function).parameters.values() if p.kind in kinds and p.default is p.empty]
     return len(needed)
 
 
 @final
 class BackupRollout:
-    """x[t+1] = step(x[t], backup(x[t])): ``backup`` is a function of the state (states,), or one action (actions,)."""
+    """x[t+1] = step(x[t], backup(x[t])); ``backup`` is a function of the state (states,), or one action (actions,)."""
 
     def __init__(
         self, model: Model, backup: Callable[[FloatArray], ArrayLike] | ArrayLike, latent: ArrayLike | None = None
@@ -62,12 +63,12 @@ class BackupRollout:
         self.prediction = prediction_of(model)
         self._free = None if latent is None else _flat("latent", latent)
         self.latent = None if self._free is None else tuple(self._free.tolist())
-        self._ours = self.prediction.of_this_project
+        self._ours = self.prediction.is_project_model
         self._backup = backup if callable(backup) else None
         self._held = np.empty(0) if callable(backup) else _flat("backup", backup)
 
     def action(self, state: FloatArray) -> FloatArray:
-        """The backup's action (actions,). Raises InputError when it is no vector."""
+        """The backup's action (actions,). Raises InputError if it is no vector."""
         if self._backup is None:
             return self._held
         array = checked_output("backup", self._backup(state))
@@ -76,9 +77,10 @@ class BackupRollout:
         return array
 
     def after(self, state: FloatArray, action: FloatArray) -> FloatArray:
-        """x[t+1] (states,), not to be written into. Raises InputError when it has another shape."""
-        if self._ours:  # equations over plain numbers
-            found = np.array(self.prediction.following(tuple(state.tolist()), action.tolist(), self.latent, None))
+        """x[t+1] (states,), read-only. Raises InputError if it has another shape."""
+        if self._ours:  # recorded equations in Python floats, without the overhead of small arrays
+            start = tuple(state.tolist())
+            found = np.array(self.prediction.next_state_floats(start, action.tolist(), self.latent, None))
         else:
             found = np.array(self.prediction.next_state(state, action, self._free, None))
             if found.shape != state.shape:
@@ -87,45 +89,47 @@ class BackupRollout:
         return found
 
     def path(self, state: FloatArray, ticks: int) -> list[FloatArray]:
-        """States (1 + ticks at most) from ``state`` on under the backup; shorter where nothing moves any more.
+        """States (1 + ticks at most) from ``state`` on under the backup; ends early when nothing moves any more.
 
-        Raises InputError when a state is not finite.
+        Raises InputError if a state is not finite.
         """
         path = [fixed(state)]
         for _ in range(ticks):
             path.append(self.after(path[-1], self.action(path[-1])))
+            # Bit for bit at rest: all further states would be the same, so the horizon takes no time there.
             if path[-1].tobytes() == path[-2].tobytes():
                 break
+        # Checked once for the whole path: NaN persists, so the last states show it.
         if not np.isfinite(np.array(path)).all():
             raise InputError(f"model or backup: got NaN or infinity on the way from {path[0].tolist()}")
         return path
 
     def sensitivities(self, path: list[FloatArray]) -> list[FloatArray] | None:
-        """d(path[k])/d(path[0]) (states, states) for every k, exact: by the recorded equations of the model.
+        """d(path[k])/d(path[0]) (states, states) for every k, exact, by the recorded equations of the model.
 
-        None where it has none, and for a backup that is a function, whose own slopes no one knows.
+        None if the model has none, and for a backup that is a function, whose derivative is not known.
         """
         if not self.constant:
             return None
         count, found = len(path[0]), [np.eye(len(path[0]))]
         try:
             for state in path[:-1]:
-                slopes = self.prediction.sensitivity_of_one(state.tolist(), self._held.tolist(), self.latent)
-                if slopes is None:
+                derivatives = self.prediction.sensitivity_floats(state.tolist(), self._held.tolist(), self.latent)
+                if derivatives is None:
                     return None
-                found.append(np.array(slopes)[:, :count] @ found[-1])
-        except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+                found.append(np.array(derivatives)[:, :count] @ found[-1])  # the chain rule along the path
+        except (ValueError, ArithmeticError):  # values that Python's math functions refuse
             return None
         return found
 
     @property
     def constant(self) -> bool:
-        """Whether the backup is one action, whatever the state."""
+        """Whether the backup is one action for every state."""
         return self._backup is None
 
 
 def fixed(state: FloatArray) -> FloatArray:
-    """A copy that no one can write into."""
+    """A read-only copy."""
     copied = np.array(state, dtype=np.float64)
     copied.flags.writeable = False
     return copied

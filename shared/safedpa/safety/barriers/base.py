@@ -1,4 +1,8 @@
-"""A barrier: h(x) >= 0 describes the safe set; one object may hold many of them."""
+"""The barrier interface: h(x) >= 0 describes the safe set; one object may hold many such functions.
+
+Vocabulary of the whole package: ``h`` (values), ``grad_h`` (d(h)/d(x)), ``lie_derivative`` (d(h)/d(x) g) and
+``grad_bound`` (a bound of |d(h)/d(x)|). Without a suffix they take and return arrays, with ``_floats`` Python floats.
+"""
 
 from __future__ import annotations
 
@@ -22,58 +26,59 @@ _GRADIENT: Final = "gradient of h"
 
 
 class AbstractBarrier(ABC):
-    """m functions h_i(x) >= 0 of the state x (states,), in a unit of the barrier's own choice."""
+    """m functions h_i(x) >= 0 of the state x (states,), in a unit of the barrier's choice."""
 
     kind: str
-    """Which margin applies: ``obstacle``, ``field``, ``speed`` or a name of the user's own."""
+    """Selects the margin: ``obstacle``, ``field``, ``speed`` or a name that the user chooses."""
     names: tuple[str, ...]
-    """(m,) what each of them is called in verdicts."""
+    """(m,) names that verdicts use."""
     reads: tuple[str, ...] = ()
-    """Names of the entries of the state that h is written for, from the first on; empty: not known.
+    """Names of the state entries that h is written for, from the first on; empty: not known.
 
-    A filter refuses a model whose states are others.
+    A filter refuses a model with other states.
     """
     at_once: bool = False
-    """Whether one step may use up all of h, down to the margin, and not only the share eta of the settings: of a
-    barrier whose h counts on the worst already, and would hold a robot back from what is far from it."""
+    """Whether one step may use up all of h, down to the margin, instead of the share eta: for a barrier whose h assumes
+    the worst case already, and would otherwise slow a robot down far away from an obstacle."""
 
     @abstractmethod
-    def values(self, state: FloatArray) -> FloatArray:
-        """h (m,) at ``state`` (states,)."""
+    def h(self, state: FloatArray) -> FloatArray:
+        """Returns h (m,) at ``state`` (states,)."""
 
     @abstractmethod
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
 
-    def since(self, state: FloatArray) -> AbstractBarrier:
-        """The barrier for states that one tick leads to from ``state``, with the same names.
+    def starting_at(self, state: FloatArray) -> AbstractBarrier:
+        """Returns the barrier for states that one tick leads to from ``state``, with the same names.
 
-        One that knows what lies between the two overrides it.
+        Overridden by a barrier that evaluates the path between the two states.
         """
         return self
 
-    def along(self, state: FloatArray, directions: FloatArray) -> FloatArray:
-        """d(h_i)/d(u_j) (m, n) at ``state`` + ``directions`` (states, n) u, u = 0."""
-        return np.asarray(checked_output("gradient of h", self.evaluate(state)[1]) @ directions)
+    def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
+        """Returns d(h_i)/d(u_j) (m, n) at ``state`` + ``directions`` (states, n) u, u = 0."""
+        return np.asarray(checked_output("gradient of h", self.h_and_grad(state)[1]) @ directions)
 
 
-class _Order(NamedTuple):
-    """What follows from names and kinds of the parts of a stack alone."""
+class _Layout(NamedTuple):
+    """Names, kinds and rows of the parts; computed once and shared by sets with the same parts."""
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
     at_once: list[bool]
     rows: Mapping[str, tuple[int, ...]]
     runs: tuple[tuple[str, int], ...]
-    """Kind and number of barriers of each part."""
+    """Kind and number of rows of each part."""
 
     @classmethod
-    def of(cls, parts: Sequence[AbstractBarrier]) -> _Order:
+    def of(cls, parts: Sequence[AbstractBarrier]) -> _Layout:
         runs = tuple([(part.kind, len(part.names)) for part in parts])
         names, kinds, at_once = list[str](), list[str](), list[bool]()
         rows: dict[str, tuple[int, ...]] = {}
         for part in parts:
             count = len(part.names)
+            # An empty part has no rows, and its kind must not appear: a margin for it would look as if it were in use.
             if count:
                 rows[part.kind] = (*rows.get(part.kind, ()), *range(len(names), len(names) + count))
             names += part.names
@@ -83,21 +88,22 @@ class _Order(NamedTuple):
 
 
 class AbstractBarrierSet(Sequence[AbstractBarrier]):
-    """Several barriers, side by side: h stacked in the order given; as a sequence, the barriers themselves.
+    """Several barriers with their h stacked in the given order; as a sequence, the barriers themselves.
 
-    ``like``: a stack whose parts have these names and kinds in this order; what follows from them alone is taken over.
+    ``like``: a set whose parts have the same names and kinds in the same order; its layout is reused.
     """
 
     def __init__(self, parts: Sequence[AbstractBarrier], like: AbstractBarrierSet | None = None) -> None:
         self.parts = tuple(parts)
-        order: _Order = _Order.of(self.parts) if like is None else like._order
-        self._order: _Order = order
-        self.names, self.kinds = order.names, order.kinds
-        """(m,) each."""
-        self.at_once: list[bool] = order.at_once
+        # Reused from tick to tick: names and kinds of hundreds of rows change only when the scene does.
+        layout: _Layout = _Layout.of(self.parts) if like is None else like._layout
+        self._layout: _Layout = layout
+        self.names, self.kinds = layout.names, layout.kinds
+        """(m,) names and kinds of the rows."""
+        self.at_once: list[bool] = layout.at_once
         """(m,) whether one step may use up all of h."""
-        self.rows = order.rows
-        """By kind of barrier: where its values stand."""
+        self.rows = layout.rows
+        """Indices of the rows by kind of barrier."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -112,146 +118,152 @@ class AbstractBarrierSet(Sequence[AbstractBarrier]):
         return self.parts[index]
 
     @abstractmethod
-    def values(self, state: FloatArray) -> FloatArray:
-        """h (m,) of all parts at ``state`` (states,)."""
+    def h(self, state: FloatArray) -> FloatArray:
+        """Returns h (m,) of all parts at ``state`` (states,)."""
 
     @abstractmethod
-    def gradient(self, state: FloatArray) -> FloatArray:
-        """d(h_i)/d(x_j) (m, states) of all parts at ``state`` (states,)."""
+    def grad_h(self, state: FloatArray) -> FloatArray:
+        """Returns d(h_i)/d(x_j) (m, states) of all parts at ``state`` (states,)."""
 
-    def heights(self, state: Sequence[float]) -> list[float]:
-        """``values`` for plain numbers: h (m,) at ``state`` (states,)."""
-        h: list[float] = _plain("h", self.values(_unwritten(state)), (len(self.names),))
+    def h_floats(self, state: Sequence[float]) -> list[float]:
+        """``h`` in Python floats: h (m,) at ``state`` (states,)."""
+        h: list[float] = _checked_list("h", self.h(_read_only_array(state)), (len(self.names),))
         return h
 
-    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:
-        """``gradient`` for plain numbers: its rows of these indices."""
-        table = _plain("gradient of h", self.gradient(_unwritten(state)), (len(self.names), len(state)))
+    def grad_h_floats(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:
+        """``grad_h`` in Python floats, restricted to ``rows``."""
+        table = _checked_list("gradient of h", self.grad_h(_read_only_array(state)), (len(self.names), len(state)))
         return [table[row] for row in rows]
 
-    def along(
+    def lie_derivative_floats(
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
-        """d(h_i)/d(a_j) (rows, actions) of the rows of these indices, where the state moves by g (states, actions) a.
+        """Returns d(h_i)/d(a_j) (rows, actions) of ``rows``, if the state changes by g (states, actions) a.
 
-        ``widths`` (actions,) are the actions' ranges: over what a slope may be measured.
+        ``widths`` (actions,) are the actions' ranges, over which a difference quotient may be taken.
         """
-        return chain_rule(self.slopes(state, rows), g)
+        return chain_rule(self.grad_h_floats(state, rows), g)
 
-    def steepest(self, state: Sequence[float]) -> Sequence[float] | None:
-        """(states,) what no |d(h_i)/d(x_j)| at ``state`` exceeds, for any row i; None where that is not known."""
+    def grad_bound(self, state: Sequence[float]) -> Sequence[float] | None:
+        """Returns an upper bound (states,) of |d(h_i)/d(x_j)| at ``state`` for every row i; None if not known."""
         return None
 
-    def plain(self, states: int) -> Any:
-        """What has ``heights``, ``slopes``, ``along`` and ``steepest`` of so many states, by the shortest way."""
+    def scalar_rows(self, states: int) -> Any:
+        """Returns the fastest evaluator in Python floats for this number of states: ``h_floats`` and the others."""
         return self
 
-    def since(self, state: Sequence[float]) -> AbstractBarrierSet:
-        """The stack for states that one tick leads to from ``state``: itself where no part looks between the two."""
+    def starting_at(self, state: Sequence[float]) -> AbstractBarrierSet:
+        """Returns the set for states that one tick leads to from ``state``; itself if no part evaluates the path."""
         return self
 
     @property
-    def one_by_one(self) -> Barriers:
-        """The reference for these parts."""
+    def sequential(self) -> Barriers:
+        """The reference implementation for these parts: one by one."""
         return Barriers(self.parts)
 
-    def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> list[float]:
-        """(m,) the number that belongs to each barrier's kind."""
+    def per_row(self, by_kind: Mapping[str, float], otherwise: float) -> list[float]:
+        """Returns (m,) for each row the number of its kind, or ``otherwise``."""
         numbers: list[float] = []
-        for kind, count in self._order.runs:
+        # One look-up for each part instead of each row.
+        for kind, count in self._layout.runs:
             numbers += [float(by_kind.get(kind, otherwise))] * count
         return numbers
 
 
 @final
 class Barriers(AbstractBarrierSet):
-    """The parts one by one: the reference, and what serves barriers of any kind."""
+    """The parts evaluated one by one: the reference implementation, which accepts barriers of any class."""
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        # A single part needs no copy by ``concatenate``, and its shape is checked by the caller.
         if len(self.parts) == 1:
-            return checked_output("h", self.parts[0].values(state))
-        return np.concatenate([_of_part("h", part, part.values(state)) for part in self.parts])
+            return checked_output("h", self.parts[0].h(state))
+        return np.concatenate([_of_part("h", part, part.h(state)) for part in self.parts])
 
-    def gradient(self, state: FloatArray) -> FloatArray:  # noqa: D102
+    def grad_h(self, state: FloatArray) -> FloatArray:  # noqa: D102
         if len(self.parts) == 1:
-            return checked_output(_GRADIENT, self.parts[0].evaluate(state)[1])
+            return checked_output(_GRADIENT, self.parts[0].h_and_grad(state)[1])
         states = len(state)
-        return np.concatenate([_of_part(_GRADIENT, part, part.evaluate(state)[1], states) for part in self.parts])
+        return np.concatenate([_of_part(_GRADIENT, part, part.h_and_grad(state)[1], states) for part in self.parts])
 
-    def since(self, state: Sequence[float]) -> AbstractBarrierSet:  # noqa: D102
-        parts = [part.since(np.array(state)) for part in self.parts]
+    def starting_at(self, state: Sequence[float]) -> AbstractBarrierSet:  # noqa: D102
+        parts = [part.starting_at(np.array(state)) for part in self.parts]
+        # The same object if nothing changes: callers keep compiled evaluators and caches by identity.
         return self if all(map(is_, parts, self.parts)) else Barriers(parts)
 
-    def along(  # noqa: D102
+    def lie_derivative_floats(  # noqa: D102
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
-        at, whole = _unwritten(state), np.array(g) * widths  # of the whole range: as large as any motion by an action
-        found = [_of_part(_GRADIENT, part, part.along(at, whole), len(widths)) for part in self.parts]
-        slopes = np.concatenate(found) / widths
-        table = _plain(_GRADIENT, slopes, (len(self.names), len(widths)))
+        # Scaled to the whole action range, so that a difference quotient takes a step of the size of a real motion.
+        point, whole_range = _read_only_array(state), np.array(g) * widths
+        found = [_of_part(_GRADIENT, part, part.lie_derivative(point, whole_range), len(widths)) for part in self.parts]
+        derivatives = np.concatenate(found) / widths
+        table = _checked_list(_GRADIENT, derivatives, (len(self.names), len(widths)))
         return [table[row] for row in rows]
 
 
 @final
 class CachingBarrierSet(AbstractBarrierSet):
-    """Another stack, with h at the last few states remembered: within one tick the same states come up again.
+    """Another set with a cache of h at the last few states.
 
-    A prediction is judged when the action is decided, and again next to the measured state when the margin is watched.
-    The lists that it hands out are shared: no one may write into them.
+    Within one tick the same states recur: a prediction is evaluated when the action is decided, and again when the
+    online margin compares it with the measured state. The returned lists are shared and must not be changed.
     """
 
-    def __init__(self, stack: AbstractBarrierSet) -> None:
-        super().__init__(stack.parts, stack)
-        self._stack = stack
-        self._plain: dict[int, BarrierValueCache] = {}
+    def __init__(self, barriers: AbstractBarrierSet) -> None:
+        super().__init__(barriers.parts, barriers)
+        self._wrapped = barriers
+        self._by_size: dict[int, BarrierValueCache] = {}
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return np.array(self.heights(state.tolist()))
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return np.array(self.h_floats(state.tolist()))
 
-    def gradient(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return self._stack.gradient(state)
+    def grad_h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return self._wrapped.grad_h(state)
 
-    def heights(self, state: Sequence[float]) -> list[float]:  # noqa: D102
-        return self.plain(len(state)).heights(state)
+    def h_floats(self, state: Sequence[float]) -> list[float]:  # noqa: D102
+        return self.scalar_rows(len(state)).h_floats(state)
 
-    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
-        return self._stack.slopes(state, rows)
+    def grad_h_floats(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
+        return self._wrapped.grad_h_floats(state, rows)
 
-    def along(  # noqa: D102
+    def lie_derivative_floats(  # noqa: D102
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
-        return self._stack.along(state, g, widths, rows)
+        return self._wrapped.lie_derivative_floats(state, g, widths, rows)
 
-    def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
-        return self._stack.steepest(state)
+    def grad_bound(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
+        return self._wrapped.grad_bound(state)
 
-    def since(self, state: Sequence[float]) -> AbstractBarrierSet:  # noqa: D102
-        found = self._stack.since(state)
-        return self if found is self._stack else found
+    def starting_at(self, state: Sequence[float]) -> AbstractBarrierSet:  # noqa: D102
+        found = self._wrapped.starting_at(state)
+        # A set that depends on the origin is valid for one decision only: caching it would not pay.
+        return self if found is self._wrapped else found
 
-    def plain(self, states: int) -> BarrierValueCache:  # noqa: D102
-        known = self._plain.get(states)
+    def scalar_rows(self, states: int) -> BarrierValueCache:  # noqa: D102
+        known = self._by_size.get(states)
         if known is None:
-            known = self._plain[states] = BarrierValueCache(self._stack.plain(states))
+            known = self._by_size[states] = BarrierValueCache(self._wrapped.scalar_rows(states))
         return known
 
 
-def _unwritten(state: Sequence[float]) -> FloatArray:
-    """What every part may read and none may write into: the next one would see it."""
+def _read_only_array(state: Sequence[float]) -> FloatArray:
+    """An array that user functions may read but not write: the next part reads it too."""
     array = np.array(state)
     array.setflags(write=False)
     return array
 
 
 def _of_part(what: str, part: AbstractBarrier, value: Any, *columns: int) -> FloatArray:
-    """What one part returned, one row for each of its names: else the next part's rows would be read as others."""
+    """Checks that a part returned one row for each of its names: otherwise the rows of later parts would be shifted."""
     array, wanted = checked_output(what, value), (len(part.names), *columns)
     if array.shape != wanted:
         raise InputError(f"{what} of barrier {', '.join(part.names)}: got shape {array.shape}, wanted {wanted}")
     return array
 
 
-def _plain(what: str, array: FloatArray, shape: tuple[int, ...]) -> Any:
+def _checked_list(what: str, array: FloatArray, shape: tuple[int, ...]) -> Any:
+    # tolist() of a wrong shape would be a list that fails somewhere else, or not at all.
     if array.shape != shape:
         raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
     return array.tolist()

@@ -1,102 +1,104 @@
-"""A barrier whose h is one equation over ``Operations``: values, slopes and batches come from recording it."""
+"""Barriers whose h is one equation over ``Operations``: values, gradients and batches are derived by recording it."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cache
-from importlib import import_module
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.equations.batch_rows import BatchRows
+from safedpa.equations.generated import generated
 from safedpa.equations.given import Given
-from safedpa.equations.many_rows import ManyRows
-from safedpa.equations.plain_rows import plain_rows
 from safedpa.equations.rows import Equation, RowGroup, RowTape
+from safedpa.equations.scalar_rows import scalar_rows
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.base import AbstractBarrier
 
-__all__ = ["AbstractEquationBarrier", "Pattern", "many_rows_of", "pattern_of", "rows_of", "tape_of", "written_key"]
+__all__ = ["AbstractEquationBarrier", "Pattern", "batch_rows_of", "pattern_of", "rows_of", "tape_of"]
 
 
 Pattern = tuple[tuple[type["AbstractEquationBarrier"], int, int, tuple[int, ...], int], ...]
-"""Of each part its class, how many numbers its items have in common, how many each has, its form, and the first part
-with the same shared numbers, or -1."""
+"""For each part: its class, the number of shared numbers and of numbers per item, its form, and the index of the first
+part with the same shared numbers, or -1."""
 
 
 class AbstractEquationBarrier(AbstractBarrier):
-    """h_i(x) >= 0 for i = 1..m items, of which each gives one or more rows: write ``h``, and nothing else.
+    """h_i(x) >= 0 for i = 1..m items with one or more rows each: a subclass implements ``equation`` and nothing else.
 
-    Obstacles are items; what all have in common, the robot's body say, is ``shared``. The equation is run once with
-    numbers that write down what is done to them, so it must not branch on a number (``operations.where`` chooses), and
-    does for floats, for arrays and for slopes what stands there. No gradient is written by hand.
+    Items are for example obstacles; numbers that all items have in common, such as the robot's body, are ``shared``.
+    The equation is recorded once with tracing numbers, so it must not branch on a number (use ``operations.where``).
+    The recording is evaluated for floats and arrays, and differentiated; no gradient is written by hand.
     """
 
     shared: tuple[float, ...] = ()
     """Numbers that all items have in common."""
     each: tuple[tuple[float, ...], ...]
-    """(items, numbers) what tells one item from the next."""
+    """(items, numbers) the numbers of each item."""
     numbers: int
-    """How many numbers an item has, whether or not there is any item."""
+    """Numbers per item, also if there is no item."""
     form: tuple[int, ...] = ()
-    """Whole numbers that the equation itself depends on; see ``Given``."""
-    written: ClassVar[str] = ""
-    """Module in which the rows of this equation stand, recorded ahead of time and compiled with the rest."""
+    """Integers that select a variant of the equation; see ``Given``."""
+    generated_module: ClassVar[str] = ""
+    """Module that the build generates from this equation, so that its rows are compiled; empty: none."""
 
     @staticmethod
     @abstractmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
         """h of one item, (rows,), in a unit of the barrier's own choice."""
 
     @staticmethod
-    def steepest(given: Given, operations: Operations) -> Sequence[Scalar] | None:
-        """(states,) what no |d(h)/d(x_j)| exceeds, whatever the item; None: not known.
+    def grad_bound(given: Given, operations: Operations) -> Sequence[Scalar] | None:
+        """Returns an upper bound (states,) of |d(h)/d(x_j)| for every item; None: not known.
 
-        It spares the slopes of rows that no action can break.
+        With it the filter skips the gradients of rows that no action can violate.
         """
         return None
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return np.array(self.alone(len(state)).heights(state.tolist()))
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return np.array(self.scalar_rows(len(state)).h_floats(state.tolist()))
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
-        rows, plain = self.alone(len(state)), state.tolist()
-        h = np.array(rows.heights(plain))
-        return h, np.array(rows.slopes(plain, range(len(h)))).reshape(len(h), len(state))
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
+        rows, plain = self.scalar_rows(len(state)), state.tolist()
+        h = np.array(rows.h_floats(plain))
+        return h, np.array(rows.grad_h_floats(plain, range(len(h)))).reshape(len(h), len(state))
 
-    def sharing(self, shared: tuple[float, ...]) -> Self:
-        """The same items with other numbers in common, as many as before; nothing is checked again."""
-        other = object.__new__(type(self))
+    def with_shared(self, shared: tuple[float, ...]) -> Self:
+        """A copy with other shared numbers, as many as before; nothing is checked again."""
+        other = object.__new__(type(self))  # no call of __init__: subclasses have other parameters
         other.__dict__.update(self.__getstate__())
         other.shared = shared
         return other
 
-    def holding(self, each: Sequence[tuple[float, ...]], names: tuple[str, ...]) -> Self:
-        """Other items (items, numbers) with the same numbers in common, and their names; nothing is checked again."""
+    def with_items(self, each: Sequence[tuple[float, ...]], names: tuple[str, ...]) -> Self:
+        """A copy with other items (items, numbers) and their names; nothing is checked again."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__getstate__())
         other.each, other.names = tuple(each), names
         return other
 
-    def alone(self, states: int) -> Any:
-        """h and slopes of these items over plain numbers (``heights``, ``slopes``, ``steepest``), of so many states."""
+    def scalar_rows(self, states: int) -> Any:
+        """Returns an evaluator of these items alone in Python floats: ``h_floats`` and the others."""
+        # Cached in the instance and left out of pickles: compiled functions do not travel.
         known: dict[int, Any] = self.__dict__.setdefault("_rows", {})
         if states not in known:
             known[states] = rows_of(pattern_of((self,)), states)((self.shared,), (self.each,))
         return known[states]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Functions made here do not travel to another process; they are made there again."""
+        """Compiled functions cannot be pickled; the receiving process compiles them again."""
         return {name: value for name, value in self.__dict__.items() if name != "_rows"}
 
 
 def pattern_of(parts: Sequence[AbstractEquationBarrier]) -> Pattern:
-    """What the recorded rows of these parts depend on, next to numbers."""
+    """Returns what the recorded rows of these parts depend on, apart from numbers."""
     known: dict[tuple[float, ...], int] = {}
     found = []
     for number, part in enumerate(parts):
+        # Parts with the same shared numbers, such as one robot body, compute what depends on them once.
         body = known.setdefault(part.shared, number) if part.shared else number
         found.append((type(part), len(part.shared), part.numbers, part.form, -1 if body == number else body))
     return tuple(found)
@@ -105,31 +107,29 @@ def pattern_of(parts: Sequence[AbstractEquationBarrier]) -> Pattern:
 @cache
 def tape_of(pattern: Pattern, states: int) -> RowTape:
     """The equations of a pattern, recorded for a state of so many entries."""
-    groups = [RowGroup(kind.h, shared, each, form, _bound(kind), body) for kind, shared, each, form, body in pattern]
+    groups = [
+        RowGroup(kind.equation, shared, each, form, _bound(kind), body) for kind, shared, each, form, body in pattern
+    ]
     return RowTape(states, groups)
 
 
 @cache
 def rows_of(pattern: Pattern, states: int) -> Any:
-    """The class of the rows of a pattern over plain numbers: written ahead of time where it is, else made now."""
-    for module in {kind.written for kind, *_ in pattern} - {""}:
-        known = import_module(module).WRITTEN.get(written_key(pattern, states))
+    """Returns the class of a pattern's rows over plain numbers: the generated one, or else one compiled now."""
+    tape = tape_of(pattern, states)  # under a millisecond; generating the code from it takes ten times as long
+    # Compiled ahead of time if the build generated it: compiling it now would make the first tick late.
+    for module in {kind.generated_module for kind, *_ in pattern} - {""}:
+        known = generated(module).get(tape.digest)
         if known is not None:
             return known
-    return plain_rows(tape_of(pattern, states))
+    return scalar_rows(tape)
 
 
 @cache
-def many_rows_of(pattern: Pattern, states: int) -> ManyRows:
+def batch_rows_of(pattern: Pattern, states: int) -> BatchRows:
     """The rows of a pattern over arrays with the robots first."""
-    return ManyRows(tape_of(pattern, states))
-
-
-def written_key(pattern: Pattern, states: int) -> str:
-    """The name under which the rows of a pattern are written ahead of time."""
-    parts = [f"{kind.__qualname__} {shared} {each} {form} {body}" for kind, shared, each, form, body in pattern]
-    return f"{states}: {', '.join(parts)}"
+    return BatchRows(tape_of(pattern, states))
 
 
 def _bound(kind: type[AbstractEquationBarrier]) -> Equation | None:
-    return None if kind.steepest is AbstractEquationBarrier.steepest else kind.steepest  # type: ignore[return-value]
+    return None if kind.grad_bound is AbstractEquationBarrier.grad_bound else kind.grad_bound  # type: ignore[return-value]

@@ -1,7 +1,4 @@
-"""Limits of one entry of the state, such as the speed.
-
-A corridor for an angle (or a position) whose rate is another entry of the state.
-"""
+"""Barriers for limits of a state entry: ``SpeedBarrier``, and ``CorridorBarrier`` for an angle and its rate."""
 
 from __future__ import annotations
 
@@ -24,9 +21,9 @@ _CAR = ("x", "y", "yaw", "speed")
 
 @final
 class SpeedBarrier(AbstractEquationBarrier):
-    """h = (high - v, v - low), v the entry ``index`` of the state; unit: that of the entry, m/s for a speed.
+    """h = (high - v, v - low) for the state entry v with this ``index``, in the unit of the entry (m/s for a speed).
 
-    Without ``index`` it is a car's speed, and what it reads are a car's states; with one, any entry of any state.
+    Without ``index`` it is a car's speed, and the barrier reads a car's states; with one, any entry of any state.
     Raises InputError unless low < high, both finite.
     """
 
@@ -38,30 +35,32 @@ class SpeedBarrier(AbstractEquationBarrier):
         if not (isfinite(low) and isfinite(high) and low < high):
             raise InputError(f"speed limits: got {low} to {high}, wanted finite numbers, low < high, in m/s")
         self.each = ((float(low), float(high)),)
+        # The index is part of the form, not of the numbers: it selects the entry while the equation is recorded.
         self.form = (len(_CAR) - 1 if index is None else index,)
         self.reads = _CAR if index is None else ()
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """How far the entry lies within its limits."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """The distance of the entry from its limits."""
         low, high = given.each
         entry = given.state[given.form[0]]
         return high - entry, entry - low
 
     @staticmethod
-    def steepest(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """1 over the entry."""
+    def grad_bound(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """1 for the entry, 0 for all others."""
+        # Both rows have the same absolute gradient, so one bound holds for either limit.
         return [1.0 if index == given.form[0] else 0.0 for index in range(len(given.state))]
 
 
 @final
 class CorridorBarrier(AbstractEquationBarrier):
-    """h = (s - low, high - s), s = x_a + time x_r: where the angle is ``time`` [s] ahead, at its rate of now.
+    """h = (s - low, high - s) with s = x_a + time x_r: the angle in ``time`` [s] at its present rate.
 
-    The set {h >= 0, low <= x_a <= high} is invariant where h >= 0 is kept: d(x_a)/dt = (s - x_a) / time, so the angle
-    follows s like a low-pass and never leaves the corridor that s is in. Affine, as the paper's p'x + q.
+    The set {h >= 0, low <= x_a <= high} is invariant while h >= 0 is enforced: d(x_a)/dt = (s - x_a) / time, so the
+    angle follows s like a low-pass filter and never leaves the corridor that s is in. Affine, like the paper's p'x + q.
 
-    ``angle`` and ``rate`` say which entries of any state these are; without either, a pendulum's.
+    ``angle`` and ``rate`` are indices of state entries; without both, those of a pendulum.
     Raises InputError unless low < high and time > 0, all finite.
     Source: the affine barrier of Cheng, Orosz, Murray, Burdick, End-to-End Safe Reinforcement Learning through Barrier
     Functions, AAAI 2019 (pendulum), with both edges free.
@@ -87,13 +86,15 @@ class CorridorBarrier(AbstractEquationBarrier):
         prefix = f"{name} " if name else ""
         self.names = (f"{prefix}lower edge", f"{prefix}upper edge")
         self.low, self.high, self.time = float(low), float(high), float(time)
+        # One item with two rows: both edges share the look-ahead s, which is then computed once.
         self.shared, self.each = (self.time,), ((self.low, self.high),)
         self.form = (0 if angle is None else angle, 1 if rate is None else rate)
+        # Without indices the names are checked: the barrier then refuses a state that is no pendulum's.
         self.reads = ("angle", "rate") if angle is None and rate is None else ()
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """How far s lies within both edges."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """The distance of s from both edges."""
         low, high = given.each
         angle, rate = given.form
         ahead = given.state[angle] + given.shared[0] * given.state[rate]

@@ -1,15 +1,15 @@
-"""A barrier from a backup: the least h along the path on which the backup would lead from here.
+"""A barrier from a backup: the minimum of h along the path on which the backup would lead from here.
 
     H_i(x) = min over 0 <= t <= horizon of h_i(y(t)),   y(0) = x,   y(t + 1) = step(y(t), backup(y(t))),
 
-between the ticks along straight chords, so that what is thinner than a tick's travel counts as well. If the backup
-brings the robot to where it stays (at rest) within the horizon, taking the backup loses nothing: H_i(x+) >= H_i(x) for
-all i at once. Hence wherever all H_i >= epsilon_i / eta the filter's conditions
+between the ticks along straight chords, so that an obstacle thinner than a tick's travel counts as well. If the backup
+brings the robot to rest within the horizon, taking the backup loses nothing: H_i(x+) >= H_i(x) for all i at once. Hence
+wherever all H_i >= epsilon_i / eta the filter's constraints
 
     H_i(x+) >= (1 - eta) H_i(x) + epsilon_i
 
-can be kept together, whatever the relative degree of h, and by the backup: give it to the filter as well. The end of
-the horizon is no one's promise but the backup's; ``check_filter`` drives on from there and tells when h still falls.
+can be satisfied together, whatever the relative degree of h, namely by the backup: give it to the filter as well.
+Beyond the horizon nothing is guaranteed; ``check_filter`` drives on from there and reports whether h still falls.
 Source: Gurriet, Mote, Singletary, Nilsson, Feron, Ames, A Scalable Safety Critical Control Framework for Nonlinear
 Systems, IEEE Access 8, 2020.
 """
@@ -27,16 +27,16 @@ from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety.barriers.backup_rollout import BackupRollout, Model, fixed
 from safedpa.safety.barriers.base import AbstractBarrier
-from safedpa.safety.barriers.function import FunctionBarrier, central_slopes
-from safedpa.safety.barriers.path_minimum import PathMinimum, Place, chord_point, minimum_along
+from safedpa.safety.barriers.function import FunctionBarrier, central_differences
+from safedpa.safety.barriers.path_minimum import PathMinimum, PathPoint, chord_point, minimum_along
 from safedpa.safety.checks.compatibility import check_reads
 from safedpa.safety.validation import checked_output
 
 __all__ = ["Rollout", "RolloutBarrier"]
 
 
-_SHARE: Final = 1e-3
-"""Of a direction, over which H is differenced: the filter's directions are what an action's whole range moves."""
+_STEP_SHARE: Final = 1e-3
+"""Share of a direction over which H is differenced; the filter's directions are the motion by a whole action range."""
 
 
 @final
@@ -46,17 +46,18 @@ class RolloutBarrier(AbstractBarrier):
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` as the filter takes it, or
     ``step(x, a)``; it should be the filter's own. ``backup(x (states,)) -> action (actions,)``, or one constant action.
     ``h(x) -> float or (m,)`` with ``names`` and the states that it ``reads``, or another barrier, whose names, kind and
-    states are taken. ``horizon``: ticks of the model, 1 or more; those that lie beyond the backup's rest cost nothing.
-    ``latent``: the model's, for all ticks; a filter whose latent is estimated while it drives gets a new barrier with
-    each decision.
+    states are used. ``horizon``: ticks of the model, 1 or more; ticks after the robot has come to rest take no time.
+    ``latent``: the model's, for all ticks; a filter whose latent is estimated online gets a new barrier with each
+    decision.
 
-    The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
-    where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
-    whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
-    the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the nominal action, no safety.
+    The minimum is exact, not smoothed; its gradient is that of h at the minimising point. It is computed by the
+    recorded equations if the model has them, the backup is constant and h has a gradient; otherwise by unit-free
+    central differences of the whole path up to that point. Of two equal minima the earlier one counts. The filter
+    evaluates H itself at every action that it returns, so a kink may make an action less close to the nominal one, but
+    not unsafe.
 
-    Raises InputError for a horizon below 1, a model whose actuators remember, an h that reads other states than the
-    model's, and at evaluation for a wrong shape.
+    Raises InputError for a horizon below 1, a model with actuator memory, an h of other states than the model's, and at
+    evaluation for a wrong shape.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class RolloutBarrier(AbstractBarrier):
         latent: ArrayLike | None = None,
         reads: Sequence[str] = (),
     ) -> None:
+        # True would be a horizon of one tick.
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
             raise InputError(
                 f"horizon: got {horizon!r}, wanted a whole number of ticks, 1 or more (seconds to rest / period)"
@@ -83,134 +85,145 @@ class RolloutBarrier(AbstractBarrier):
         if system is not None:
             check_reads([own], system.state_names)
         self.reads = own.reads if system is None else system.state_names
+        # A FunctionBarrier may have to difference its own h: differencing the whole path once is then more accurate.
         self._knows_gradient = not isinstance(own, FunctionBarrier)
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return self.taken(None, state).least.values
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return self.minimum_at(None, state).minimum.values
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
-        taken = self.taken(None, state)
-        return taken.least.values, self.gradient_of(taken)
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
+        rollout = self.minimum_at(None, state)
+        return rollout.minimum.values, self.gradient_at(rollout)
 
-    def along(self, state: FloatArray, directions: FloatArray) -> FloatArray:
+    def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
         """As in every barrier; without recorded equations, differences along the directions."""
-        return self.along_of(self.taken(None, state), directions)
+        return self.lie_derivative_at(self.minimum_at(None, state), directions)
 
-    def since(self, state: FloatArray) -> AbstractBarrier:
-        """The barrier for states that are reached within one tick from ``state``: the chord to them counts as well."""
+    def starting_at(self, state: FloatArray) -> AbstractBarrier:
+        """Returns the barrier for states one tick after ``state``: the chord to them counts as well."""
         return _RolloutFrom(self, fixed(state))
 
     def backup(self, state: FloatArray | None) -> FloatArray:
         """The backup's action (actions,), for ``SafetyFilter(..., backup=barrier.backup)``.
 
-        Raises InputError without a state, unless the backup is constant; the filter then takes its resting action.
+        Raises InputError without a state, unless the backup is constant; the filter then uses its resting action.
         """
         if state is None and not self.loop.constant:
             raise InputError("backup: got no state, wanted one")
+        # A constant backup ignores the state, so an empty one is as good as any.
         return self.loop.action(np.empty(0) if state is None else state)
 
     def path(self, state: FloatArray) -> list[FloatArray]:
-        """The states from ``state`` (states,) on under the backup, up to the horizon or to rest."""
+        """The states from ``state`` (states,) on under the backup, until the horizon or rest."""
         return self.loop.path(state, self.horizon)
 
     def fall_beyond(self, state: FloatArray) -> FloatArray:
-        """(m,) >= 0 by how much h falls below H in another horizon's ticks: 0 where the backup ends at rest."""
+        """(m,) >= 0 by how much h falls below H within another horizon: 0 if the backup ends at rest."""
         path = self.path(state)
-        known = minimum_along(self._heights, path).values
+        known = minimum_along(self._h_of, path).values
+        # A path shorter than the horizon has come to rest: nothing changes beyond it.
         if len(path) <= self.horizon:
             return np.zeros(len(known))
-        further = np.array([self._heights(each) for each in self.loop.path(path[-1], self.horizon)])
+        further = np.array([self._h_of(each) for each in self.loop.path(path[-1], self.horizon)])
         return np.asarray(np.maximum(known - further.min(axis=0), 0.0))
 
-    def taken(self, origin: FloatArray | None, state: FloatArray) -> Rollout:
-        """H at ``state`` (states,) and where on its path it is taken, which begins with ``origin`` if one is given."""
-        path = self._whole(origin, state, self.horizon)
-        return Rollout(origin, fixed(state), path, minimum_along(self._heights, path, always=int(origin is not None)))
+    def minimum_at(self, origin: FloatArray | None, state: FloatArray) -> Rollout:
+        """H at ``state`` (states,) with its path and minimising points; the path begins with ``origin`` if given."""
+        path = self._path_from(origin, state, self.horizon)
+        return Rollout(origin, fixed(state), path, minimum_along(self._h_of, path, always=int(origin is not None)))
 
-    def gradient_of(self, taken: Rollout) -> FloatArray:
-        """dH/dx (m, states)."""
-        exact = self._chained(taken)
+    def gradient_at(self, rollout: Rollout) -> FloatArray:
+        """d(H)/d(x) (m, states)."""
+        exact = self._gradient_by_chain_rule(rollout)
         if exact is not None:
             return exact
-        moved = np.ptp(np.array(taken.path), axis=0)
-        return central_slopes(lambda near: self._h_near(taken, near), taken.state, moved, taken.least.size)
+        motion = np.ptp(np.array(rollout.path), axis=0)
+        size = rollout.minimum.size
+        return central_differences(lambda near: self._h_near(rollout, near), rollout.state, motion, size)
 
-    def along_of(self, taken: Rollout, directions: FloatArray) -> FloatArray:
-        """dH/du (m, n) at the state + ``directions`` (states, n) u, u = 0."""
-        exact = self._chained(taken)
+    def lie_derivative_at(self, rollout: Rollout, directions: FloatArray) -> FloatArray:
+        """d(H)/d(u) (m, n) at the state + ``directions`` (states, n) u, u = 0."""
+        exact = self._gradient_by_chain_rule(rollout)
         if exact is not None:
             return np.asarray(exact @ directions)
-        slopes = np.zeros((len(self.names), directions.shape[1]))
+        derivatives = np.zeros((len(self.names), directions.shape[1]))
         for index, direction in enumerate(directions.T):
             if direction.any():
-                ahead = self._h_near(taken, taken.state + _SHARE * direction)
-                slopes[:, index] = (ahead - self._h_near(taken, taken.state - _SHARE * direction)) / (2.0 * _SHARE)
-        return slopes
+                step = _STEP_SHARE * direction
+                ahead = self._h_near(rollout, rollout.state + step)
+                derivatives[:, index] = (ahead - self._h_near(rollout, rollout.state - step)) / (2.0 * _STEP_SHARE)
+        return derivatives
 
-    def _chained(self, taken: Rollout) -> FloatArray | None:
-        """The gradient by the chain rule, of h that knows its own and a model that knows its slopes."""
-        first = int(taken.origin is not None)
-        slopes = self.loop.sensitivities(taken.path[first:]) if self._knows_gradient else None
-        if slopes is None:
+    def _gradient_by_chain_rule(self, rollout: Rollout) -> FloatArray | None:
+        """The gradient by the chain rule, if both h and the model have derivatives."""
+        first = int(rollout.origin is not None)
+        derivatives = self.loop.sensitivities(rollout.path[first:]) if self._knows_gradient else None
+        if derivatives is None:
             return None
-        moved = [*([np.zeros_like(slopes[0])] * first), *slopes]
+        # ``origin`` is measured and does not move with the state: its sensitivity is 0.
+        sensitivities = [*([np.zeros_like(derivatives[0])] * first), *derivatives]
         rows = []
-        for row, (k, share) in enumerate(taken.least.places):
-            change = moved[k] if share == 0.0 else (1.0 - share) * moved[k] + share * moved[k + 1]
-            rows.append(self._h.evaluate(chord_point(taken.path, (k, share)))[1][row] @ change)
+        for row, (k, share) in enumerate(rollout.minimum.points):
+            ahead = sensitivities[k]
+            change = ahead if share == 0.0 else (1.0 - share) * ahead + share * sensitivities[k + 1]
+            rows.append(self._h.h_and_grad(chord_point(rollout.path, (k, share)))[1][row] @ change)
         return np.array(rows)
 
-    def _heights(self, state: FloatArray) -> FloatArray:
-        """h (m,) at one state, as an array of its own: a barrier may return one that it writes again."""
-        return checked_output("h", self._h.values(state))
+    def _h_of(self, state: FloatArray) -> FloatArray:
+        """h (m,) at one state, as a copy: a barrier may return an array that it writes again."""
+        return checked_output("h", self._h.h(state))
 
-    def _whole(self, origin: FloatArray | None, state: FloatArray, ticks: int) -> list[FloatArray]:
+    def _path_from(self, origin: FloatArray | None, state: FloatArray, ticks: int) -> list[FloatArray]:
         path = self.loop.path(state, ticks)
         return path if origin is None else [origin, *path]
 
-    def _h_near(self, taken: Rollout, state: FloatArray) -> FloatArray:
-        """h_i (m,) at the same place of the path from another state."""
-        places = taken.least.places
-        last = max(k + (share > 0.0) for k, share in places) - (taken.origin is not None)
-        path = self._whole(taken.origin, state, max(last, 0))
-        known: dict[Place, FloatArray] = {}
-        for place in places:
-            if place not in known:
-                known[place] = self._heights(path[-1] if place[0] + 1 >= len(path) else chord_point(path, place))
-        return np.array([known[place][row] for row, place in enumerate(places)])
+    def _h_near(self, rollout: Rollout, state: FloatArray) -> FloatArray:
+        """h_i (m,) at the same points of the path from another state."""
+        points = rollout.minimum.points
+        # Only as many ticks as the furthest point needs; the rest of the path has no influence on the difference.
+        last = max(k + (share > 0.0) for k, share in points) - (rollout.origin is not None)
+        path = self._path_from(rollout.origin, state, max(last, 0))
+        known: dict[PathPoint, FloatArray] = {}
+        for point in points:
+            # By the envelope theorem the minimising point may stay fixed: to first order only h at that point changes.
+            if point not in known:
+                known[point] = self._h_of(path[-1] if point[0] + 1 >= len(path) else chord_point(path, point))
+        return np.array([known[point][row] for row, point in enumerate(points)])
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """H at a state: the path that it was looked for on, and where it is taken."""
+    """H at a state: the path and its minimum."""
 
     origin: FloatArray | None
     state: FloatArray
     path: list[FloatArray]
-    least: PathMinimum
+    minimum: PathMinimum
 
 
 @final
 class _RolloutFrom(AbstractBarrier):
-    """A rollout barrier for states that one tick from ``origin`` leads to; remembers them, for one decision."""
+    """A rollout barrier for states one tick after ``origin``; caches their rollouts for one decision."""
 
-    def __init__(self, whole: RolloutBarrier, origin: FloatArray) -> None:
-        self.names, self.kind, self.reads = whole.names, whole.kind, whole.reads
-        self._whole, self._origin = whole, origin
+    def __init__(self, barrier: RolloutBarrier, origin: FloatArray) -> None:
+        self.names, self.kind, self.reads = barrier.names, barrier.kind, barrier.reads
+        self._barrier, self._origin = barrier, origin
         self._known: dict[bytes, Rollout] = {}
 
-    def values(self, state: FloatArray) -> FloatArray:
-        return self._taken(state).least.values.copy()
+    def h(self, state: FloatArray) -> FloatArray:
+        # A copy: the caller may write into it, and the rollout is cached.
+        return self._rollout_at(state).minimum.values.copy()
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return self.values(state), self._whole.gradient_of(self._taken(state))
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.h(state), self._barrier.gradient_at(self._rollout_at(state))
 
-    def along(self, state: FloatArray, directions: FloatArray) -> FloatArray:
-        return self._whole.along_of(self._taken(state), directions)
+    def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
+        return self._barrier.lie_derivative_at(self._rollout_at(state), directions)
 
-    def _taken(self, state: FloatArray) -> Rollout:
+    def _rollout_at(self, state: FloatArray) -> Rollout:
+        # The same candidate states are evaluated for h and again for the gradient; a rollout takes many model steps.
         key = state.tobytes()
         if key not in self._known:
-            self._known[key] = self._whole.taken(self._origin, state)
+            self._known[key] = self._barrier.minimum_at(self._origin, state)
         return self._known[key]

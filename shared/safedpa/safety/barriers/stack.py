@@ -1,4 +1,4 @@
-"""The quickest stack for barriers: those that are equations in one go, any others one by one."""
+"""Chooses the fastest barrier set: one compiled function if all barriers are equations, else one by one."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ __all__ = ["BarrierSetCache", "CompiledBarrierSet", "make_barrier_set"]
 
 
 def make_barrier_set(parts: Sequence[AbstractBarrier]) -> AbstractBarrierSet:
-    """The quickest stack of these barriers, in this order: one recorded function where all are equations.
+    """Returns the fastest set of these barriers, in this order.
 
-    Any others are asked one by one, which is the reference.
+    If all are equations, that is one recorded function; otherwise they are evaluated one by one.
     """
     if isinstance(parts, AbstractBarrierSet):
         return parts
+    # Mixed lists are not split: one row order for all parts keeps names, margins and rows aligned.
     equations = [part for part in parts if isinstance(part, AbstractEquationBarrier)]
     return CompiledBarrierSet(equations) if equations and len(equations) == len(parts) else Barriers(parts)
 
 
 @final
 class BarrierSetCache:
-    """``make_barrier_set`` for parts that are mostly those of the last tick: their stack is kept.
+    """``make_barrier_set`` for parts that are mostly those of the last tick: the last set is kept.
 
-    ``states`` are the names of the state's entries; empty: not known.
+    ``states`` are the names of the state entries; empty: not known.
     """
 
     def __init__(self, states: Sequence[str] = ()) -> None:
@@ -41,13 +42,15 @@ class BarrierSetCache:
         self._last: AbstractBarrierSet = Barriers(())
         self._given: AbstractBarrierSet = self._last
 
-    def of(self, parts: Sequence[AbstractBarrier], entries: int) -> AbstractBarrierSet:
-        """The stack of just these objects, for a state with so many entries.
+    def get(self, parts: Sequence[AbstractBarrier], entries: int) -> AbstractBarrierSet:
+        """Returns the set of exactly these objects, for a state with so many entries.
 
-        Raises InputError for what is no list, for one that is no barrier, or reads other states.
+        Raises InputError for an object that is no list, for an entry that is no barrier, or one of other states.
         """
         if entries != self._entries:
+            # The number of entries is part of what was checked, so a state of another size starts again.
             self._last, self._given, self._entries = Barriers(()), Barriers(()), entries
+        # The usual case of a ready-made set: one comparison, no check.
         if parts is self._given:
             return parts
         if isinstance(parts, AbstractBarrierSet):
@@ -59,6 +62,7 @@ class BarrierSetCache:
             count = len(parts)
         except TypeError as error:
             raise InputError(f"barriers: got {type(parts).__name__}, wanted a list of them") from error
+        # By identity, not equality: comparing obstacles by value would take as long as building the set.
         if count != len(known) or not all(map(is_, parts, known)):
             check_reads(parts, self._states, entries)
             self._last = make_barrier_set(parts)
@@ -67,9 +71,9 @@ class BarrierSetCache:
 
 @final
 class CompiledBarrierSet(AbstractBarrierSet):
-    """Barriers that are equations, in one function: what they compute alike is computed once.
+    """Barriers that are equations, compiled to one function, so that common subexpressions are computed once.
 
-    ``like``: a stack of the same equations with the same items, whose shared numbers alone are others.
+    ``like``: a set of the same equations with the same items; only the shared numbers differ.
     """
 
     def __init__(self, parts: Sequence[AbstractEquationBarrier], like: CompiledBarrierSet | None = None) -> None:
@@ -78,33 +82,34 @@ class CompiledBarrierSet(AbstractBarrierSet):
         self._pattern: Pattern = pattern_of(parts) if like is None else like._pattern
         self._shared = [part.shared for part in parts]
         self._each = [part.each for part in parts]
-        self._plain: dict[int, Any] = {}
+        self._by_size: dict[int, Any] = {}
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return np.array(self.plain(len(state)).heights(state.tolist()))
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return np.array(self.scalar_rows(len(state)).h_floats(state.tolist()))
 
-    def gradient(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        rows = self.plain(len(state)).slopes(state.tolist(), range(len(self.names)))
+    def grad_h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        rows = self.scalar_rows(len(state)).grad_h_floats(state.tolist(), range(len(self.names)))
         return np.array(rows).reshape(len(self.names), len(state))
 
-    def heights(self, state: Sequence[float]) -> list[float]:  # noqa: D102
-        h: list[float] = self.plain(len(state)).heights(state)
+    def h_floats(self, state: Sequence[float]) -> list[float]:  # noqa: D102
+        h: list[float] = self.scalar_rows(len(state)).h_floats(state)
         return h
 
-    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
-        found: Sequence[Sequence[float]] = self.plain(len(state)).slopes(state, rows)
+    def grad_h_floats(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
+        found: Sequence[Sequence[float]] = self.scalar_rows(len(state)).grad_h_floats(state, rows)
         return found
 
-    def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
-        bound: Sequence[float] | None = self.plain(len(state)).steepest(state)
+    def grad_bound(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
+        bound: Sequence[float] | None = self.scalar_rows(len(state)).grad_bound(state)
         return bound
 
-    def plain(self, states: int) -> Any:  # noqa: D102
-        rows = self._plain.get(states)
+    def scalar_rows(self, states: int) -> Any:  # noqa: D102
+        rows = self._by_size.get(states)
         if rows is None:
-            rows = self._plain[states] = rows_of(self._pattern, states)(self._shared, self._each)
+            # Compiled on first use: a set that is only inspected needs no evaluator.
+            rows = self._by_size[states] = rows_of(self._pattern, states)(self._shared, self._each)
         return rows
 
     def __getstate__(self) -> dict[str, Any]:
-        """Functions made here do not travel to another process; they are made there again."""
-        return {**self.__dict__, "_plain": {}}
+        """Compiled functions cannot be pickled; the receiving process compiles them again."""
+        return {**self.__dict__, "_by_size": {}}

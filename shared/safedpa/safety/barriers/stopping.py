@@ -1,21 +1,23 @@
-"""Room that is left to hazards while a robot with thrust along its heading stops and stands against the wind.
+"""Stopping manoeuvres: h is the clearance to hazards while a robot stops, and the distance in which a servo brakes.
 
-The manoeuvre (thrust and turn are all that it has): with the acceleration that would end the motion,
+``StoppingBarrier`` is for a robot with thrust along its heading, which stops and then holds against the wind.
+
+With the acceleration that would end the motion (thrust and turn rate are the only inputs):
 
     wanted = -velocity / time - (wind - drag velocity)
     thrust acceleration = clip(wanted . heading, +-strongest)
     turn = clip(gain angle from heading, or its opposite, to wanted, +-fastest)
 
-it turns its nose, or its tail, to where it has to push, pushes as well as it already can, and ends at rest with the
-wind held. h_i = least distance to hazard i along the manoeuvre, less its radius; of nose and tail first, the one that
-leaves more room to the nearest hazard. Anyone who takes the manoeuvre's own action keeps every h_i from falling, for all
-hazards at once: the conditions can always be met together.
-Source: the backup control barrier function of Gurriet, Mote, Singletary, Feron, Ames, A Scalable Safety Critical
-Control Framework for Nonlinear Systems, IEEE Access 2020.
+it turns its nose, or its tail, into the direction of the required thrust, pushes as far as its heading allows, and ends
+at rest against the wind. h_i is the smallest distance to hazard i along the manoeuvre, less its radius; of nose-first
+and tail-first the one with more clearance to the nearest hazard counts. The manoeuvre's own action lowers no h_i, for
+all hazards at once, so the constraints can always be satisfied together. Source: the backup control barrier function of
+Gurriet, Mote, Singletary, Feron, Ames, A Scalable Safety Critical Control Framework for Nonlinear Systems, IEEE Access
+2020.
 
-The stopping manoeuvre of one robot in plain numbers: a tenth of the time that arrays of one entry take.
+The manoeuvre of one robot is also computed in Python floats, in a tenth of the time of arrays with one entry.
 
-How far a robot still moves when it brakes: the stretch that barriers of obstacles and walls look ahead.
+``Braking`` is the guaranteed braking of a speed servo, by which barriers of obstacles and walls look ahead.
 """
 
 from __future__ import annotations
@@ -47,27 +49,28 @@ __all__ = [
 ]
 
 
+# A step of 0.04 s is short against the 0.15 s in which the velocity ends, and long enough for 40 steps to be fast.
 STEP_SECONDS: Final = 0.04
 STEPS: Final = 40
-"""1.6 s: half a second to turn by a right angle, half to stop from full speed, the rest to stand."""
+"""1.6 s: half a second to turn by a right angle, half to stop from full speed, the rest to settle."""
 ENDS: Final = np.array([1.0, -1.0])
 """Nose first, tail first."""
 STOP_SECONDS: Final = 0.15
-"""s in which the velocity shall end."""
+"""Time constant [s] of the deceleration."""
 GAIN: Final = 12.0
-"""1/s of the turning."""
+"""Proportional gain [1/s] of the turn rate."""
 FAINT: Final = 0.05
-"""m/s2 of wanted acceleration below which the turning fades: a robot at rest in still air need not turn."""
+"""Required acceleration [m/s2] below which the turn rate fades: a robot at rest in still air need not turn."""
 NUDGE: Final = 1e-4
-"""Of each entry of the state, in its own unit: for the slopes."""
+"""Step of each state entry, in its own unit, for central differences."""
 ALIKE: Final = 1e-6
-"""m; where either end leaves the same room the one that has less to turn is taken."""
+"""Difference of clearance [m] below which the end that needs the smaller turn is chosen."""
 
 
 @final
 @dataclass(frozen=True)
 class Motion:
-    """What is known of how the robots move; numbers, or arrays with one entry a robot."""
+    """Parameters of the robots' motion: numbers, or arrays with one entry per robot."""
 
     wind: Any
     """(2,) or (2, robots): acceleration by the wind [m/s2], in the world."""
@@ -78,10 +81,10 @@ class Motion:
     fastest: float
     """rad/s of turning."""
     ahead: float = 0.0
-    """m by which the position of the state, the centre of mass, lies ahead of the middle, whose room counts."""
+    """Distance [m] of the state's position, the centre of mass, ahead of the middle, whose clearance counts."""
 
     def of(self, which: Any) -> Motion:
-        """The same for the robot of an index, or for those of several; a number that holds for all stays as it is."""
+        """The parameters of the robots of these indices; a number that holds for all stays a number."""
         wind, drag, strongest = (np.asarray(part, dtype=np.float64) for part in (self.wind, self.drag, self.strongest))
         return Motion(
             wind[:, which] if wind.ndim > 1 else wind,
@@ -93,64 +96,69 @@ class Motion:
 
 
 def stopping_action(state: FloatArray, motion: Motion, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(thrust acceleration [m/s2], turn [rad/s]) of the manoeuvre for states (5, robots).
+    """(thrust acceleration [m/s2], turn rate [rad/s]) of the manoeuvre for states (5, robots).
 
-    ``end`` (robots,): 1 where the nose shall point to where the robot has to push, -1 where the tail shall. It is kept
-    all the way: where it changed along the way h would jump with the state, and with what is believed of the wind, from
-    one side of the change to the other.
+    ``end`` (robots,): 1 if the nose turns into the direction of thrust, -1 if the tail does. It is fixed for the whole
+    manoeuvre: if it could change on the way, h would jump with the state and with the estimated wind.
     """
-    return _slowing(state, np.cos(state[2]), np.sin(state[2]), motion, end)
+    return _action_with_heading(state, np.cos(state[2]), np.sin(state[2]), motion, end)
 
 
-def _slowing(
-    state: FloatArray, ahead: FloatArray, aside: FloatArray, motion: Motion, end: FloatArray
+def _action_with_heading(
+    state: FloatArray, ahead: FloatArray, sideways: FloatArray, motion: Motion, end: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``stopping_action`` where cosine and sine of the heading are known."""
+    """``stopping_action`` if cosine and sine of the heading are known."""
     wanted_x = -state[3] / STOP_SECONDS - motion.wind[0] + motion.drag * state[3]
     wanted_y = -state[4] / STOP_SECONDS - motion.wind[1] + motion.drag * state[4]
-    along = wanted_x * ahead + wanted_y * aside
-    across = wanted_y * ahead - wanted_x * aside
+    along = wanted_x * ahead + wanted_y * sideways
+    across = wanted_y * ahead - wanted_x * sideways
     size = np.sqrt(along * along + across * across)
+    # size / (size + FAINT) removes the turn where the direction of a tiny vector is noise.
+    # With end = -1 the angle is measured to the tail, so that the same law turns the tail into the thrust direction.
     error = np.arctan2(end * across, end * along) * size / (size + FAINT)
     thrust = np.minimum(np.maximum(along, -motion.strongest), motion.strongest)  # np.clip takes five times as long
     return thrust, np.minimum(np.maximum(GAIN * error, -motion.fastest), motion.fastest)
 
 
 def nearer_end(state: FloatArray, motion: Motion) -> Any:
-    """1 where the nose at ``state`` (5,) or (5, robots) is nearer to where the robot has to push, else -1."""
+    """1 if the nose at ``state`` (5,) or (5, robots) is nearer to the direction of thrust, else -1."""
     wanted = [-state[3 + axis] / STOP_SECONDS - motion.wind[axis] + motion.drag * state[3 + axis] for axis in (0, 1)]
     return np.where(wanted[0] * np.cos(state[2]) + wanted[1] * np.sin(state[2]) >= 0.0, 1.0, -1.0)
 
 
 def stopping_path(state: FloatArray, motion: Motion, end: FloatArray) -> FloatArray:
-    """Places (1 + STEPS, 2, robots) of the middle along the manoeuvre from states (5, robots), from now on.
+    """Positions (1 + STEPS, 2, robots) of the middle along the manoeuvre from states (5, robots).
 
-    In the states' own precision: single precision is a third of the work for many, and a micrometre off.
+    In the precision of the states: single precision takes a third of the time for many robots, and differs by 1 um.
     """
+    # A copy: the integration below writes into it.
     now = np.array(state)
     path = np.empty((STEPS + 1, 2, now.shape[1]), dtype=now.dtype)
-    ahead, aside = np.cos(now[2]), np.sin(now[2])
-    _put_middle(path[0], now, ahead, aside, motion.ahead)
+    ahead, sideways = np.cos(now[2]), np.sin(now[2])
+    _write_middle(path[0], now, ahead, sideways, motion.ahead)
     for step in range(1, STEPS + 1):
-        thrust, turn = _slowing(now, ahead, aside, motion, end)
+        thrust, turn = _action_with_heading(now, ahead, sideways, motion, end)
+        # The thrust acts along the heading at mid-step: a midpoint rule, second-order accurate while the robot turns.
         middle = now[2] + 0.5 * STEP_SECONDS * turn
         now[2] += STEP_SECONDS * turn
         for axis, heading in ((0, np.cos(middle)), (1, np.sin(middle))):
             push = thrust * heading + motion.wind[axis] - motion.drag * now[3 + axis]
             now[axis] += STEP_SECONDS * (now[3 + axis] + 0.5 * STEP_SECONDS * push)
             now[3 + axis] += STEP_SECONDS * push
-        ahead, aside = np.cos(now[2]), np.sin(now[2])
-        _put_middle(path[step], now, ahead, aside, motion.ahead)
+        ahead, sideways = np.cos(now[2]), np.sin(now[2])
+        _write_middle(path[step], now, ahead, sideways, motion.ahead)
     return path
 
 
-def _put_middle(place: FloatArray, state: FloatArray, ahead: FloatArray, aside: FloatArray, lies_ahead: float) -> None:
-    """Writes the middle's place (2, robots) for states (5, robots) of the centre of mass."""
+def _write_middle(
+    position: FloatArray, state: FloatArray, ahead: FloatArray, sideways: FloatArray, lies_ahead: float
+) -> None:
+    """Writes the middle's position (2, robots) for states (5, robots) of the centre of mass."""
     if lies_ahead == 0.0:
-        place[:] = state[:2]
+        position[:] = state[:2]
         return
-    np.subtract(state[0], lies_ahead * ahead, out=place[0])
-    np.subtract(state[1], lies_ahead * aside, out=place[1])
+    np.subtract(state[0], lies_ahead * ahead, out=position[0])
+    np.subtract(state[1], lies_ahead * sideways, out=position[1])
 
 
 def stopping_room(path: FloatArray, hazards: FloatArray, radii: FloatArray) -> FloatArray:
@@ -158,16 +166,18 @@ def stopping_room(path: FloatArray, hazards: FloatArray, radii: FloatArray) -> F
 
     ``radii`` (hazards,) or (robots, hazards).
     """
-    places = np.ascontiguousarray(hazards.transpose(2, 1, 0), dtype=path.dtype)
-    nearest = np.full(places.shape[1:], np.inf, dtype=path.dtype)
+    # In-place operations on contiguous arrays: this loop is the largest part of a batch decision.
+    positions = np.ascontiguousarray(hazards.transpose(2, 1, 0), dtype=path.dtype)
+    nearest = np.full(positions.shape[1:], np.inf, dtype=path.dtype)
     squares, part = np.empty_like(nearest), np.empty_like(nearest)
-    for place in path:
-        np.subtract(places[0], place[0], out=squares)
+    for position in path:
+        np.subtract(positions[0], position[0], out=squares)
         np.multiply(squares, squares, out=squares)
-        np.subtract(places[1], place[1], out=part)
+        np.subtract(positions[1], position[1], out=part)
         np.multiply(part, part, out=part)
         np.add(squares, part, out=squares)
         np.minimum(nearest, squares, out=nearest)
+    # One square root at the end: the minimum of the squares is at the same step.
     room: FloatArray = np.sqrt(nearest).T - np.asarray(radii, dtype=path.dtype)
     return room
 
@@ -182,14 +192,16 @@ class StoppingBarrier(AbstractBarrier):
     def __init__(self, hazards: FloatArray, motion: Motion) -> None:
         rows = np.asarray(hazards, dtype=np.float64).reshape(-1, 3)
         self.names = tuple(f"hazard {index}" for index in range(len(rows)))
-        self._places, self._radii, self._motion = rows[:, :2], rows[:, 2], motion
+        self._positions, self._radii, self._motion = rows[:, :2], rows[:, 2], motion
 
-    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
+    def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
         return self._best(np.asarray(state, dtype=np.float64))[0]
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
         state = np.asarray(state, dtype=np.float64)
+        # ``end`` stays that of the centre: the gradient belongs to the manoeuvre that h was computed for.
         room, end = self._best(state)
+        # All ten shifted states in one call: the path of many states takes hardly longer than that of one.
         around = np.repeat(state[:, np.newaxis], 10, axis=1)
         index = np.arange(5)
         around[index, index] += NUDGE
@@ -202,40 +214,41 @@ class StoppingBarrier(AbstractBarrier):
         return self._best(np.asarray(state, dtype=np.float64))[1]
 
     def _best(self, state: FloatArray) -> tuple[FloatArray, float]:
-        pass  # dropped
-
-        rooms = [minimum_clearances(state, self._motion, float(end), self._places, self._radii) for end in ENDS]
+        rooms = [minimum_clearances(state, self._motion, float(end), self._positions, self._radii) for end in ENDS]
+        # The nearest hazard decides which end goes first: it is the one whose h would fall below 0.
         more = float(rooms[1].min() - rooms[0].min()) if self._radii.size else 0.0
         best = int(more > 0.0) if abs(more) > ALIKE else int(nearer_end(state, self._motion) < 0.0)
         return rooms[best], float(ENDS[best])
 
     def _rooms(self, states: FloatArray, end: FloatArray) -> FloatArray:
         path = stopping_path(states, self._motion, end)
-        return stopping_room(path, np.broadcast_to(self._places, (states.shape[1], *self._places.shape)), self._radii)
+        return stopping_room(
+            path, np.broadcast_to(self._positions, (states.shape[1], *self._positions.shape)), self._radii
+        )
 
 
 def minimum_clearances(
     state: FloatArray, motion: Motion, end: float, hazards: FloatArray, radii: FloatArray
 ) -> FloatArray:
     """h (hazards,) [m] along the manoeuvre from ``state`` (5,) among hazards (hazards, 2): ``stopping_path`` of one."""
-    path = np.array(_places([float(entry) for entry in state], motion, end))
+    path = np.array(_positions([float(entry) for entry in state], motion, end))
     apart = hazards[:, np.newaxis] - path
     room: FloatArray = np.sqrt(np.einsum("hpk,hpk->hp", apart, apart).min(axis=1)) - radii
     return room
 
 
-def _places(state: list[float], motion: Motion, end: float) -> list[tuple[float, float]]:
-    """The middle's places along the manoeuvre, from now on; the same arithmetic as ``stopping_path``."""
+def _positions(state: list[float], motion: Motion, end: float) -> list[tuple[float, float]]:
+    """Positions of the middle along the manoeuvre; the same arithmetic as ``stopping_path``."""
     x, y, yaw, vx, vy = state
     wind_x, wind_y = float(motion.wind[0]), float(motion.wind[1])
     drag, strongest, fastest, behind = float(motion.drag), float(motion.strongest), motion.fastest, motion.ahead
-    places = [(x - behind * cos(yaw), y - behind * sin(yaw))]
+    positions = [(x - behind * cos(yaw), y - behind * sin(yaw))]
     for _ in range(STEPS):
-        ahead, aside = cos(yaw), sin(yaw)
+        ahead, sideways = cos(yaw), sin(yaw)
         wanted_x = -vx / STOP_SECONDS - wind_x + drag * vx
         wanted_y = -vy / STOP_SECONDS - wind_y + drag * vy
-        along = wanted_x * ahead + wanted_y * aside
-        across = wanted_y * ahead - wanted_x * aside
+        along = wanted_x * ahead + wanted_y * sideways
+        across = wanted_y * ahead - wanted_x * sideways
         size = sqrt(along * along + across * across)
         error = atan2(end * across, end * along) * size / (size + FAINT)
         thrust = min(max(along, -strongest), strongest)
@@ -248,12 +261,13 @@ def _places(state: list[float], motion: Motion, end: float) -> list[tuple[float,
         y += STEP_SECONDS * (vy + 0.5 * STEP_SECONDS * push_y)
         vx += STEP_SECONDS * push_x
         vy += STEP_SECONDS * push_y
-        places.append((x - behind * cos(yaw), y - behind * sin(yaw)) if behind else (x, y))
-    return places
+        positions.append((x - behind * cos(yaw), y - behind * sin(yaw)) if behind else (x, y))
+    return positions
 
 
 def stopping_distance(speed: Scalar, deceleration: Scalar, gain: Scalar, operations: Operations) -> Scalar:
     """The signed stopping distance D [m] at ``speed`` [m/s]; see ``Braking``."""
+    # Below the corner speed the servo's gain limits the braking, above it the deceleration.
     corner, size = deceleration / gain, operations.absolute(speed)
     far = corner / gain + (size * size - corner * corner) / (2.0 * deceleration)
     return operations.where(size <= corner, speed / gain, operations.where(speed > 0.0, far, -far))
@@ -270,7 +284,8 @@ class Braking:
         |v| <= b/k:  D = v / k
         beyond:      D = sign(v) (b/k^2 + (v^2 - (b/k)^2) / (2 b))
 
-    D is once continuously differentiable: both slopes are 1/k at |v| = b/k. Raises InputError unless both are positive.
+    D is once continuously differentiable: both derivatives are 1/k at |v| = b/k. Raises InputError unless both
+    parameters are positive.
     """
 
     deceleration: float

@@ -1,4 +1,4 @@
-"""``Conditions`` and ``search`` for many robots at once: the same steps, with those that are done left out."""
+"""``Constraints`` and ``solve_sqp`` for many robots at once: the same steps, without the robots that are done."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from safedpa.safety.solver.constraints import NO_INFLUENCE, ROUNDING
 from safedpa.safety.solver.linearization import MARK
 from safedpa.safety.solver.sqp import DOUBTFUL, FAR, NEEDLESS, SERVED_WELL, STEP, tighten
 
-__all__ = ["BatchCandidates", "BatchConstraints", "search_batch"]
+__all__ = ["BatchCandidates", "BatchConstraints", "solve_sqp_batch"]
 
 
 _TINY = 1e-300
+"""As in ``solver.constraints``: it only avoids a division by zero."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class BatchCandidates:
-    """What the model predicts for one action (robots, actions) each; see ``Outcome``."""
+    """One action (robots, actions) each with its prediction; see ``ActionCandidate``."""
 
     action: FloatArray
     next_state: FloatArray
@@ -33,11 +34,11 @@ class BatchCandidates:
     residual: FloatArray
 
     def only(self, which: IndexArray | BoolArray) -> BatchCandidates:
-        """Those of the robots of these indices; a copy."""
+        """The candidates of the robots of these indices; a copy."""
         return BatchCandidates(self.action[which], self.next_state[which], self.h_next[which], self.residual[which])
 
     def put(self, which: IndexArray, other: BatchCandidates) -> None:
-        """Takes over the other's for the robots of these indices."""
+        """Overwrites the candidates of the robots of these indices."""
         for own, new in zip(self._arrays(), other._arrays(), strict=True):
             own[which] = new
 
@@ -48,137 +49,152 @@ class BatchCandidates:
 @final
 @dataclass(frozen=True, eq=False)
 class BatchConstraints:
-    """h_i(x[t+1]) >= required_i for every robot, with its barriers and its prediction."""
+    """h_i(x[t+1]) >= rhs_i for every robot, with its barriers and its prediction."""
 
     settings: FilterSettings
     barriers: AbstractBatchBarriers
     predictions: AbstractBatchPredictor
-    required: FloatArray
-    """(robots, rows)."""
+    rhs: FloatArray
+    """(robots, rows) right-hand sides."""
     scale: FloatArray
-    """(robots, rows), grows with every tangent."""
+    """(robots, rows), grows with every linearisation."""
     saturated: BoolArray
-    """(robots,) whether some slope was that of a chord, since the actuator saturates there."""
+    """(robots,) whether some column of g was a chord, since the actuator saturates there."""
 
     def only(self, which: IndexArray) -> BatchConstraints:
-        """Those of the robots of these indices."""
+        """The constraints of the robots of these indices."""
         return BatchConstraints(
             self.settings,
             self.barriers.only(which),
             self.predictions.only(which),
-            self.required[which],
+            self.rhs[which],
             self.scale[which],
             self.saturated[which],
         )
 
-    def tightest(self, found: BatchCandidates) -> FloatArray:
+    def min_scaled_residual(self, found: BatchCandidates) -> FloatArray:
         """(robots,) smallest residual, each as a share of its barrier's scale."""
         return np.asarray((found.residual / np.maximum(self.scale, _TINY)).min(axis=1))
 
     def distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """(robots,) between actions (robots, actions), as ``QuadraticProgram.distance``."""
+        """(robots,) the distance of actions (robots, actions), as ``QuadraticProgram.distance``."""
         weights = self.settings.weight_vector
         share = (one - other) / (self.settings.high - self.settings.low)
         return np.asarray(share**2 @ (weights / weights.max()))
 
-    def kept(self, found: BatchCandidates) -> BoolArray:
-        """(robots,) whether every condition holds, and every h is 0 or more, of what was predicted in finite numbers."""
+    def is_feasible(self, found: BatchCandidates) -> BoolArray:
+        """(robots,) whether every constraint holds, and every predicted h is finite and >= 0."""
+        # The same tolerance as for one robot, or both would disagree at the boundary.
         rows = (found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0) & np.isfinite(found.h_next)
         return np.asarray(rows.all(axis=1) & np.isfinite(found.next_state).all(axis=1))
 
-    def outcome(self, action: FloatArray) -> BatchCandidates:
-        """What ``action`` (robots, actions) leads to."""
+    def evaluate(self, action: FloatArray) -> BatchCandidates:
+        """Predicts the next state and h under ``action`` (robots, actions)."""
         following = self.predictions.next_state(action)
-        h_next = self.barriers.values(following)
-        return BatchCandidates(action, following, h_next, h_next - self.required)
+        h_next = self.barriers.h(following)
+        return BatchCandidates(action, following, h_next, h_next - self.rhs)
 
-    def slopes(self, about: BatchCandidates, last: FloatArray) -> FloatArray:
-        """A (robots, rows, actions) of the conditions tangent at ``about``.
+    def linearize(self, about: BatchCandidates, last: FloatArray) -> FloatArray:
+        """Returns A (robots, rows, actions) of the constraints linearised about ``about``.
 
-        ``last`` (robots, states, actions) are the slopes of the model that were used before, NaN where there are none,
-        and become those that are used now.
+        ``last`` (robots, states, actions) is the g of the linearisation before, NaN if there is none; it is replaced by
+        the one of now.
         """
-        g = self.predictions.slopes(about.action)
-        reached, width = about.next_state, self.settings.high - self.settings.low
-        noise = NO_INFLUENCE * np.maximum(np.abs(reached), np.abs(reached - self.predictions.state))
-        silent = np.asarray((np.abs(g) * width <= noise[:, :, np.newaxis]).all(axis=1))
+        g = self.predictions.control_matrix(about.action)
+        next_state, width = about.next_state, self.settings.high - self.settings.low
+        noise = NO_INFLUENCE * np.maximum(np.abs(next_state), np.abs(next_state - self.predictions.state))
+        no_influence = np.asarray((np.abs(g) * width <= noise[:, :, np.newaxis]).all(axis=1))
+        # An affine model cannot saturate: a vanished column there is a true zero.
         if not self.predictions.affine:
-            np.logical_or(self.saturated, silent.any(axis=1), out=self.saturated)
+            np.logical_or(self.saturated, no_influence.any(axis=1), out=self.saturated)
         for index in range(g.shape[2]):
-            rows = np.flatnonzero(silent[:, index])
+            rows = np.flatnonzero(no_influence[:, index])
             if len(rows):
+                # As for one robot: an earlier derivative replaces a vanished column, and only without one a chord is
+                # evaluated.
                 known = np.isfinite(last[rows, 0, index])
                 g[rows[known], :, index] = last[rows[known], :, index]
-                fresh = rows[~known]
-                g[fresh, :, index] = self.only(fresh)._chords(about.only(fresh), index)
+                unknown = rows[~known]
+                g[unknown, :, index] = self.only(unknown)._chords(about.only(unknown), index)
         last[:] = g
-        slopes = self.barriers.along(about.next_state, g, width)
-        np.maximum(self.scale, np.abs(slopes) @ width, out=self.scale)
-        return slopes
+        A = self.barriers.lie_derivative(about.next_state, g, width)
+        # In place, since the scale is shared with the caller's constraints.
+        np.maximum(self.scale, np.abs(A) @ width, out=self.scale)
+        return A
 
     def _chords(self, about: BatchCandidates, index: int) -> FloatArray:
-        """(robots, states) in place of a slope that vanishes: to the bound of the action that is further away."""
+        """(robots, states) chords in place of columns that vanish: to the bound that is further away."""
         low, high = self.settings.low[index], self.settings.high[index]
         value, other = about.action[:, index], about.action.copy()
         other[:, index] = np.where(value - low > high - value, low, high)
         return (self.predictions.next_state(other) - about.next_state) / (other[:, index] - value)[:, np.newaxis]
 
 
-def search_batch(
-    conditions: BatchConstraints, nominal: FloatArray, start: BatchCandidates
+def solve_sqp_batch(
+    constraints: BatchConstraints, nominal: FloatArray, start: BatchCandidates
 ) -> tuple[BatchCandidates, BoolArray]:
-    """The outcomes that ``search`` finds by posing the program, and where they are certain.
+    """Returns the candidates that ``solve_sqp`` would find, and where this is certain.
 
-    Not certain are those whose program needed slack on the way, and those that ``search`` would not take as they are:
-    the filter of one robot has to answer these.
+    Not certain are robots whose program needed slack, and those for which ``solve_sqp`` would search further: the
+    filter of one robot decides these.
     """
-    settings, robots = conditions.settings, len(nominal)
+    settings, robots = constraints.settings, len(nominal)
     last = np.full((*start.next_state.shape, nominal.shape[1]), np.nan)
-    missing, overshoot = np.maximum(0.0, -conditions.tightest(start)), np.zeros(robots)  # before slopes widen the scale
-    A = conditions.slopes(start, last)
+    # The first violation is measured before the linearisation enlarges the scale, as for one robot.
+    violation, overshoot = np.maximum(0.0, -constraints.min_scaled_residual(start)), np.zeros(robots)
+    A = constraints.linearize(start, last)
+    # Two copies: both are overwritten robot by robot.
     about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
-    certain, plain = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
+    certain, accepted = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
     for index in range(settings.relinearisations + 1):
-        going = np.flatnonzero(certain & ~plain)
-        if len(going) == 0:
+        active = np.flatnonzero(certain & ~accepted)
+        if len(active) == 0:
             break
-        own = conditions.only(going)
-        before.put(going, about.only(going))
-        found, certain[going] = _build_constraints(own, A[going], about.only(going), nominal[going], overshoot[going])
-        about.put(going, found)
-        tightest = own.tightest(found)
-        kept = own.kept(found)
-        plain[going] = kept & _nominal_candidate(own, nominal[going], found, tightest, before.only(going), index)
-        certain[going] &= plain[going] | ~kept  # a kept one that is not taken is for the filter of one robot
-        last_missing, now = missing[going], np.maximum(0.0, -tightest)
-        fresh = ~((now > 0.0) & (now < SERVED_WELL * last_missing))
-        missing[going] = now
-        pairs = zip(last_missing.tolist(), now.tolist(), strict=True)
-        overshoot[going] = [tighten(index + 1, *pair) for pair in pairs]
-        again = going[fresh & certain[going] & ~plain[going]]
+        subset = constraints.only(active)
+        # Stored before the new solution: the size of the last step decides whether a line search would follow.
+        before.put(active, about.only(active))
+        found, certain[active] = _solve_programs(
+            subset, A[active], about.only(active), nominal[active], overshoot[active]
+        )
+        about.put(active, found)
+        min_residual = subset.min_scaled_residual(found)
+        feasible = subset.is_feasible(found)
+        accepted[active] = feasible & _is_final(
+            subset, nominal[active], found, min_residual, before.only(active), index
+        )
+        # A feasible candidate that is not final would be moved further: that is left to the filter of one robot.
+        certain[active] &= accepted[active] | ~feasible
+        last_violation, now = violation[active], np.maximum(0.0, -min_residual)
+        relinearize = ~((now > 0.0) & (now < SERVED_WELL * last_violation))
+        violation[active] = now
+        pairs = zip(last_violation.tolist(), now.tolist(), strict=True)
+        overshoot[active] = [tighten(index + 1, *pair) for pair in pairs]
+        again = active[relinearize & certain[active] & ~accepted[active]]
         if len(again) and index < settings.relinearisations:
-            _draw(conditions, A, again, about, last)
-    return about, certain & plain
+            _relinearize(constraints, A, again, about, last)
+    return about, certain & accepted
 
 
-def _nominal_candidate(
-    conditions: BatchConstraints,
+def _is_final(
+    constraints: BatchConstraints,
     nominal: FloatArray,
     found: BatchCandidates,
-    tightest: FloatArray,
+    min_residual: FloatArray,
     before: BatchCandidates,
     index: int,
 ) -> BoolArray:
-    """(robots,) where ``search`` takes a solution that satisfies all conditions without looking any further."""
+    """(robots,) whether ``solve_sqp`` would return this feasible solution without searching further."""
     far = FAR * FAR
-    doubtful = ((tightest > DOUBTFUL) | conditions.saturated) & (conditions.distance(found.action, nominal) > far)
-    moved = (conditions.distance(found.action, before.action) > far) & (index > 0)
-    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved & ~_backtracking(conditions, nominal, found))
+    # The three cases in which the filter of one robot would search further.
+    doubtful = ((min_residual > DOUBTFUL) | constraints.saturated) & (constraints.distance(found.action, nominal) > far)
+    moved = (constraints.distance(found.action, before.action) > far) & (index > 0)
+    return np.asarray((min_residual <= NEEDLESS) & ~doubtful & ~moved & ~_would_backtrack(constraints, nominal, found))
 
 
-def _backtracking(conditions: BatchConstraints, nominal: FloatArray, found: BatchCandidates) -> BoolArray:
-    """(robots,) where an entry of the solution is brought back towards the nominal action; see ``retreated``."""
-    low, high = conditions.settings.low, conditions.settings.high
+def _would_backtrack(constraints: BatchConstraints, nominal: FloatArray, found: BatchCandidates) -> BoolArray:
+    """(robots,) whether ``backtrack_towards`` would move an entry of the solution."""
+    low, high = constraints.settings.low, constraints.settings.high
+    # Towards the clipped nominal action: beyond the bounds there is nothing to gain.
     away = np.clip(nominal, low, high) - found.action
     step = STEP * (high - low)
     back = np.zeros(len(nominal), dtype=bool)
@@ -188,51 +204,53 @@ def _backtracking(conditions: BatchConstraints, nominal: FloatArray, found: Batc
             continue
         nearer = found.action[far]
         nearer[:, entry] += np.copysign(step[entry], away[far, entry])
-        own = conditions.only(far)
-        back[far] |= own.kept(own.outcome(nearer))
+        own = constraints.only(far)
+        back[far] |= own.is_feasible(own.evaluate(nearer))
     return back
 
 
-def _draw(
-    conditions: BatchConstraints, A: FloatArray, which: IndexArray, about: BatchCandidates, last: FloatArray
+def _relinearize(
+    constraints: BatchConstraints, A: FloatArray, which: IndexArray, about: BatchCandidates, last: FloatArray
 ) -> None:
-    """New slopes for the robots of these indices."""
-    some, known = conditions.only(which), last[which]
-    A[which] = some.slopes(about.only(which), known)
-    last[which], conditions.scale[which], conditions.saturated[which] = known, some.scale, some.saturated
+    """Linearises again for the robots of these indices."""
+    some, known = constraints.only(which), last[which]
+    A[which] = some.linearize(about.only(which), known)
+    last[which], constraints.scale[which], constraints.saturated[which] = known, some.scale, some.saturated
 
 
-def _build_constraints(
-    conditions: BatchConstraints, A: FloatArray, about: BatchCandidates, nominal: FloatArray, overshoot: FloatArray
+def _solve_programs(
+    constraints: BatchConstraints, A: FloatArray, about: BatchCandidates, nominal: FloatArray, overshoot: FloatArray
 ) -> tuple[BatchCandidates, BoolArray]:
-    """The outcomes of the programs' solutions without slack, and where these are certain."""
-    settings = conditions.settings
+    """The candidates of the programs' solutions without slack, and where these are proven."""
+    settings = constraints.settings
     low, width = settings.low, settings.high - settings.low
     reach = np.abs(A) @ width
-    missing = np.minimum(about.residual, 0.0)
+    violation = np.minimum(about.residual, 0.0)
     limits = (
         (A @ about.action[:, :, np.newaxis])[..., 0]
         - about.residual
-        - overshoot[:, np.newaxis] * missing
+        - overshoot[:, np.newaxis] * violation
         + MARK * reach
         - A @ low
     )
-    moved = reach > 0.0
-    safe = np.where(moved, reach, 1.0)
+    has_influence = reach > 0.0
+    # Rows are divided by their reach as in ``violable_rows``; a row without influence gets no limit.
+    safe = np.where(has_influence, reach, 1.0)
     box = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     rows = _in_the_plane(A * width / safe[..., np.newaxis])
     robots = len(nominal)
-    slopes = np.concatenate([rows, np.broadcast_to(box, (robots, 4, 2))], axis=1)
-    own = np.where(moved, limits / safe, -np.inf)  # a row that no action changes is none of the program's
+    gradients = np.concatenate([rows, np.broadcast_to(box, (robots, 4, 2))], axis=1)
+    # A row without influence cannot be satisfied by any action: it must not make the program infeasible.
+    own = np.where(has_influence, limits / safe, -np.inf)
     limits = np.concatenate([own, np.broadcast_to([0.0, -1.0, 0.0, -1.0], (robots, 4))], axis=1)
     scaled, weights = _in_the_plane((nominal - low) / width), np.resize(settings.weight_vector, 2)
-    point, certain = solve_hard_qp_2d_batch(slopes, limits, scaled, weights)
+    point, certain = solve_hard_qp_2d_batch(gradients, limits, scaled, weights)
     own = point[:, : len(low)]
     action = np.clip(low + width * np.where(certain[:, np.newaxis], own, 0.0), low, settings.high)
-    return conditions.outcome(action), certain
+    return constraints.evaluate(action), certain
 
 
 def _in_the_plane(numbers: FloatArray) -> FloatArray:
-    """(..., 2) of numbers of two actions, or of one next to a second one that nothing depends on."""
+    """(..., 2) of numbers of two actions; a single action is paired with one that has no effect."""
     missing = 2 - numbers.shape[-1]
     return numbers if not missing else np.concatenate([numbers, np.zeros_like(numbers)], axis=-1)

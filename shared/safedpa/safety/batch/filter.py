@@ -1,10 +1,9 @@
 """The safety filter for many robots at once, for simulation, training and evaluation.
 
-Every robot gets what ``SafetyFilter.decide`` would give it alone, to 1e-6: networks, barriers and the quadratic program
-run over arrays with the robots first. Whatever is out of the ordinary (an input that is not plausible, a program that
-needs slack, conditions that cannot all be kept, an h below 0) is left to the filter of one robot itself, so that the
-ladder of fallbacks exists once. The services keep one step per robot: there its numbers must not depend on its
-neighbours.
+Each robot gets what ``SafetyFilter.decide`` would return for it, to 1e-6: networks, barriers and the quadratic program
+run over arrays with the robots first. All unusual cases (an implausible input, a program that needs slack, infeasible
+constraints, an h below 0) are left to the filter of one robot, so that the fallback hierarchy exists once. The services
+use one filter per robot instead: their results must not depend on which other robots share a batch.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from safedpa.arrays import BoolArray, FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.safety.batch.barriers import AbstractBatchBarriers
-from safedpa.safety.batch.constraints import BatchCandidates, BatchConstraints, search_batch
+from safedpa.safety.batch.constraints import BatchCandidates, BatchConstraints, solve_sqp_batch
 from safedpa.safety.batch.predictor import AbstractBatchPredictor, AffineBatchPredictor, BatchPredictor
 from safedpa.safety.checks.compatibility import check_settings, known_kinds
 from safedpa.safety.filter import SafetyFilter
@@ -33,15 +32,15 @@ __all__ = ["STATUSES", "BatchFilter", "BatchVerdicts"]
 
 
 STATUSES = tuple(Status)
-"""By their number in ``BatchVerdicts.status``."""
+"""By their index in ``BatchVerdicts.status``."""
 _ACTIONS = 2
-"""The nearest point that keeps conditions is known in closed form in the plane."""
+"""The quadratic program has a closed-form solution for two actions."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class BatchVerdicts:
-    """What ``Verdict`` says of one decision, for many; all (robots,) but for ``action`` (robots, actions)."""
+    """The fields of ``Verdict`` for many robots; all (robots,) except ``action`` (robots, actions)."""
 
     action: FloatArray
     status: NDArray[np.int8]
@@ -49,18 +48,18 @@ class BatchVerdicts:
     slack: FloatArray
     h_now: FloatArray
     h_next: FloatArray
-    alone: BoolArray
-    """Whom the filter of one robot answered."""
+    single: BoolArray
+    """Which robots the filter of one robot decided."""
 
     def count(self, status: Status) -> int:
-        """How many robots have that status."""
+        """The number of robots with that status."""
         return int(np.count_nonzero(self.status == STATUSES.index(status)))
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _BatchInput:
-    """One moment of the robots; every array has them first."""
+    """The inputs of one tick; every array has the robots first."""
 
     state: FloatArray
     nominal: FloatArray
@@ -71,7 +70,7 @@ class _BatchInput:
     backup: Callable[[int], Any] | None
 
     def predictions(self, model: PhysicsModel | None, which: NDArray[np.intp]) -> AbstractBatchPredictor:
-        """Of the robots of these indices."""
+        """The predictor of the robots of these indices."""
         if model is None:
             assert self.affine is not None
             return AffineBatchPredictor(self.state[which], *(part[which] for part in self.affine))
@@ -82,8 +81,8 @@ class _BatchInput:
 class BatchFilter:
     """``decide`` for robots that share a model and settings, with barriers of any kind.
 
-    In place of a model its system alone: then every ``decide`` brings what is predicted, as f + g a of each robot.
-    Raises InputError for a model of another robot, of more than two actions, or one that depends on the time.
+    With a system in place of a model, every ``decide`` gets the prediction as f + g a of each robot. Raises InputError
+    for a model of another robot, of more than two actions, or one that depends on time.
     """
 
     def __init__(self, model: PhysicsModel | System, settings: FilterSettings | None = None) -> None:
@@ -93,33 +92,39 @@ class BatchFilter:
         check_settings(self.settings, self._system)
         if not 1 <= len(self.settings.action_low) <= _ACTIONS:
             raise InputError(f"model: got {len(self.settings.action_low)} actions, wanted 1 or 2; filter it one by one")
+        # One clock for all robots would be wrong as soon as they start at different times.
         if self.model is not None and self.model.timed:
             raise InputError(
                 "model: depends on the time since the start, which a batch does not have; filter one by one"
             )
         self._kinds = {*known_kinds(), "default", *self.settings.epsilon}
-        self._turn: tuple[_BatchInput, int] | None = None
-        self._one = self._filter_of_one()
+        self._current: tuple[_BatchInput, int] | None = None
+        self._single_filter = self._make_single_filter()
 
-    def _filter_of_one(self) -> SafetyFilter:
+    def _make_single_filter(self) -> SafetyFilter:
         if self.model is not None:
-            return SafetyFilter.for_model(self.model, self.settings, backup=self._backup_of_one)
+            return SafetyFilter.for_model(self.model, self.settings, backup=self._backup_of_current)
         system = self._system
-        believed = Plausible(system.state_low, system.state_high, system.state_names)
-        return SafetyFilter(self._affine_of_one, None, self.settings, backup=self._backup_of_one, state_range=believed)
+        valid = Plausible(system.state_low, system.state_high, system.state_names)
+        return SafetyFilter(
+            self._affine_of_current, None, self.settings, backup=self._backup_of_current, state_range=valid
+        )
 
-    def _affine_of_one(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is known of the robot whose turn it is: of its present state, and of no other."""
+    def _affine_of_current(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The prediction of the robot that is being decided, at its present state only."""
+        # SafetyFilter calls a function of the state; the batch was given f and g per robot instead.
         del state
-        assert self._turn is not None
-        asked, robot = self._turn
-        assert asked.affine is not None
-        return asked.affine[0][robot], asked.affine[1][robot]
+        assert self._current is not None
+        request, robot = self._current
+        assert request.affine is not None
+        return request.affine[0][robot], request.affine[1][robot]
 
-    def _backup_of_one(self, state: FloatArray | None) -> FloatArray:
-        """The backup of the robot whose turn it is; the resting action where none was given or its state is unknown."""
-        own = None if self._turn is None or state is None else self._turn[0].backup
-        return self.settings.resting_action if own is None or self._turn is None else np.asarray(own(self._turn[1]))
+    def _backup_of_current(self, state: FloatArray | None) -> FloatArray:
+        """The backup of the robot that is being decided; the resting action without one, or with an unknown state."""
+        own = None if self._current is None or state is None else self._current[0].backup
+        if own is None or self._current is None:
+            return self.settings.resting_action
+        return np.asarray(own(self._current[1]))
 
     def decide(
         self,
@@ -134,24 +139,24 @@ class BatchFilter:
     ) -> BatchVerdicts:
         """Verdicts for states (robots, states), nominal actions (robots, actions), latents (robots, latents).
 
-        ``barriers`` around as many robots; ``epsilon`` by kind of barrier: a number, or (robots,); ``affine`` f
-        (robots, states) and g (robots, states, actions) where there is no model; ``backup`` gives the action (actions,)
-        of a robot, by its index, without a decision. Numbers that cannot be believed end in the fallback of their own
-        robot; raises InputError for wrong shapes, and for barriers that read other states.
+        ``barriers`` are those of as many robots; ``epsilon`` by kind of barrier is a number or (robots,). ``affine`` is
+        f (robots, states) and g (robots, states, actions), if there is no model. ``backup`` returns the backup action
+        (actions,) of a robot by its index. Implausible values lead to the fallback of their robot only; raises
+        InputError for wrong shapes and for barriers of other states.
         """
-        asked = self._asked(
+        request = self._validated_input(
             np.asarray(state, dtype=np.float64), _array(nominal), _array(latent), barriers, epsilon, affine, backup
         )
-        verdicts = self._blank(len(asked.state))
-        ordinary = np.flatnonzero(self._ordinary(asked))
+        verdicts = self._blank(len(request.state))
+        ordinary = np.flatnonzero(self._has_valid_inputs(request))
         if len(ordinary) and barriers.kinds:
-            with np.errstate(all="ignore"):  # numbers beyond all bounds are left to the filter of one robot
-                self._together(verdicts, ordinary, asked)
-        for robot in np.flatnonzero(verdicts.alone).tolist():
-            self._alone(verdicts, robot, asked)
+            with np.errstate(all="ignore"):  # a robot whose values overflow is decided by the filter of one robot
+                self._decide_batch(verdicts, ordinary, request)
+        for robot in np.flatnonzero(verdicts.single).tolist():
+            self._decide_single(verdicts, robot, request)
         return verdicts
 
-    def _asked(
+    def _validated_input(
         self,
         state: FloatArray,
         nominal: Any,
@@ -161,7 +166,7 @@ class BatchFilter:
         affine: tuple[FloatArray, FloatArray] | None,
         backup: Callable[[int], Any] | None,
     ) -> _BatchInput:
-        """What came in, of the right shapes. Raises InputError for others."""
+        """Checks the shapes of all inputs. Raises InputError for others."""
         robots, names = len(state), self._system.state_names
         actions = len(self.settings.action_low)
         _check("state", state, (robots, len(names)))
@@ -186,59 +191,65 @@ class BatchFilter:
 
     def _blank(self, robots: int) -> BatchVerdicts:
         slack, h_now, h_next = np.zeros((3, robots))
-        status, alone = np.zeros(robots, dtype=np.int8), np.ones(robots, dtype=bool)
-        return BatchVerdicts(np.zeros((robots, len(self.settings.action_low))), status, slack, h_now, h_next, alone)
+        # Every robot counts as undecided first: one that is forgotten below is decided singly, not left without.
+        status, single = np.zeros(robots, dtype=np.int8), np.ones(robots, dtype=bool)
+        return BatchVerdicts(np.zeros((robots, len(self.settings.action_low))), status, slack, h_now, h_next, single)
 
-    def _ordinary(self, asked: _BatchInput) -> BoolArray:
-        """Robots (robots,) whose inputs the filter of one robot would believe."""
-        tools = self._one.tools
-        believed = np.full(len(asked.state), self.settings.enabled)
+    def _has_valid_inputs(self, request: _BatchInput) -> BoolArray:
+        """(robots,) whether the filter of one robot would accept the inputs."""
+        context = self._single_filter.tools
+        valid = np.full(len(request.state), self.settings.enabled)
         pairs = (
-            (asked.state, tools.state_range),
-            (asked.nominal, tools.nominal_range),
-            (asked.latent, tools.latent_range),
+            (request.state, context.state_range),
+            (request.nominal, context.nominal_range),
+            (request.latent, context.latent_range),
         )
         for numbers, plausible in pairs:
             if numbers is not None:
-                believed &= _within(numbers, plausible)
+                valid &= _within(numbers, plausible)
             elif plausible is not None and len(plausible.names) > 0:
-                believed[:] = False
-        for kind, value in asked.margins.items():  # a margin for what no barrier is would be no margin
-            usual = kind in self._kinds or kind in asked.barriers.kinds
-            believed &= usual and value.dtype.kind in "iuf" and np.isfinite(value) & (value >= 0.0)
-        return believed
+                valid[:] = False
+        for kind, value in request.margins.items():  # a margin of an unknown kind would protect nothing
+            # An unknown kind is left to the single filter, which names it in its fallback.
+            usual = kind in self._kinds or kind in request.barriers.kinds
+            valid &= usual and value.dtype.kind in "iuf" and np.isfinite(value) & (value >= 0.0)
+        return valid
 
-    def _together(self, verdicts: BatchVerdicts, which: NDArray[np.intp], asked: _BatchInput) -> None:
-        """The verdicts of robots whose conditions can be kept; the others stay alone."""
-        settings, nominal = self.settings, asked.nominal[which]
-        barriers = asked.barriers if len(which) == len(asked.nominal) else asked.barriers.only(which)
-        predictions = asked.predictions(self.model, which)
-        margins = {kind: value[which] for kind, value in asked.margins.items()}
+    def _decide_batch(self, verdicts: BatchVerdicts, which: NDArray[np.intp], request: _BatchInput) -> None:
+        """Decides robots with feasible constraints; the others stay undecided."""
+        settings, nominal = self.settings, request.nominal[which]
+        # Indexing copies all barriers: it is skipped in the usual case that every robot has valid inputs.
+        barriers = request.barriers if len(which) == len(request.nominal) else request.barriers.only(which)
+        predictions = request.predictions(self.model, which)
+        margins = {kind: value[which] for kind, value in request.margins.items()}
         state = predictions.state
-        h_now = barriers.values(state)
+        h_now = barriers.h(state)
         epsilon = self._epsilon(barriers, len(state), margins)
         share = np.where(barriers.at_once or (False,), 0.0, 1.0 - settings.eta)  # of each row, or of all
-        required, scale = share * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
+        rhs, scale = share * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
         straight = np.zeros(len(state), dtype=bool)
-        conditions = BatchConstraints(settings, barriers, predictions, required, scale, straight)
-        within = np.minimum(np.maximum(nominal, settings.low), settings.high)
-        outcome = conditions.outcome(np.where(within == nominal, nominal, within))
+        constraints = BatchConstraints(settings, barriers, predictions, rhs, scale, straight)
+        clipped = np.minimum(np.maximum(nominal, settings.low), settings.high)
+        # The nominal action itself where clipping changes nothing, so that -0.0 stays -0.0.
+        candidate = constraints.evaluate(np.where(clipped == nominal, nominal, clipped))
         safe = (h_now >= 0.0).all(axis=1)
-        kept = safe & conditions.kept(outcome)
+        feasible = safe & constraints.is_feasible(candidate)
         status = np.where(
-            (within == nominal).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected)
+            (clipped == nominal).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected)
         )
-        numbers = h_now, outcome.h_next, outcome.next_state
+        numbers = h_now, candidate.h_next, candidate.next_state
+        # Robots with NaN or infinity are neither written nor corrected here: they are left to the single filter.
         known = np.logical_and.reduce([np.isfinite(table).all(axis=1) for table in numbers])
-        wrong = np.flatnonzero(known & safe & ~kept)
-        if len(wrong):
-            own = conditions.only(wrong)
-            found, certain = search_batch(own, nominal[wrong], outcome.only(wrong))
-            good = certain & own.kept(found)
-            outcome.put(wrong[good], found.only(good))
-            kept[wrong[good]] = True
-            status[wrong] = STATUSES.index(Status.corrected)
-        self._write(verdicts, which, known & kept, status, h_now, outcome)
+        infeasible = np.flatnonzero(known & safe & ~feasible)
+        if len(infeasible):
+            own = constraints.only(infeasible)
+            found, certain = solve_sqp_batch(own, nominal[infeasible], candidate.only(infeasible))
+            # Not proven or not feasible: the single filter searches further, so nothing is written here.
+            good = certain & own.is_feasible(found)
+            candidate.put(infeasible[good], found.only(good))
+            feasible[infeasible[good]] = True
+            status[infeasible] = STATUSES.index(Status.corrected)
+        self._write(verdicts, which, known & feasible, status, h_now, candidate)
 
     def _write(
         self,
@@ -247,40 +258,43 @@ class BatchFilter:
         answered: BoolArray,
         status: NDArray[np.intp],
         h_now: FloatArray,
-        outcome: BatchCandidates,
+        candidate: BatchCandidates,
     ) -> None:
         robots = which[answered]
-        verdicts.action[robots] = outcome.action[answered]
+        verdicts.action[robots] = candidate.action[answered]
         verdicts.status[robots] = status[answered]
         verdicts.h_now[robots] = h_now.min(axis=1)[answered]
-        verdicts.h_next[robots] = outcome.h_next.min(axis=1)[answered]
-        verdicts.alone[robots] = False
+        verdicts.h_next[robots] = candidate.h_next.min(axis=1)[answered]
+        verdicts.single[robots] = False
 
     def _epsilon(self, barriers: AbstractBatchBarriers, robots: int, margins: Mapping[str, FloatArray]) -> FloatArray:
-        """(robots, rows)."""
+        """The margin of each row (robots, rows)."""
         table: dict[str, Any] = {**self.settings.epsilon, **margins}
         otherwise = table.get("default", 0.0)
         return np.stack([np.broadcast_to(table.get(kind, otherwise), robots) for kind in barriers.kinds], axis=1)
 
-    def _alone(self, verdicts: BatchVerdicts, robot: int, asked: _BatchInput) -> None:
-        own = None if asked.latent is None else asked.latent[robot]
-        epsilon = {kind: np.asarray(value[robot]).item() for kind, value in asked.margins.items()}
-        around = asked.barriers.one(robot)
-        self._turn = asked, robot
+    def _decide_single(self, verdicts: BatchVerdicts, robot: int, request: _BatchInput) -> None:
+        own = None if request.latent is None else request.latent[robot]
+        epsilon = {kind: np.asarray(value[robot]).item() for kind, value in request.margins.items()}
+        around = request.barriers.one(robot)
+        # The functions of the single filter read the robot from here; it is reset even after an exception.
+        self._current = request, robot
         try:
-            found = self._one.decide(asked.state[robot], asked.nominal[robot], own, barriers=around, epsilon=epsilon)
+            found = self._single_filter.decide(
+                request.state[robot], request.nominal[robot], own, barriers=around, epsilon=epsilon
+            )
         finally:
-            self._turn = None
+            self._current = None
         verdicts.action[robot], verdicts.status[robot] = found.action, STATUSES.index(found.status)
         verdicts.slack[robot], verdicts.h_now[robot], verdicts.h_next[robot] = found.slack, found.h_now, found.h_next
 
 
 def _within(numbers: FloatArray, plausible: Plausible | None) -> BoolArray:
-    """Rows (robots,) that are finite and within the range."""
-    believed = np.isfinite(numbers)
+    """(robots,) whether all entries are finite and within the range."""
+    valid = np.isfinite(numbers)
     if plausible is not None and len(plausible.names) > 0:
-        believed &= (numbers >= plausible.low) & (numbers <= plausible.high)
-    return np.asarray(believed.all(axis=1))
+        valid &= (numbers >= plausible.low) & (numbers <= plausible.high)
+    return np.asarray(valid.all(axis=1))
 
 
 def _array(numbers: ArrayLike | None) -> Any:

@@ -1,7 +1,4 @@
-"""Checks of the barriers themselves: margin, unit, gradient, and what lies between two ticks.
-
-Checks of what the actions can do about h: conditions that no one can keep, and why.
-"""
+"""Checks of the barriers: margin, unit and gradient of h, h between two ticks, and the influence of actions on h."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from safedpa.arrays import FloatArray
 from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.probes import FilterUnderTest, Probe
-from safedpa.safety.checks.report import FilterIssue, gathered, shown
+from safedpa.safety.checks.report import FilterIssue, collect, format_vector
 
 __all__ = [
     "condition_issues",
@@ -26,19 +23,20 @@ __all__ = [
 ]
 
 
-_LOST: Final = 1e-6
-"""Share of what a tick changes in h, below which a margin is no margin."""
-_STEP: Final = 1e-4
-"""Share of a tick's travel by which a gradient is checked."""
-_WRONG: Final = 1e-2
-"""Share of a gradient's largest part by which it may differ from differences."""
-_SOME: Final = 0.1
-"""Share of the states, and two of them, at which a gradient has to be wrong: kinks are few."""
-_CHASES, _CHASED_TICKS, _BETWEEN = 8, 30, 16
+_MIN_MARGIN_SHARE: Final = 1e-6
+"""Share of what a tick changes in h below which a margin counts as none."""
+_GRADIENT_STEP: Final = 1e-4
+"""Share of a tick's travel over which a gradient is differenced."""
+_GRADIENT_TOLERANCE: Final = 1e-2
+"""Share of a gradient's largest entry by which it may differ from the differences."""
+_WRONG_SHARE: Final = 0.1
+"""Share of the states, and at least two, at which a gradient must be wrong: kinks of h affect few states."""
+_CHASE_STARTS, _CHASE_TICKS, _POINTS_PER_TICK = 8, 30, 16
+"""States from which h is minimised greedily, ticks of each descent, and intervals of a tick in which h is evaluated."""
 
 
 def margin_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Kinds of barriers whose margin is zero."""
+    """Kinds of barriers with a margin of zero."""
     issues = []
     for kind, rows in checked.barriers.rows.items():
         if rows and not checked.epsilon[list(rows)].any():
@@ -52,7 +50,7 @@ def margin_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterI
 
 
 def scale_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Barriers whose unit cannot be that of their margin."""
+    """Barriers whose h has another unit than their margin, or that the actions influence too little."""
     h = np.array([probe.h for probe in probes])
     tick = np.array([probe.reached for probe in probes]).max(axis=0)
     cases: dict[int, tuple[float, str]] = {}
@@ -66,33 +64,36 @@ def scale_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIs
                 f"got h of {most:.3g} at most (it varies by {spread:.3g}) over {len(probes)} states, wanted some above "
                 f"epsilon / eta = {threshold:.3g}; are h and epsilon in the same unit?"
             )
-        elif epsilon < _LOST * tick[row]:
+        elif epsilon < _MIN_MARGIN_SHARE * tick[row]:
             notice = (
                 f"got epsilon = {epsilon:.3g} where the actions change h by {tick[row]:.3g} in one tick, wanted more "
-                f"than {_LOST:g} of that; are h and epsilon in the same unit?"
+                f"than {_MIN_MARGIN_SHARE:g} of that; are h and epsilon in the same unit?"
             )
         elif tick[row] < epsilon:
             notice = (
                 f"got actions that change h by {tick[row]:.3g} in one tick at most, wanted more than epsilon = "
-                f"{epsilon:.3g}, or they cannot satisfy a condition that asks for it; a wrong unit, or h is of a higher "
-                "relative degree (RolloutBarrier, HigherOrderBarrier, PendingActions)"
+                f"{epsilon:.3g}, or they cannot satisfy its condition; a wrong unit, or h is of a higher relative "
+                " degree (RolloutBarrier, HigherOrderBarrier, PendingActions)"
             )
         else:
             continue
+        # The severity is the ratio in decades: a wrong unit shows as 3 or 6, whichever way it is wrong.
         cases[row] = (abs(log10(float(max(tick[row], 1e-300) / epsilon))), notice)
-    return gathered("scale", checked.barriers.names, cases)
+    return collect("scale", checked.barriers.names, cases)
 
 
 def gradient_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Barriers whose gradient is not what their h does; a kink between the differences of both sides is none."""
+    """Barriers whose gradient contradicts their h; at a kink any value between both one-sided differences is right."""
     moved = np.max([probe.moved for probe in probes], axis=0)
+    # An entry that never moves within a tick has no influence on any decision.
     used = np.flatnonzero(moved > 0.0)
     wrong: dict[int, list[tuple[float, float, float, int]]] = {}
     for probe in probes:
-        given = np.asarray(checked.barriers.gradient(probe.state))
+        given = np.asarray(checked.barriers.grad_h(probe.state))
         left, right = _one_sided(checked, probe, moved, used)
         share = np.abs(0.5 * (left + right) * moved[used]).max(axis=1)
-        allowed = (_WRONG * np.where(share > 0.0, share, 1e-9 * np.abs(probe.h)))[:, np.newaxis] / moved[used]
+        allowed = _GRADIENT_TOLERANCE * np.where(share > 0.0, share, 1e-9 * np.abs(probe.h))
+        allowed = allowed[:, np.newaxis] / moved[used]
         low, high = np.minimum(left, right) - allowed, np.maximum(left, right) + allowed
         off = np.maximum(low - given[:, used], given[:, used] - high)
         for row in np.flatnonzero((off > 0.0).any(axis=1)).tolist():
@@ -103,38 +104,41 @@ def gradient_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filte
             )
     found: dict[int, tuple[float, str]] = {}
     for row, cases in wrong.items():
-        if len(cases) >= max(2.0, _SOME * len(probes)):
+        if len(cases) >= max(2.0, _WRONG_SHARE * len(probes)):
             off, got, wanted, entry = max(cases)
             notice = (
                 f"got a slope of {got:.6g} in entry {entry} of the state, wanted {wanted:.6g}, which is what h does; "
                 f"it is wrong at {len(cases)} of {len(probes)} states; correct the gradient or leave it out"
             )
             found[row] = (off, notice)
-    return gathered("gradient", checked.barriers.names, found)
+    return collect("gradient", checked.barriers.names, found)
 
 
 def _one_sided(
     checked: FilterUnderTest, probe: Probe, moved: FloatArray, used: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """Differences (m, used entries) of h to both sides."""
+    """One-sided differences (m, used entries) of h to both sides."""
     left, right = np.empty((len(probe.h), len(used))), np.empty((len(probe.h), len(used)))
     for at, entry in enumerate(used.tolist()):
         for side, table in ((-1.0, left), (1.0, right)):
             near = probe.state.copy()
-            near[entry] += side * _STEP * moved[entry]
+            near[entry] += side * _GRADIENT_STEP * moved[entry]
             table[:, at] = (checked.h(near) - probe.h) / (near[entry] - probe.state[entry])
     return left, right
 
 
 def tick_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Barriers that dip between two ticks by more than epsilon / eta, on ways that chase after a smaller h."""
-    parts = [(part, rows) for part, rows in _rows_of_parts(checked) if part.since(probes[0].state) is part]
+    """Barriers that fall between two ticks by more than epsilon / eta, on paths that descend towards smaller h."""
+    # A barrier that evaluates the path between two ticks by itself needs no such check.
+    parts = [(part, rows) for part, rows in _rows_of_parts(checked) if part.starting_at(probes[0].state) is part]
     worst: dict[int, tuple[float, float]] = {}
+    # Each part alone: the other barriers of a set would be evaluated as well, thousands of times.
     alone = [(row, make_barrier_set([part]), entry) for part, rows in parts for entry, row in enumerate(rows)]
     for row, part, entry in alone:
         free = [probe for probe in probes if probe.h[row] >= 0.0]
+        # States spread evenly over the sorted h: near and far from the boundary alike.
         order = np.argsort([probe.h[row] for probe in free])
-        for at in order[:: max(1, len(order) // _CHASES)].tolist():
+        for at in order[:: max(1, len(order) // _CHASE_STARTS)].tolist():
             dip, ends = _deepest_dip(checked, free[at].state, part, entry, checked.threshold[row])
             if dip > worst.get(row, (checked.threshold[row], 0.0))[0]:
                 worst[row] = dip, ends
@@ -147,7 +151,7 @@ def tick_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIss
         )
         for row, (dip, ends) in worst.items()
     }
-    return gathered("ticks", checked.barriers.names, cases)
+    return collect("ticks", checked.barriers.names, cases)
 
 
 def _rows_of_parts(checked: FilterUnderTest) -> list[tuple[AbstractBarrier, range]]:
@@ -162,67 +166,71 @@ def _rows_of_parts(checked: FilterUnderTest) -> list[tuple[AbstractBarrier, rang
 def _deepest_dip(
     checked: FilterUnderTest, state: FloatArray, part: AbstractBarrierSet, entry: int, threshold: float
 ) -> tuple[float, float]:
-    """By how much h falls below both ends of a tick at the most, and the lower end, while h is chased.
+    """By how much h falls below both ends of a tick at most, and the lower end, along a greedy descent of h.
 
-    h is that ``entry`` of the ``part``, no other is asked. Only where it falls below epsilon / eta: above, nothing is
-    near.
+    h is this ``entry`` of ``part`` alone. A fall counts only below epsilon / eta: above, the boundary is far away.
     """
     low, high = checked.bounds
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    sides, shares = np.diag(half), np.arange(1, _BETWEEN) / _BETWEEN
-    worst, here = (0.0, 0.0), part.values(state)[entry]
-    for _ in range(_CHASED_TICKS):
-        both = [[part.values(checked.after(state, middle + way))[entry] for way in (side, -side)] for side in sides]
+    sides, shares = np.diag(half), np.arange(1, _POINTS_PER_TICK) / _POINTS_PER_TICK
+    worst, here = (0.0, 0.0), part.h(state)[entry]
+    for _ in range(_CHASE_TICKS):
+        both = [[part.h(checked.next_state(state, middle + way))[entry] for way in (side, -side)] for side in sides]
         effect = np.array([more - less for more, less in both])
         largest = np.abs(effect).max()
-        following = checked.after(state, middle - (half * effect / largest if largest > 0.0 else 0.0))
-        there = part.values(following)[entry]
+        # The corner that lowers h most: a path straight towards the obstacle, which is where a jump over it is
+        # possible.
+        following = checked.next_state(state, middle - (half * effect / largest if largest > 0.0 else 0.0))
+        there = part.h(following)[entry]
         ends = min(here, there)
-        if ends >= 0.0:  # below it there is nothing to fall from
-            between = min(part.values(state + share * (following - state))[entry] for share in shares)
+        if ends >= 0.0:  # from a violated state there is nothing to fall from
+            between = min(part.h(state + share * (following - state))[entry] for share in shares)
             if between < threshold and ends - between > worst[0]:
                 worst = float(ends - between), float(ends)
         state, here = following, there
     return worst
 
 
-_HIGHER: Final = 1.45
-"""An effect that grows with the time held to a power above this has a relative degree above one: 1 for a degree of one,
-2 for two with exact ticks, 1.58 where position follows the new speed."""
-_SMALL: Final = 0.1
-"""Share of an action's range by which it is moved: less than what saturates a servo."""
+_MIN_HIGHER_DEGREE: Final = 1.45
+"""Exponent above which the relative degree is above one. An effect grows with the time to the power of the degree: 1
+for one, 2 for two with exact ticks, 1.58 if the position follows the new speed."""
+_ACTION_STEP: Final = 0.1
+"""Share of an action's range for a change that does not saturate a servo."""
 _ROUNDING: Final = 1e-11
-_MOST_JUDGED: Final = 24
+"""Share of |h| below which an effect is rounding error."""
+_MAX_JUDGED: Final = 24
+"""States per row at which the relative degree is determined; each takes many predictions."""
 
 
 def condition_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Barriers that the action does not move within one tick, and states at which no action satisfies every condition."""
+    """Barriers without influence of the action within one tick, and states at which no action is feasible."""
     names = checked.barriers.names
-    stuck = [probe for probe in probes if probe.inside and not probe.kept]
+    infeasible = [probe for probe in probes if probe.inside and not probe.is_feasible]
     higher: dict[int, tuple[float, str]] = {}
     missed: dict[int, tuple[float, str]] = {}
     for row in range(len(names)):
-        broken = [probe for probe in probes if probe.inside and (probe.residuals[:, row] < 0.0).any()]
-        judged = sorted(broken, key=lambda probe: probe.kept)[:_MOST_JUDGED]
-        orders = [_order(checked, probe.state, row) for probe in judged]
-        cases = [probe for probe in stuck if probe.residuals[:, row].max() < 0.0]
-        if orders and min(orders) > _HIGHER:
-            higher[row] = min(orders), _message_of_degree(min(orders), len(orders))
+        violated = [probe for probe in probes if probe.inside and (probe.residuals[:, row] < 0.0).any()]
+        # Infeasible states first: there the cause is wanted.
+        judged = sorted(violated, key=lambda probe: probe.is_feasible)[:_MAX_JUDGED]
+        orders = [_relative_degree(checked, probe.state, row) for probe in judged]
+        cases = [probe for probe in infeasible if probe.residuals[:, row].max() < 0.0]
+        if orders and min(orders) > _MIN_HIGHER_DEGREE:
+            higher[row] = min(orders), _degree_message(min(orders), len(orders))
         elif cases:
             worst = cases[int(np.argmin([probe.residuals[:, row].max() for probe in cases]))]
-            missed[row] = -float(worst.residuals[:, row].max()), _message_of_stuck(worst, row, len(cases))
-    issues = [*gathered("relative degree", names, higher), *gathered("conditions", names, missed)]
-    if stuck and not issues:
+            missed[row] = -float(worst.residuals[:, row].max()), _infeasible_message(worst, row, len(cases))
+    issues = [*collect("relative degree", names, higher), *collect("conditions", names, missed)]
+    if infeasible and not issues:
         notice = (
-            f"got no action that keeps all of them together at {len(stuck)} states inside h >= epsilon / eta, such as "
-            f"{shown(stuck[0].state)}, wanted one everywhere; barriers that a single backup keeps (RolloutBarrier with "
-            "all of them in one h) can be kept together"
+            f"got no action that keeps all of them together at {len(infeasible)} states inside h >= epsilon / eta, "
+            f"such as {format_vector(infeasible[0].state)}, wanted one everywhere; barriers that a single backup keeps "
+            "(RolloutBarrier with all of them in one h) can be kept together"
         )
         issues.append(FilterIssue("conditions", (), notice))
     return issues
 
 
-def _message_of_degree(order: float, states: int) -> str:
+def _degree_message(order: float, states: int) -> str:
     grown = "does not answer to the action in one tick" if order == inf else f"answers with its time to the {order:.2g}"
     return (
         f"got an h that {grown} at any of {states} states where its condition can break, wanted a relative degree of "
@@ -231,24 +239,26 @@ def _message_of_degree(order: float, states: int) -> str:
     )
 
 
-def _message_of_stuck(probe: Probe, row: int, states: int) -> str:
+def _infeasible_message(probe: Probe, row: int, states: int) -> str:
     return (
-        f"got h = {probe.h[row]:.3g} at {shown(probe.state)}, from which every action tried misses its condition by "
-        f"{-probe.residuals[:, row].max():.3g} or more ({states} such states inside h >= epsilon / eta), wanted an "
-        "action that keeps it; let h contain what braking can still achieve (RolloutBarrier)"
+        f"got h = {probe.h[row]:.3g} at {format_vector(probe.state)}, from which every action tried misses its "
+        f"condition by {-probe.residuals[:, row].max():.3g} or more ({states} such states inside h >= epsilon / eta), "
+        "wanted an action that keeps it; let h contain what braking can still achieve (RolloutBarrier)"
     )
 
 
-def _order(checked: FilterUnderTest, state: FloatArray, row: int) -> float:
-    """Least growth of an action's effect on h_row, held for one tick and for two: effect ~ time^order."""
+def _relative_degree(checked: FilterUnderTest, state: FloatArray, row: int) -> float:
+    """The smallest relative degree of h_row over the actions, from effects after one and two ticks (~ time^degree)."""
     low, high = checked.bounds
     least, size = inf, max(abs(float(checked.h(state)[row])), float(checked.epsilon[row]))
     for base in checked.corners():
         for column in range(len(low)):
             other = base.copy()
-            inward = _SMALL * (high - low)[column]
+            inward = _ACTION_STEP * (high - low)[column]
             other[column] += inward if base[column] + inward <= high[column] else -inward
             once, twice = _effect(checked, state, row, base, other)
+            # An effect at the level of rounding has no exponent; an action without any effect leaves the degree
+            # infinite.
             if once > _ROUNDING * size:
                 least = min(least, log2(max(twice, once) / once))
     return least
@@ -257,8 +267,8 @@ def _order(checked: FilterUnderTest, state: FloatArray, row: int) -> float:
 def _effect(
     checked: FilterUnderTest, state: FloatArray, row: int, base: FloatArray, other: FloatArray
 ) -> tuple[float, float]:
-    """By how much two actions part h_row after one tick and after two."""
-    one, two = checked.after(state, base), checked.after(state, other)
+    """The difference of h_row between two actions after one tick and after two."""
+    one, two = checked.next_state(state, base), checked.next_state(state, other)
     once = abs(float(checked.h(one)[row] - checked.h(two)[row]))
-    one, two = checked.after(one, base), checked.after(two, other)
+    one, two = checked.next_state(one, base), checked.next_state(two, other)
     return once, abs(float(checked.h(one)[row] - checked.h(two)[row]))

@@ -1,7 +1,7 @@
-"""Whether settings, barriers and a model are of one robot: asked once, when a filter is made, and never mid-loop.
+"""Checks that settings, barriers and model belong to one robot: once, when a filter is made, never during a drive.
 
-A filter around the wrong robot would read a height as a heading and call the result safe. So settings name the system
-that they were made for, barriers say which states they read, and what does not fit is refused by name.
+A filter of the wrong robot would read a height as a heading and call the result safe. So settings name the system that
+they were made for, barriers name the states that they read, and a mismatch is refused by name.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.robot import robots
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.validation import checked_output
 from safedpa.systems import System, systems
+from safedpa.systems.robots import robots
 
 __all__ = [
     "check_backup",
@@ -32,17 +32,18 @@ __all__ = [
 
 
 def known_kinds() -> tuple[str, ...]:
-    """Kinds of barriers that some robot or the library has: settings may hold margins for those not in sight."""
+    """The kinds of barriers of all known robots and of the library: settings may hold margins for kinds not in use."""
     return tuple(sorted({"function", "rollout", *(kind for robot in robots().values() for kind in robot.kinds)}))
 
 
 def check_settings(settings: FilterSettings, system: System) -> None:
     """Raises InputError unless the settings were made for this system and its actions can take their bounds.
 
-    Settings of no named system are judged by their bounds alone.
+    Settings that name no system are checked by their bounds alone.
     """
     if not isinstance(settings, FilterSettings):
         raise InputError(f"settings: got {type(settings).__name__}, wanted FilterSettings")
+    # An empty name means the user's own system, which cannot be compared by name.
     if settings.system and settings.system != system.name:
         raise InputError(
             f"settings: made for the system '{settings.system}', the model is of '{system.name}' "
@@ -54,6 +55,7 @@ def check_settings(settings: FilterSettings, system: System) -> None:
             f"settings: got bounds of {len(settings.action_low)} actions, the system '{system.name}' has "
             f"{len(system.action)} ({_listed(system.action_names)}); wanted as many in action_low and action_high"
         )
+    # Bounds beyond the model's range would let the filter rely on actions that the model has never seen.
     for variable, low, high in zip(system.action, settings.action_low, settings.action_high, strict=True):
         if low < variable.low or high > variable.high:
             raise InputError(
@@ -65,16 +67,17 @@ def check_settings(settings: FilterSettings, system: System) -> None:
 def check_settings_of_functions(
     settings: FilterSettings, states: Sequence[str], barriers: Sequence[AbstractBarrier] | None
 ) -> None:
-    """The same for functions of the user's own, of which no system is known.
+    """As ``check_settings`` for a user's functions, whose system is not known.
 
-    Settings that name a system whose states are known are only believed where ``states`` (the names of the entries, if
-    they were given) or what a barrier reads say that these functions are of it. Raises InputError else.
+    Settings that name a known system are accepted only if ``states`` (the names of the entries, if given) or what a
+    barrier reads show that the functions belong to it. Raises InputError otherwise.
     """
     if not isinstance(settings, FilterSettings):
         raise InputError(f"settings: got {type(settings).__name__}, wanted FilterSettings")
     system = systems().get(settings.system)
     if system is None:
         return
+    # Either source may name the states; one that matches is enough, since both would have to be wrong otherwise.
     reported = [tuple(states), *(part.reads for part in barriers or ())]
     if system.state_names not in reported:
         raise InputError(
@@ -85,9 +88,9 @@ def check_settings_of_functions(
 
 
 def check_barriers(barriers: Any, states: Sequence[str]) -> tuple[AbstractBarrier, ...] | None:
-    """The barriers of a filter, as a tuple; None where every decision brings its own.
+    """The barriers of a filter as a tuple; None if every decision passes its own.
 
-    Raises InputError where there is none, one that is no barrier, or one that reads other states.
+    Raises InputError if there is none, or one that is no barrier or reads other states.
     """
     if barriers is None:
         return None
@@ -96,6 +99,7 @@ def check_barriers(barriers: Any, states: Sequence[str]) -> tuple[AbstractBarrie
     check_reads(barriers, states)
     for part in barriers:
         _check_named(part)
+    # A barrier may be empty for now (no obstacle in sight), but not all of them: nothing would be enforced.
     if not any(part.names for part in barriers):
         raise InputError(
             "barriers: got none, wanted at least one, or None in place of the list where every decision brings its own"
@@ -106,7 +110,7 @@ def check_barriers(barriers: Any, states: Sequence[str]) -> tuple[AbstractBarrie
 def check_reads(barriers: Iterable[Any], states: Sequence[str], entries: int | None = None) -> None:
     """Raises InputError unless each barrier reads the first of these states, by name and in order.
 
-    Without names only their number can be compared, once it is known: then it has to be the barrier's own.
+    Without names only their number can be compared, once it is known: it must then be that of the barrier.
     """
     for part in barriers:
         if not isinstance(part, AbstractBarrier):
@@ -115,6 +119,7 @@ def check_reads(barriers: Iterable[Any], states: Sequence[str], entries: int | N
         if not reads:
             continue
         if states:
+            # Only the first entries are compared: a model may have further states that no barrier reads.
             if tuple(states[: len(reads)]) != reads:
                 raise InputError(
                     f"barrier '{part.kind}': reads the states {_listed(reads)}, the model has {_listed(states)}; "
@@ -128,7 +133,7 @@ def check_reads(barriers: Iterable[Any], states: Sequence[str], entries: int | N
 
 
 def _check_named(part: AbstractBarrier) -> None:
-    """Raises InputError where a class of the user's own does not say its kind and the names of its values."""
+    """Raises InputError if a user's barrier lacks its kind or the names of its values."""
     kind, names = getattr(part, "kind", None), getattr(part, "names", None)
     if not isinstance(kind, str):
         raise InputError(f"barrier {type(part).__name__}: got kind {kind!r}, wanted the name of its margin in epsilon")
@@ -139,13 +144,15 @@ def _check_named(part: AbstractBarrier) -> None:
 
 
 def check_margins(epsilon: Mapping[str, float], barriers: Sequence[AbstractBarrier] | None) -> None:
-    """Raises InputError for a margin of a kind that no barrier has: misspelt, it would be no margin.
+    """Raises InputError for a margin of a kind without barriers: a misspelt kind would leave its barrier unprotected.
 
-    Where the barriers are not known yet, for one whose name is nearly that of a kind that ships; with an empty list,
-    for every kind that does not ship.
+    If the barriers are not known yet, only a name that resembles that of a known kind is refused; with an empty list,
+    every unknown kind.
     """
     kinds = known_kinds()
     if barriers is None:
+        # Barriers come later with each decision, so an unknown kind may be valid; a near miss of a known one is a
+        # typing error.
         without = [kind for kind in kinds if kind not in epsilon]
         foreign = [kind for kind in epsilon if kind not in (*kinds, "default") and get_close_matches(kind, without)]
         known: set[str] = set(kinds)
@@ -154,23 +161,24 @@ def check_margins(epsilon: Mapping[str, float], barriers: Sequence[AbstractBarri
         foreign = [kind for kind in epsilon if kind not in known and kind not in (*kinds, "default")]
     if foreign:
         raise InputError(
-            f"epsilon.{foreign[0]}: no barrier is of this kind, and a margin for none is no margin; "
+            f"epsilon.{foreign[0]}: no barrier is of this kind, so the margin would protect nothing; "
             f"{did_you_mean(foreign[0], known)}"
         )
 
 
 def check_backup(backup: Callable[[NDArray[np.float64] | None], Any] | None, actions: int) -> None:
-    """Raises InputError where a backup answers something else than (actions,) finite numbers where no state is known.
+    """Raises InputError if a backup without a state returns anything but (actions,) finite numbers.
 
-    One that raises is none at that moment: the resting action stands in for it.
+    A backup that raises without a state is accepted: the resting action is used in that case.
     """
     if backup is None:
         return
     if not callable(backup):
         raise InputError(f"backup: got {type(backup).__name__}, wanted a function of the state or None")
     try:
+        # The filter calls it without a state if the state is unusable, so the answer for None is checked as well.
         answer = backup(None)
-    except Exception:  # noqa: BLE001 - whatever a user's function raises without a state, with one it may do
+    except Exception:  # noqa: BLE001 - a user's function may need a state, and raise anything without one
         return
     action = checked_output("backup", answer)
     if action.shape != (actions,) or not np.isfinite(action).all():

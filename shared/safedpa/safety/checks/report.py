@@ -1,4 +1,4 @@
-"""What a check of a filter found: sentences, none where all is well."""
+"""The result of a check of a filter: one sentence per issue, none if all is well."""
 
 from __future__ import annotations
 
@@ -6,37 +6,38 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final, overload
 
-__all__ = ["FilterIssue", "FilterReport", "gathered", "shown"]
+__all__ = ["FilterIssue", "FilterReport", "collect", "format_vector"]
 
 
 @final
 @dataclass(frozen=True)
 class FilterIssue:
-    """One thing that does not hold: ``subject`` is what it is about, ``sentence`` what was got, wanted, and to do."""
+    """One issue: its ``subject``, and a ``sentence`` with what was got, what was wanted and what to do."""
 
     subject: str
     """``failure``, ``margin``, ``scale``, ``relative degree``, ``conditions``, ``backup``, ``horizon``, ``ticks`` or
     ``gradient``."""
     names: tuple[str, ...]
-    """Of the barriers concerned, if it concerns some."""
+    """Names of the barriers concerned, if any."""
     sentence: str
 
     def __str__(self) -> str:
+        # Four names identify the cause; a scene may have hundreds of rows.
         of = f" ({', '.join(self.names[:4])}{', ...' if len(self.names) > 4 else ''})" if self.names else ""
         return f"{self.subject}{of}: {self.sentence}"
 
 
 @final
 class FilterReport(Sequence[FilterIssue]):
-    """All issues; empty, and so false, where none was found."""
+    """All issues; empty, and so false, if none was found."""
 
     def __init__(self, issues: Sequence[FilterIssue], states: int) -> None:
         self.issues, self.states = tuple(issues), states
-        """``states``: how many were probed."""
+        """``states``: number of states that were probed."""
 
     @property
     def subjects(self) -> set[str]:
-        """What the issues are about."""
+        """The subjects of all issues."""
         return {issue.subject for issue in self.issues}
 
     def __len__(self) -> int:
@@ -55,17 +56,19 @@ class FilterReport(Sequence[FilterIssue]):
         return iter(self.issues)
 
     def __str__(self) -> str:
+        # The number of states shows how much the absence of issues means.
         if not self.issues:
-            return f"Nothing amiss at {self.states} states."
+            return f"No issue at {self.states} states."
         return "\n".join(f"- {issue}" for issue in self.issues)
 
 
-def gathered(subject: str, names: Sequence[str], cases: Mapping[int, tuple[float, str]]) -> list[FilterIssue]:
-    """One issue about all rows of ``cases`` (how bad, sentence), or none: the sentence of the worst, named first."""
+def collect(subject: str, names: Sequence[str], cases: Mapping[int, tuple[float, str]]) -> list[FilterIssue]:
+    """At most one issue about all rows of ``cases`` (severity, sentence): the sentence and name of the worst first."""
+    # One sentence instead of one for each row: a wrong unit usually affects all rows of a kind.
     order = sorted(cases, key=lambda row: -cases[row][0])
     return [FilterIssue(subject, tuple(names[row] for row in order), cases[order[0]][1])] if order else []
 
 
-def shown(numbers: Any) -> str:
-    """A state or an action in a sentence."""
+def format_vector(numbers: Any) -> str:
+    """A state or an action as text."""
     return "[" + ", ".join(f"{entry:.4g}" for entry in numbers) + "]"

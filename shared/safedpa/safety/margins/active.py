@@ -1,4 +1,4 @@
-"""The margin of every barrier in one decision: those of the settings, or by kind those that the request names."""
+"""The margin of every row in one decision: from the settings, overridden by kind by the request."""
 
 from __future__ import annotations
 
@@ -17,50 +17,55 @@ __all__ = ["ActiveMargins"]
 
 @final
 class ActiveMargins:
-    """epsilon_i by the kind of barrier i; what the last decision had is kept for the same kinds and numbers."""
+    """epsilon_i by the kind of row i; reuses the result of the last decision if kinds and margins are the same."""
 
     def __init__(self, settings: Mapping[str, float]) -> None:
         self._settings = settings
-        self._of: tuple[str, ...] = ()
-        """Kinds of the barriers of the last decision."""
-        self._asked: dict[str, float] = {}
+        self._last_kinds: tuple[str, ...] = ()
+        """Kinds of the rows of the last decision."""
+        self._requested: dict[str, float] = {}
         self._margins: dict[str, Any] | None = None
-        """By kind, of the settings and what was asked for last, if these are such numbers."""
-        self._known: tuple[list[float], float] | None = None
+        """Margins by kind of the settings and of the last request, validated."""
+        self._last: tuple[list[float], float] | None = None
         self._kinds = {*known_kinds(), "default", *settings}
-        """Of these, and of what was ever in sight, a margin may be asked for."""
+        """Kinds for which a margin may be requested: these, and all that any decision has had."""
 
-    def of(self, barriers: AbstractBarrierSet, asked: Any) -> tuple[list[float], float]:
-        """epsilon (m,) and the greatest of them.
+    def resolve(self, barriers: AbstractBarrierSet, requested: Any) -> tuple[list[float], float]:
+        """Returns epsilon (m,) and the largest of them.
 
-        Raises DecisionError unless ``asked`` is a table by kinds that exist, and all are finite and none negative.
+        Raises DecisionError unless ``requested`` is a table by known kinds of finite values >= 0.
         """
-        if type(asked) is not dict and not isinstance(asked, Mapping):
-            raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(asked).__name__}")
-        if self._known is None or barriers.kinds != self._of or asked != self._asked:
-            self._known = None
-            self._kinds.update(barriers.kinds)  # which only become more: what was checked once stays known
-            if self._margins is None or asked != self._asked:
+        if type(requested) is not dict and not isinstance(requested, Mapping):
+            raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(requested).__name__}")
+        if self._last is None or barriers.kinds != self._last_kinds or requested != self._requested:
+            self._last = None
+            # Kinds are only added: a scene may be empty in this tick, and a margin for its obstacles is still meant.
+            self._kinds.update(barriers.kinds)
+            if self._margins is None or requested != self._requested:
+                # Reset before the validation: after an exception the next call must not reuse the old result.
                 self._margins = None
-                self._margins, self._asked = self._checked({**self._settings, **asked}), dict(asked)
-            epsilon = self._of_each(barriers, self._margins)
-            self._of, self._known = barriers.kinds, (epsilon, max(epsilon))
-        return self._known
+                self._margins, self._requested = self._validated({**self._settings, **requested}), dict(requested)
+            epsilon = self._epsilon(barriers, self._margins)
+            self._last_kinds, self._last = barriers.kinds, (epsilon, max(epsilon))
+        return self._last
 
-    def _checked(self, margins: dict[str, Any]) -> dict[str, Any]:
-        for kind, number in margins.items():
+    def _validated(self, margins: dict[str, Any]) -> dict[str, Any]:
+        for kind, value in margins.items():
+            # A margin for an unknown kind is a typing error, and would leave the intended barrier without its margin.
             if kind not in self._kinds:
-                raise DecisionError(f"margin epsilon for '{kind}', which no barrier is: {_meant(kind, self._kinds)}")
-            if isinstance(number, bool) or not isinstance(number, Real):
+                raise DecisionError(
+                    f"margin epsilon for '{kind}', a kind without barriers: {_suggestion(kind, self._kinds)}"
+                )
+            if isinstance(value, bool) or not isinstance(value, Real):
                 raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
         return margins
 
-    def _of_each(self, barriers: AbstractBarrierSet, margins: Mapping[str, Any]) -> list[float]:
-        epsilon = barriers.of_each(margins, margins.get("default", 0.0))
+    def _epsilon(self, barriers: AbstractBarrierSet, margins: Mapping[str, Any]) -> list[float]:
+        epsilon = barriers.per_row(margins, margins.get("default", 0.0))
         if not all(map(isfinite, epsilon)) or min(epsilon) < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
         return epsilon
 
 
-def _meant(kind: Any, known: set[str]) -> str:
+def _suggestion(kind: Any, known: set[str]) -> str:
     return did_you_mean(kind, known) if isinstance(kind, str) else f"known: {', '.join(sorted(known))}"

@@ -1,7 +1,4 @@
-"""Margins calibrated on recorded transitions, and the TOML file that keeps them with their origin.
-
-A margin calibration as it travels on the bus: JSON text.
-"""
+"""Margins calibrated on recorded transitions, the TOML file that stores them, and their JSON text on the bus."""
 
 from __future__ import annotations
 
@@ -33,56 +30,56 @@ __all__ = [
 ]
 
 Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
-"""The barriers, the same for all transitions or one scene for each transition's index."""
+"""The barriers: the same for all transitions, or a function that returns those of a transition's index."""
 
 _FORMAT = 2
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
-_MESSAGE = ("drives", "origin", "period", "slower")
-"""Optional as well, but no tables of numbers."""
-_SAME_PERIOD = 1.01
-"""Times as long at most: an error grows with the period, and so much more is less than its own spread."""
+_OPTIONAL_SCALARS = ("drives", "origin", "period", "slower")
+"""Optional keys that are no tables of numbers."""
+_PERIOD_TOLERANCE = 1.01
+"""Ratio up to which a longer period counts as the same: the error it adds is less than the spread of the errors."""
 
 
 @final
 @dataclass(frozen=True)
 class MarginCalibration:
-    """Margins by kind of barrier, and where they come from. Raises InputError naming the key."""
+    """Margins by kind of barrier with their origin. Raises InputError naming the key."""
 
     epsilon: dict[str, float]
     """By kind, >= 0, in the unit of h."""
     coverage: float
-    """Probability with which no barrier of a kind falls short of its prediction by more than epsilon in one step: a
-    step of a fresh drive where there are ``drives``, else one like the steps that were used."""
+    """Probability that no barrier of a kind falls short of its prediction by more than epsilon in one step: a step of a
+    new drive if there are ``drives``, else a step like those that were used."""
     transitions: int
-    """How many were used."""
+    """Number of transitions used."""
     date: str
     """ISO 8601."""
     fingerprint: str
     """Of the model whose errors these are."""
 
     theorem: dict[str, float] = field(default_factory=dict)
-    """By kind, the margin by the theory's bound, in the unit of h; empty when it was not measured."""
+    """By kind, the margin from the theorem's bound, in the unit of h; empty if it was not measured."""
     constants: dict[str, float] = field(default_factory=dict)
-    """What the bound was made of, scaled; for people."""
+    """The scaled constants of the bound, for information."""
     covered: dict[str, float] = field(default_factory=dict)
-    """Share of fresh transitions that each margin covered: ``conformal.obstacle``, ``theorem.obstacle``, ...; of fresh
+    """Share of new transitions that each margin covered: ``conformal.obstacle``, ``theorem.obstacle``, ...; and of new
     drives that ``drive`` covered in every step: ``drive.obstacle``, ..."""
     drive: dict[str, float] = field(default_factory=dict)
-    """By kind, the margin that no step of a fresh drive exceeds, with probability ``coverage``; empty: too few drives
-    to say."""
+    """By kind, the margin that no step of a new drive exceeds, with probability ``coverage``; empty: too few drives."""
     drives: int = 0
-    """How many drives the margins are over; 0: the transitions were taken for exchangeable."""
+    """Number of drives that the margins are over; 0: the transitions were treated as exchangeable."""
     origin: str = ""
-    """The command that made it, with its seeds and the version; empty: not told."""
+    """The command that made it, with its seeds and the version; empty: not reported."""
     period: float = 0.0
-    """s, of the steps whose errors these are; 0: not told, then it is the model's own."""
+    """Period [s] of the steps whose errors these are; 0: not reported, then the model's own."""
     slower: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By period [s] of longer steps, the margins in place of ``epsilon`` that were calibrated on those."""
+    """Margins for longer steps by their period [s], calibrated on such steps."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.epsilon, dict) or not self.epsilon:
             raise InputError(f"epsilon: got {self.epsilon!r}, wanted a table with a number for each kind of barrier")
+        # All tables have the same form, so one loop names the key of any mistake.
         for name in ("epsilon", *_OPTIONAL):
             if not isinstance(table := getattr(self, name), dict):
                 raise InputError(f"{name}: got {table!r}, wanted a table of numbers")
@@ -103,6 +100,7 @@ class MarginCalibration:
         if not isinstance(self.slower, dict):
             raise InputError(f"slower: got {self.slower!r}, wanted a table of margins for each period in s")
         for period, table in self.slower.items():
+            # A slower table without some kind would leave its barriers without a margin at that period.
             if not isinstance(table, dict) or set(table) != set(self.epsilon):
                 reported = ", ".join(table) if isinstance(table, dict) else repr(table)
                 raise InputError(f"slower.{period}: got {reported}, wanted numbers for {', '.join(self.epsilon)}")
@@ -113,16 +111,18 @@ class MarginCalibration:
             except ValueError as error:
                 raise InputError(f"slower.{period}: wanted a period in s for the name of the table") from error
 
-    def chosen(self, margin: str | float) -> MarginCalibration:
-        """The calibration whose ``epsilon`` is what the settings' ``margin`` names: a table, or one number for all.
+    def select(self, margin: str | float) -> MarginCalibration:
+        """The calibration whose ``epsilon`` is what the setting ``margin`` names: a table, or one number for all.
 
-        Raises InputError for ``theorem`` and ``drive`` when that margin is not in the calibration.
+        Raises InputError for ``theorem`` and ``drive`` if that margin is not in the calibration.
         """
         if margin == "conformal":
             return self
+        # A number chosen by a person applies to every kind, and to every period: it is not measured.
         if margin not in ("theorem", "drive"):
             return replace(self, epsilon=dict.fromkeys(self.epsilon, float(margin)), slower={})
         table = self.theorem if margin == "theorem" else self.drive
+        # Every kind needs its margin: a missing one would silently be 0.
         if set(table) != set(self.epsilon):
             raise InputError(
                 f"margin '{margin}': the calibration has it for {', '.join(table) or 'no kind'}, wanted "
@@ -130,17 +130,18 @@ class MarginCalibration:
             )
         return replace(self, epsilon=dict(table), slower={})
 
-    def over(self, period: float, own: float) -> tuple[MarginCalibration, float]:
-        """The same with ``epsilon`` for steps of ``period`` [s], and how many times as long as any known ones they are.
+    def for_period(self, period: float, own: float) -> tuple[MarginCalibration, float]:
+        """Returns the margins for steps of ``period`` [s], and by which factor they exceed any calibrated period.
 
-        1 and what was calibrated on such steps or the next longer ones, never less than on shorter ones; beyond all of
-        them so many times the widest: what steps come to that are so long if all parts of each err in one way.
-        ``own`` [s] is the model's own period, which stands where none is told.
+        Up to the longest calibrated period the factor is 1: the margins of the next longer steps apply, but never less
+        than on shorter ones. Beyond, the widest is multiplied by the factor, as if all errors within a step had the
+        same sign. ``own`` [s] is the model's period, for a calibration that reports none.
         """
         tables = [(self.period or own, self.epsilon), *((float(name), table) for name, table in self.slower.items())]
         longest = max(known for known, _ in tables)
-        until = min((known for known, _ in tables if period <= _SAME_PERIOD * known), default=longest)
-        times = period / longest if period > _SAME_PERIOD * longest else 1.0
+        until = min((known for known, _ in tables if period <= _PERIOD_TOLERANCE * known), default=longest)
+        times = period / longest if period > _PERIOD_TOLERANCE * longest else 1.0
+        # The maximum over all periods up to that one: more time must never give a smaller margin.
         widest = {kind: times * max(table[kind] for known, table in tables if known <= until) for kind in self.epsilon}
         return replace(self, epsilon=widest), times
 
@@ -153,6 +154,7 @@ class MarginCalibration:
             f'date = "{self.date}"',
             f'fingerprint = "{self.fingerprint}"',
         ]
+        # Optional keys are written only if set, so that a file of a simple calibration stays short.
         lines += [f"drives = {self.drives}"] if self.drives else []
         lines += [f'origin = "{self.origin}"'] if self.origin else []
         lines += [f"period = {float(self.period)!r}"] if self.period else []
@@ -165,10 +167,11 @@ class MarginCalibration:
 
     @staticmethod
     def parse(text: str) -> MarginCalibration:
-        """The calibration that a TOML text holds; raises InputError naming the key."""
+        """Reads the calibration from a TOML text. Raises InputError naming the key."""
         table = parse_toml(text)
         for key in table:
-            if key not in (known := (*_KEYS, *_MESSAGE, *_OPTIONAL)):
+            # An unknown key is an error: a misspelt one would otherwise be a margin that is not used.
+            if key not in (known := (*_KEYS, *_OPTIONAL_SCALARS, *_OPTIONAL)):
                 raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
         for key in _KEYS:
             if key not in table:
@@ -183,7 +186,7 @@ class MarginCalibration:
 
     @staticmethod
     def load(path: str | Path) -> MarginCalibration:
-        """The calibration in a file; raises InputError naming the file and the key."""
+        """Reads the calibration from a file. Raises InputError naming the file and the key."""
         try:
             return MarginCalibration.parse(text_of_file(Path(path), "toml_bytes"))
         except (OSError, UnicodeDecodeError, InputError) as error:
@@ -204,10 +207,11 @@ def calibrate_margin(
 ) -> MarginCalibration:
     """Margins from n transitions that were not used to fit the model: states (n, states), actions (n, actions), ...
 
-    One error for each transition and kind, the worst over the kind's barriers, so that the coverage holds for all of
-    them at once. Raises InputError when n is too small for the coverage, or shapes do not fit.
+    There is one error for each transition and kind, the worst over the kind's barriers, so that the coverage holds for
+    all of them at once. Raises InputError if n is too small for the coverage, or shapes do not fit.
     """
     errors = one_step_errors(model, barriers, states, actions, next_states, latents)
+    # Only a physics model has a fingerprint and a period of its own.
     if not isinstance(model, PhysicsModel):
         return calibration_from_errors(errors, coverage, date, model_fingerprint)
     return calibration_from_errors(errors, coverage, date, model_fingerprint or fingerprint(model), model.period)
@@ -216,9 +220,9 @@ def calibrate_margin(
 def calibration_from_errors(
     errors: Mapping[str, FloatArray], coverage: float, date: str, model_fingerprint: str, period: float = 0.0
 ) -> MarginCalibration:
-    """Margins from errors by kind (n,), as ``one_step_errors`` has them, of steps of ``period`` [s], 0: not told.
+    """Margins from errors by kind (n,), as from ``one_step_errors``, of steps of ``period`` [s] (0: not reported).
 
-    Raises InputError when some n is too small.
+    Raises InputError if some n is too small.
     """
     count = min(map(len, errors.values()), default=0)
     if count < smallest_sample(coverage):
@@ -226,6 +230,7 @@ def calibration_from_errors(
             f"transitions: got {count}, wanted at least {smallest_sample(coverage)} for a coverage of {coverage}; "
             "record more or ask for less"
         )
+    # Not below 0: a model that is always too pessimistic must not permit h to fall below 0.
     epsilon = {kind: max(0.0, split_conformal_margin(values, coverage)) for kind, values in errors.items()}
     return MarginCalibration(epsilon, coverage, count, date, model_fingerprint, period=period)
 
@@ -238,9 +243,9 @@ def one_step_errors(
     next_states: ArrayLike,
     latents: ArrayLike | None = None,
 ) -> dict[str, FloatArray]:
-    """By kind (n,): max over the kind's barriers of h(predicted next state) - h(measured next state).
+    """By kind (n,): the maximum over its barriers of h(predicted next state) - h(measured next state).
 
-    Kinds without a barrier in some scene have error 0 there. Raises InputError when shapes do not fit.
+    Kinds without a barrier in some scene have error 0 there. Raises InputError if shapes do not fit.
     """
     prediction = model if isinstance(model, Prediction) else Prediction.of_model(model)
     x, a, following = (np.asarray(table, dtype=np.float64) for table in (states, actions, next_states))
@@ -251,11 +256,12 @@ def one_step_errors(
         raise InputError(f"latents: got shape {z.shape}, wanted ({len(x)}, latents)")
     errors: dict[str, FloatArray] = {}
     for row in range(len(x)):
+        # One row at a time: a user's function takes one state.
         expected = prediction.next_state(x[row], a[row], None if z is None else z[row], None)
         for part in barriers(row) if callable(barriers) else barriers:
-            worst = (part.values(expected) - part.values(following[row])).max(initial=-np.inf)
-            kept = errors.setdefault(part.kind, np.full(len(x), -np.inf))
-            kept[row] = np.maximum(kept[row], worst)  # max() would lose a NaN
+            worst = (part.h(expected) - part.h(following[row])).max(initial=-np.inf)
+            worst_of_kind = errors.setdefault(part.kind, np.full(len(x), -np.inf))
+            worst_of_kind[row] = np.maximum(worst_of_kind[row], worst)  # unlike max(), propagates NaN
     if not errors:
         raise InputError("barriers: got none, wanted at least one")
     return {kind: np.where(np.isneginf(values), 0.0, values) for kind, values in errors.items()}
@@ -266,17 +272,18 @@ def _lines_of(table: Mapping[str, float]) -> list[str]:
 
 
 def _check_number(name: str, value: Any, low: float) -> None:
+    # bool is a subclass of int in Python; true is no margin.
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value) or value < low:
         raise InputError(f"{name}: got {value!r}, wanted a finite number >= {low:g}")
 
 
 def margin_text(calibration: MarginCalibration) -> str:
-    """The JSON text that ``margin_from_text`` reads back."""
+    """JSON text for ``margin_from_text``."""
     return json.dumps(asdict(calibration), sort_keys=True)
 
 
 def margin_from_text(text: str) -> MarginCalibration:
-    """The calibration that a JSON text holds. Raises InputError naming what is wrong."""
+    """Reads the calibration from JSON text. Raises InputError naming what is wrong."""
     try:
         return MarginCalibration(**parse_json(text))
     except (ValueError, TypeError, InputError) as error:

@@ -1,13 +1,13 @@
-"""Up to which h an error of h matters: farther from the boundary than that, no margin has to cover it.
+"""Error clipping: up to which h a prediction error matters. Further from the boundary no margin has to cover it.
 
-With a ceiling H >= epsilon / eta the function c(h) = min(h, H) has the same safe set as h, and anyone who keeps the
-condition of h keeps that of c(h):
+With a clip level H >= epsilon / eta the function c(h) = min(h, H) has the same safe set as h, and an action that
+satisfies the constraint of h satisfies that of c(h):
 
     h(x+) >= (1 - eta) h(x) + epsilon   implies   c(h(x+)) >= (1 - eta) c(h(x)) + epsilon,
 
-since c is increasing, the right-hand side of h(x) > H is larger than that of H, and that of h(x) <= H is H at most:
-(1 - eta) H + epsilon <= H. So every statement about invariance holds with the errors of c(h) in place of those of h. A
-hazard that is metres away may be misjudged by half a metre without any consequence.
+since c is increasing, the right-hand side of h(x) > H is larger than that of H, and that of h(x) <= H is H at most: (1
+- eta) H + epsilon <= H. So every statement about invariance holds with the errors of c(h) in place of those of h. The
+distance of an obstacle that is metres away may be wrong by half a metre without any consequence.
 """
 
 from __future__ import annotations
@@ -25,75 +25,78 @@ from safedpa.safety.settings import FilterSettings
 __all__ = ["NO_CLIP", "ErrorClip", "HSample"]
 
 _LAYERS: Final = 10.0
-"""The ceiling in units of epsilon / eta of the settings' own margin, which is chosen before any data are seen. The
-lowest that is allowed is 1; more leaves room for margins that turn out wider, and for a watch that sees errors before
-they matter."""
+"""Clip level in units of epsilon / eta of the settings' margin, which is chosen before any data are seen. The smallest
+valid value is 1; more leaves room for wider margins, and shows the online margin errors before they matter."""
 
 
-_FAR: Final = 1e12
-"""Above every ceiling but none."""
+_UNCLIPPED: Final = 1e12
+"""Above every clip level: a sample without a previous one."""
 
 
 class HSample(NamedTuple):
-    """The least h of a kind of barrier, predicted and measured, of one step.
+    """The smallest h of a kind of barrier in one step, predicted and measured.
 
-    Past a dead time the condition is h(x+) >= (1 - eta) h(x) + epsilon with x predicted itself. Then the error of h at
-    x counts as well: (1 - eta) times, and with the other sign.
+    Beyond a dead time the constraint is h(x+) >= (1 - eta) h(x) + epsilon with x predicted itself. The error of h at x
+    then counts as well, times (1 - eta) and with the opposite sign.
     """
 
-    hoped: float
+    predicted: float
     measured: float
-    hoped_before: float = _FAR
-    before: float = _FAR
+    predicted_prev: float = _UNCLIPPED
+    measured_prev: float = _UNCLIPPED
 
 
 @final
 @dataclass(frozen=True)
 class ErrorClip:
-    """H by kind of barrier."""
+    """The clip level H by kind of barrier."""
 
     eta: float
     by_kind: dict[str, float] = field(default_factory=dict)
-    """In the unit of h; kinds that are not named have none."""
+    """In the unit of h; other kinds are not clipped."""
 
     @classmethod
     def of_settings(cls, settings: FilterSettings) -> ErrorClip:
-        """Ten times the depth of the layer in which the settings' own margin makes the robot leave."""
+        """Ten times the depth epsilon / eta of the boundary layer of the settings' margin."""
+        # From the settings, not from data: a level chosen by the errors themselves would void the coverage.
         known = {kind: _LAYERS * value / settings.eta for kind, value in settings.epsilon.items() if value > 0.0}
         return cls(settings.eta, known)
 
-    def of(self, kind: str, epsilon: float) -> float:
-        """H for a kind of barrier whose margin in force is ``epsilon``: never below epsilon / eta."""
+    def level(self, kind: str, epsilon: float) -> float:
+        """H for a kind of barrier with margin ``epsilon``: never below epsilon / eta."""
+        # A margin widened online may exceed the configured clip level; the proof needs H >= epsilon / eta.
         return max(self.by_kind.get(kind, inf), epsilon / self.eta)
 
-    def error(self, kind: str, seen: HSample, epsilon: float) -> float | None:
-        """The error of one step; None where everything is above the ceiling."""
-        top = self.of(kind, epsilon)
-        if all(h >= top for h in seen):
+    def error(self, kind: str, sample: HSample, epsilon: float) -> float | None:
+        """The error of one step; None if all of it is above the clip level."""
+        clip_level = self.level(kind, epsilon)
+        # Such a step says nothing about the boundary; an error of 0 instead would make the margin look too good.
+        if all(h >= clip_level for h in sample):
             return None
-        hoped, measured, hoped_before, before = (h if h < top else top for h in seen)
-        return hoped - measured - (1.0 - self.eta) * (hoped_before - before)
+        predicted, measured, predicted_prev, measured_prev = (h if h < clip_level else clip_level for h in sample)
+        return predicted - measured - (1.0 - self.eta) * (predicted_prev - measured_prev)
 
-    def errors(self, kind: str, heights: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
-        """``error`` of many steps, rows of ``heights`` (steps, 4); those that count (near,)."""
-        found = (self.error(kind, HSample(*row), epsilon) for row in heights.tolist())
-        return np.array([error for error in found if error is not None], dtype=np.float64)
+    def errors(self, kind: str, samples: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
+        """``error`` of many steps, rows of ``samples`` (steps, 4); those that count (near,)."""
+        margin_found = (self.error(kind, HSample(*row), epsilon) for row in samples.tolist())
+        return np.array([error for error in margin_found if error is not None], dtype=np.float64)
 
-    def fitting(self, kind: str, margin: Callable[[ErrorClip], float]) -> tuple[float, ErrorClip]:
-        """The margin of a kind, and the lowest of H, 2 H, 4 H, ... that is no less than it over eta.
+    def fit_margin(self, kind: str, margin: Callable[[ErrorClip], float]) -> tuple[float, ErrorClip]:
+        """Returns the margin of a kind, and the smallest of H, 2 H, 4 H, ... that is at least this margin over eta.
 
-        ``margin`` is computed from the errors below a ceiling.
+        ``margin`` is computed from the errors below a clip level.
         """
-        found, clip = margin(self), self
-        while isfinite(found) and found > self.eta * clip.by_kind.get(kind, inf):
+        margin_found, clip = margin(self), self
+        # A margin beyond eta H would violate H >= epsilon / eta: doubling ends, since errors are bounded.
+        while isfinite(margin_found) and margin_found > self.eta * clip.by_kind.get(kind, inf):
             clip = clip.doubled(kind)
-            found = margin(clip)
-        return found, clip
+            margin_found = margin(clip)
+        return margin_found, clip
 
     def doubled(self, kind: str) -> ErrorClip:
-        """Twice as high for one kind of barrier."""
+        """A clip level twice as high for one kind of barrier."""
         return ErrorClip(self.eta, {**self.by_kind, kind: 2.0 * self.by_kind.get(kind, inf)})
 
 
 NO_CLIP: Final = ErrorClip(1.0)
-"""Every error counts."""
+"""No clipping: every error counts."""

@@ -1,14 +1,13 @@
-"""What another model's margin means for a robot that drives: told before it is used, and brought into force by steps.
+"""The transition from the margins of one model to those of another: reported before, and ramped while the robot moves.
 
-A margin epsilon keeps a robot that stands (h does not change) within its conditions only where h >= epsilon / eta. A
-wider margin that came at once, where h is less than that, would make every condition infeasible and leave the robot
-where it is. So until all of it is in force, the margin of a kind of barrier takes half of what its least h allows,
+A margin epsilon lets a stationary robot (h does not change) satisfy its constraints only if h >= epsilon / eta. A wider
+margin that applied at once, at a smaller h, would make every constraint infeasible and stop the robot. Until the whole
+margin applies, the margin of a kind of barrier is therefore half of what its smallest h allows,
 
     epsilon[t] = max(old, min(new, eta h[t] / 2)),
 
-never less than the old one: the robot may stand wherever it might before, and h may still fall, half as fast. Once
-h >= 1.5 new / eta, half as much again as standing takes, the new margin is in force for good. So is a narrower one at
-once.
+never less than the old one: the robot may be stationary wherever it might before, and h may still fall, half as fast.
+Once h >= 1.5 new / eta the new margin applies for good. A narrower one applies at once.
 """
 
 from __future__ import annotations
@@ -19,86 +18,94 @@ from typing import Final, final
 
 from safedpa.safety.barriers.base import AbstractBarrierSet
 
-__all__ = ["MarginRamp", "least_by_kind", "margin_change"]
+__all__ = ["MarginRamp", "margin_change", "min_h_by_kind"]
 
 
-_STOPS = "at once it would stop the robot here"
-_SHARE: Final = 0.5
-"""Of eta h that the margin takes meanwhile."""
-_ROOM: Final = 1.5
-"""Of new / eta from which all of it is in force: at 1 the next error would lead below it."""
+_WOULD_STOP = "at once it would stop the robot here"
+_RAMP_SHARE: Final = 0.5
+"""Share of eta h that the margin takes meanwhile; the rest lets h fall."""
+_FULL_AT: Final = 1.5
+"""Multiple of new / eta from which all of it applies: at 1 the next error would lead below it."""
 
 
-def least_by_kind(barriers: AbstractBarrierSet, state: Sequence[float]) -> dict[str, float]:
-    """The least h of each kind at ``state`` (states,)."""
-    h = barriers.heights(state) if barriers.names else []
+def min_h_by_kind(barriers: AbstractBarrierSet, state: Sequence[float]) -> dict[str, float]:
+    """The smallest h of each kind at ``state`` (states,)."""
+    h = barriers.h_floats(state) if barriers.names else []
     return {kind: min(h[row] for row in rows) for kind, rows in barriers.rows.items() if rows}
 
 
 def margin_change(old: Mapping[str, float], new: Mapping[str, float], h: Mapping[str, float], eta: float) -> str:
-    """In words, for each kind: old and new margin, h now, and whether the robot would have to stand; empty: no change.
+    """Describes for each kind: old and new margin, h now, and whether the robot would have to stop; empty: no change.
 
     A kind that is not in ``h`` has no barrier around the robot now.
     """
-    reported = [_of_kind(kind, old.get(kind, 0.0), value, h.get(kind, inf), eta) for kind, value in new.items()]
-    return "; ".join(sorted((line for line in reported if line), key=lambda line: _STOPS not in line))
+    reported = [_change_of_kind(kind, old.get(kind, 0.0), value, h.get(kind, inf), eta) for kind, value in new.items()]
+    # Kinds that would stop the robot come first: an operator reads the beginning of the sentence.
+    return "; ".join(sorted((line for line in reported if line), key=lambda line: _WOULD_STOP not in line))
 
 
-def _of_kind(kind: str, old: float, new: float, h: float, eta: float) -> str:
-    if _shown(old) == _shown(new):
+def _change_of_kind(kind: str, old: float, new: float, h: float, eta: float) -> str:
+    # Compared as shown: a change that the operator cannot see is no change.
+    if _format(old) == _format(new):
         return ""
-    text = f"the margin of {kind} goes from {_shown(old)} to {_shown(new)}"
+    text = f"the margin of {kind} goes from {_format(old)} to {_format(new)}"
     if h == inf:
         return text
-    text += f" where h is {_shown(h)}"
-    whole = _ROOM * new / eta
-    if new <= old or h >= whole:
+    text += f" where h is {_format(h)}"
+    full_at = _FULL_AT * new / eta
+    # A narrower margin is safe at any h; a wider one only far enough inside.
+    if new <= old or h >= full_at:
         return f"{text}, at once"
-    why = _STOPS if new > eta * h else "at once it would leave the robot hardly any room"
-    return f"{text}: {why}, so it follows h, all of it from {_shown(whole)} on"
+    why = _WOULD_STOP if new > eta * h else "at once it would leave the robot hardly any room"
+    return f"{text}: {why}, so it follows h, all of it from {_format(full_at)} on"
 
 
-def _shown(value: float) -> str:
+def _format(value: float) -> str:
     return f"{value:.3g}"
 
 
 @final
 class MarginRamp:
-    """The margins between the old ones and those of a new model; ``period`` [s] between two calls of ``rise``."""
+    """The margins between the old ones and those of a new model; call ``rise`` once per tick."""
 
     def __init__(self, old: Mapping[str, float], new: Mapping[str, float], eta: float) -> None:
         self._old, self._new, self._eta = dict(old), dict(new), eta
-        self._held = {kind: old.get(kind, 0.0) for kind, value in new.items() if value > old.get(kind, 0.0)}
-        """Of the kinds that are not in force as a whole: what is."""
+        self._limited_to = {kind: old.get(kind, 0.0) for kind, value in new.items() if value > old.get(kind, 0.0)}
+        """The present margins of the kinds whose new margin does not apply yet."""
         self.seconds = 0.0
-        """Since the new model is used."""
+        """Time [s] since the new model is used."""
 
     def rise(self, h: Mapping[str, float], period: float) -> None:
-        """One tick of ``period`` [s] on, with the least ``h`` of each kind that there is now."""
+        """Advances by one tick of ``period`` [s], with the smallest ``h`` of each kind now."""
         for kind in self.waiting:
             new, allowed = self._new[kind], self._eta * h.get(kind, inf)
-            if allowed >= _ROOM * new:
-                del self._held[kind]
+            # Removed for good: a margin that came and went with h would make h oscillate.
+            if allowed >= _FULL_AT * new:
+                del self._limited_to[kind]
             else:
-                self._held[kind] = max(self._old.get(kind, 0.0), min(new, _SHARE * allowed))
+                self._limited_to[kind] = max(self._old.get(kind, 0.0), min(new, _RAMP_SHARE * allowed))
         self.seconds += period
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """The kinds whose new margin is not in force yet."""
-        return tuple(self._held)
+        """The kinds whose new margin does not apply yet."""
+        return tuple(self._limited_to)
 
-    def limited(self, watched: Mapping[str, float]) -> dict[str, float]:
-        """The margins in force. One that was widened beyond the new one, by errors that were seen, is not held back."""
+    def limited(self, online: Mapping[str, float]) -> dict[str, float]:
+        """The margins in force. A margin that errors have widened beyond the new one is not limited."""
         return {
-            kind: self._held.get(kind, value) if value <= self._new.get(kind, 0.0) else value
-            for kind, value in watched.items()
+            # Errors are newer information than the calibration of the new model.
+            kind: self._limited_to.get(kind, value) if value <= self._new.get(kind, 0.0) else value
+            for kind, value in online.items()
         }
 
     @property
     def sentence(self) -> str:
-        """For the verdict: which margins are not the full ones yet, and for how long that has been so."""
-        reported = [f"{kind} {_shown(held)} of {_shown(self._new[kind])}" for kind, held in self._held.items()]
+        """Which margins are not complete yet, and for how long; for the verdict."""
+        reported = [
+            f"{kind} {_format(limited_to)} of {_format(self._new[kind])}"
+            for kind, limited_to in self._limited_to.items()
+        ]
         return (
             f"Not the whole margin for {self.seconds:.1f} s, until h allows: {', '.join(reported)}." if reported else ""
         )

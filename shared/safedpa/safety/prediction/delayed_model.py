@@ -1,15 +1,15 @@
-"""Actions that are on their way: a model whose commands arrive some ticks late, with what is pending in its state.
+"""Delay-augmented models: commands act some ticks late, and the pending ones are part of the state.
 
     xi = (x, a_1, ..., a_n),   xi+ = (step(x, a_1), a_2, ..., a_n, a)
 
-a_1 acts in the tick to come, and what is decided now acts n ticks later. So the action moves no barrier of x within
-one step, and the filter's condition on the next step would be blind. The barrier is therefore judged at the state in
-which the new action begins to act, which nothing can change any more:
+a_1 acts in the coming tick; what is decided now acts n ticks later. So the action changes no barrier of x within one
+step, and the filter's constraint on the next step would have no influence. The barrier is therefore evaluated at the
+state in which the new action takes effect, which nothing can change any more:
 
     h(xi) = h(x_n),   x_0 = x,   x_k = step(x_{k-1}, a_k)
 
-There the condition h(xi+) >= (1 - eta) h(xi) + epsilon is the ordinary one of the model without delay. The model need
-not be affine in the action: xi+ is.
+There h(xi+) >= (1 - eta) h(xi) + epsilon is the ordinary constraint of the model without delay. The model need not be
+affine in the action: xi+ is.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety.barriers.backup_rollout import Model, fixed, prediction_of
 from safedpa.safety.barriers.base import AbstractBarrier
-from safedpa.safety.barriers.function import central_slopes
+from safedpa.safety.barriers.function import central_differences
 from safedpa.safety.checks.compatibility import check_reads
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.validation import Plausible, checked_output
@@ -31,16 +31,16 @@ from safedpa.safety.validation import Plausible, checked_output
 __all__ = ["PendingActions"]
 
 
-_SHARE: Final = 1e-3
-"""Of a direction, over which the way is differenced: the filter's directions are what an action's range moves."""
+_STEP_SHARE: Final = 1e-3
+"""Share of a direction over which the path is differenced; directions are the motion by a whole action range."""
 
 
 @final
 class PendingActions:
-    """Any model with ``count`` actions on their way, 1 or more; ``resting`` (actions,) is pending at the beginning.
+    """A model with ``count`` >= 1 actions in flight; ``resting`` (actions,) is pending at the beginning.
 
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` or ``step(x, a)``, without the delay.
-    A filter of it takes the augmented state xi (states + count actions,)::
+    The filter takes the augmented state xi (states + count actions,)::
 
         late = PendingActions(model, 3, resting=(0.0,))
         late_barriers = [late.barrier(part) for part in barriers]
@@ -49,7 +49,7 @@ class PendingActions:
         verdict = safe.decide(xi, nominal action)
         xi = late.next_state(xi, verdict.action, measured)
 
-    Raises InputError for a count below 1, and for a model whose actuators remember something else.
+    Raises InputError for a count below 1, and for a model with other actuator memory.
     """
 
     def __init__(self, model: Model, count: int, resting: ArrayLike) -> None:
@@ -61,13 +61,14 @@ class PendingActions:
         self.count = int(count)
         self._inner = prediction_of(model)
         self.prediction = Prediction(self.affine, self.step)
-        """What the filter takes in place of a model."""
+        """Passed to the filter in place of a model."""
+        # Named, so that settings of another system are still refused.
         self.prediction.system = self._inner.system
-        self.state_range = self._range()
-        """What is believed of xi, with the names of its entries, for a model of this project; else None."""
+        self.state_range = self._state_range()
+        """Plausible range of xi with the names of its entries, for a model of this project; else None."""
 
     def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> FloatArray:
-        """xi from x (states,) and the pending actions (count, actions), the next to act first; default: resting."""
+        """xi from x (states,) and the pending actions (count, actions), the next one first; default: resting."""
         x = checked_output("state", state)
         if pending is None:
             pending = np.tile(self.resting, (self.count, 1))
@@ -78,55 +79,58 @@ class PendingActions:
         return np.concatenate((x, queue.ravel()))
 
     def next_state(self, augmented: FloatArray, action: ArrayLike, measured: ArrayLike) -> FloatArray:
-        """xi one tick later, when ``action`` (actions,) was sent and x ``measured`` (states,)."""
+        """xi one tick later, after ``action`` (actions,) was sent and x ``measured`` (states,)."""
         queue = self.split(augmented)[1]
+        # The oldest pending action has been applied; the new one joins at the end.
         last = np.reshape(checked_output("action", action), (1, len(self.resting)))
         return self.state(measured, np.concatenate((queue[1:], last)))
 
     def split(self, augmented: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x (states,) and the pending actions (count, actions) of xi. Raises InputError when it is too short."""
-        held = self.count * len(self.resting)
-        if np.ndim(augmented) != 1 or len(augmented) <= held:
+        """Splits xi into x (states,) and the pending actions (count, actions). Raises InputError if it is too short."""
+        size_of_queue = self.count * len(self.resting)
+        if np.ndim(augmented) != 1 or len(augmented) <= size_of_queue:
             raise InputError(
                 f"state: got shape {np.shape(augmented)}, wanted x and {self.count} pending actions of "
                 f"{len(self.resting)} after it; make it with state()"
             )
-        return augmented[:-held], np.reshape(augmented[-held:], (self.count, len(self.resting)))
+        return augmented[:-size_of_queue], np.reshape(augmented[-size_of_queue:], (self.count, len(self.resting)))
 
-    def way(self, augmented: FloatArray, latent: FloatArray | None = None) -> list[FloatArray]:
-        """x_0 to x_count (states,): now, and after each of the pending actions."""
+    def path(self, augmented: FloatArray, latent: FloatArray | None = None) -> list[FloatArray]:
+        """x_0 to x_count (states,): now, and after each pending action."""
         state, queue = self.split(augmented)
-        way = [fixed(state)]
+        path = [fixed(state)]
         for action in queue:
-            way.append(self._after(way[-1], action, latent))
-        return way
+            path.append(self._after(path[-1], action, latent))
+        return path
 
-    def reached(self, augmented: FloatArray, latent: FloatArray | None = None) -> FloatArray:
-        """x (states,) when the action that is decided now begins to act."""
-        return self.way(augmented, latent)[-1]
+    def state_at_effect(self, augmented: FloatArray, latent: FloatArray | None = None) -> FloatArray:
+        """x (states,) where the action that is decided now takes effect."""
+        return self.path(augmented, latent)[-1]
 
     def step(self, augmented: FloatArray, action: FloatArray, latent: FloatArray | None = None) -> FloatArray:
-        """xi one tick later as the model has it."""
+        """xi one tick later, as predicted by the model."""
         state, queue = self.split(augmented)
         return self.next_state(augmented, action, self._after(state, queue[0], latent))
 
     def affine(self, augmented: FloatArray, latent: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """(f, g) with xi+ = f + g a, exact: the action takes the last place of those that wait."""
+        """(f, g) with xi+ = f + g a, exact: the action becomes the last pending one."""
         actions = len(self.resting)
         f = self.step(augmented, np.zeros(actions), latent)
         g = np.zeros((len(f), actions))
+        # The only entries that a new action changes are its own place in the queue: exact, and never singular.
         g[-actions:] = np.eye(actions)
         return f, g
 
     def barrier(self, barrier: AbstractBarrier, latent: ArrayLike | None = None) -> AbstractBarrier:
-        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there.
+        """Turns a barrier of x into one of xi, evaluated where the action takes effect under ``latent``.
 
-        Raises InputError where it reads other states than the model's.
+        Raises InputError if it reads other states than the model's.
         """
+        # The barrier reads x, so it is compared with the inner model's states, not with those of xi.
         check_reads([barrier], () if self._inner.system is None else self._inner.system.state_names)
         return _DelayedBarrier(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
 
-    def _range(self) -> Plausible | None:
+    def _state_range(self) -> Plausible | None:
         system = self._inner.system
         if system is None:
             return None
@@ -138,9 +142,9 @@ class PendingActions:
         )
 
     def _after(self, state: FloatArray, action: FloatArray, latent: FloatArray | None) -> FloatArray:
-        if self._inner.of_this_project:
+        if self._inner.is_project_model:
             free = None if latent is None else tuple(latent.tolist())
-            return fixed(np.array(self._inner.following(tuple(state.tolist()), action.tolist(), free, None)))
+            return fixed(np.array(self._inner.next_state_floats(tuple(state.tolist()), action.tolist(), free, None)))
         found = self._inner.next_state(state, fixed(action), latent, None)
         if found.shape != state.shape:
             raise InputError(f"predicted state: got shape {found.shape}, wanted {state.shape}")
@@ -156,27 +160,33 @@ class _DelayedBarrier(AbstractBarrier):
         self.reads = () if late.prediction.system is None else barrier.reads
         self._late, self._barrier, self._latent = late, barrier, latent
 
-    def values(self, state: FloatArray) -> FloatArray:
-        return self._barrier.values(self._late.reached(state, self._latent))
+    def h(self, state: FloatArray) -> FloatArray:
+        return self._barrier.h(self._late.state_at_effect(state, self._latent))
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By the chain rule: the barrier's own gradient, times central differences of the way there."""
-        way = np.array(self._late.way(state, self._latent))
+    def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By the chain rule: the barrier's gradient times central differences of the path."""
+        path = np.array(self._late.path(state, self._latent))
         queue = self._late.split(state)[1]
-        moved = np.concatenate((np.ptp(way, axis=0), np.tile(np.ptp(queue, axis=0), self._late.count)))
-        far, size = np.ptp(way, axis=0), np.abs(way).max(axis=0)
-        size = np.where(far > 0.0, far, np.where(size > 0.0, size, 1.0))
-        h, gradient = self._barrier.evaluate(way[-1])
-        return h, gradient @ central_slopes(lambda near: self._late.reached(near, self._latent), state, moved, size)
+        motion = np.concatenate((np.ptp(path, axis=0), np.tile(np.ptp(queue, axis=0), self._late.count)))
+        path_extent, size = np.ptp(path, axis=0), np.abs(path).max(axis=0)
+        # The size of each entry sets the difference step; an entry that is always 0 gets a size of 1, which is never
+        # divided by 0.
+        size = np.where(path_extent > 0.0, path_extent, np.where(size > 0.0, size, 1.0))
+        h, gradient = self._barrier.h_and_grad(path[-1])
+        return h, gradient @ central_differences(
+            lambda near: self._late.state_at_effect(near, self._latent), state, motion, size
+        )
 
-    def along(self, state: FloatArray, directions: FloatArray) -> FloatArray:
-        reached = np.zeros((len(self._late.split(state)[0]), directions.shape[1]))
+    def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
+        moved_state = np.zeros((len(self._late.split(state)[0]), directions.shape[1]))
         for index, direction in enumerate(directions.T):
-            ahead = self._late.reached(state + _SHARE * direction, self._latent)
-            behind = self._late.reached(state - _SHARE * direction, self._latent)
-            reached[:, index] = (ahead - behind) / (2.0 * _SHARE)
-        return self._barrier.along(self._late.reached(state, self._latent), reached)
+            ahead = self._late.state_at_effect(state + _STEP_SHARE * direction, self._latent)
+            behind = self._late.state_at_effect(state - _STEP_SHARE * direction, self._latent)
+            moved_state[:, index] = (ahead - behind) / (2.0 * _STEP_SHARE)
+        # Both chain-rule factors are differenced over the same directions, so no full gradient of the path is needed.
+        return self._barrier.lie_derivative(self._late.state_at_effect(state, self._latent), moved_state)
 
-    def since(self, state: FloatArray) -> AbstractBarrier:
-        inner = self._barrier.since(self._late.reached(state, self._latent))
+    def starting_at(self, state: FloatArray) -> AbstractBarrier:
+        # The inner barrier may look at the path between ticks, which starts where the action takes effect.
+        inner = self._barrier.starting_at(self._late.state_at_effect(state, self._latent))
         return self if inner is self._barrier else _DelayedBarrier(self._late, inner, self._latent)

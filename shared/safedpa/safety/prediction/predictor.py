@@ -1,6 +1,7 @@
-"""The model as the filter asks for it: the next state, and its tangent in the action.
+"""The model as the filter uses it: the next state, and its derivative with respect to the action.
 
-A model that is affine in the action, at one state: where any action leads is a few products of known numbers.
+``Prediction`` wraps a model of this project or the user's functions. ``AffineMotion`` is a model that is affine in the
+action, at one state: the next state for any action is then a few products of known numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = [
 ]
 
 _IMAGINARY = 1e-30
-"""As ``_IMAGINARY`` of ``safedpa.dynamics.tangent``: with it the slopes are those of complex steps to the last bit."""
+"""As ``_IMAGINARY`` of ``safedpa.dynamics.tangent``: the derivatives then equal those of complex steps bit for bit."""
 
 
 @final
@@ -39,28 +40,29 @@ class AffineMotion:
         self._period, self._trained_period = period, trained_period
         self._actions = len(known) // len(state) - 1
 
-    def after(self, action: Sequence[float]) -> list[float]:
+    def next_state(self, action: Sequence[float]) -> list[float]:
         """x[t+1] (states,) under ``action`` (actions,)."""
         known, state, actions = self._known, self._state, self._actions
         states = len(state)
         place = states
         reached: list[float] = []
         for row in range(states):
-            felt = 0.0
+            effect = 0.0
             for column in range(actions):
-                felt += known[place] * action[column]
+                effect += known[place] * action[column]
                 place += 1
-            reached.append(state[row] + self._period * ((known[row] + felt) / self._trained_period))
+            reached.append(state[row] + self._period * ((known[row] + effect) / self._trained_period))
         return reached
 
-    def slopes(self) -> list[list[float]]:
-        """d(x[t+1])/d(a) (states, actions), the same about every action."""
+    def control_matrix(self) -> list[list[float]]:
+        """d(x[t+1])/d(a) (states, actions), the same for every action."""
         known, actions = self._known, self._actions
         place = len(self._state)
         rows: list[list[float]] = []
         for _ in range(len(self._state)):
             row: list[float] = []
             for _ in range(actions):
+                # Through an imaginary step as in the generated equations, so that both give the same bits.
                 nudge = self._period * (known[place] * _IMAGINARY / self._trained_period)
                 row.append(nudge / _IMAGINARY)
                 place += 1
@@ -70,45 +72,50 @@ class AffineMotion:
 
 @final
 class Prediction:
-    """x[t+1] = step(x, a), or f + g a where there is no ``step``; and (f, g) = affine(x) about an action.
+    """x[t+1] = step(x, a), or f + g a if there is no ``step``; and (f, g) = affine(x) about an action.
 
-    ``affine`` takes (state), (state, latent) and, if it has them, the keywords ``around`` (the action about which to
-    linearise) and ``memory``; it returns f (states,) and g (states, actions). ``step`` takes (state, action), (state,
-    action, latent) and, if it has it, ``memory``. Raises InputError for what is no function, or does not tell what it
-    takes, and when asked for numbers of another shape.
+    ``affine`` takes (state) or (state, latent), and optionally the keywords ``around`` (the action about which to
+    linearise) and ``memory``; it returns f (states,) and g (states, actions). ``step`` takes (state, action) or (state,
+    action, latent), and optionally ``memory``. Raises InputError for an object that is no function or has no readable
+    signature, and at evaluation for a wrong shape.
     """
 
     def __init__(self, affine: Callable[..., Any], step: Callable[..., Any] | None = None) -> None:
         self._affine, self._step = affine, step
-        self._affine_counts, self._affine_text = _accepted("affine", affine, 2)
-        self._step_counts, self._step_text = ((0, 0), frozenset[str]()) if step is None else _accepted("step", step, 3)
+        self._affine_counts, self._affine_keywords = _accepted_arguments("affine", affine, 2)
+        self._step_counts, self._step_keywords = (
+            ((0, 0), frozenset[str]()) if step is None else _accepted_arguments("step", step, 3)
+        )
         self._model: AbstractDynamics | None = None
         self.system: System | None = None
-        """Of a model of this project; functions alone do not say of which they are."""
+        """The system of a model of this project; None for functions, which do not name their system."""
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
-        self._recorded_step: Any = None
-        self._recorded_tangent: Any = None
+        self._scalar_step: Any = None
+        self._scalar_tangent: Any = None
         self._learned: LearnedBase | None = None
         self._actuators: ActuatorModel | None = None
-        self.affine = step is None and "around" not in self._affine_text
-        """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
+        self.affine = step is None and "around" not in self._affine_keywords
+        """Whether the model is known to be affine in the action: g is then the same for every action."""
 
     @classmethod
     def of_model(cls, model: AbstractDynamics) -> Prediction:
-        """The prediction of a model of this project, with what its actuators remember."""
+        """The prediction of a model of this project, including its actuators."""
+        # The constructor's checks of a user's function pass for the model's own.
         prediction = cls(model.affine)
         prediction._model, prediction.system, prediction.affine = model, model.system, False
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
             prediction._actuators = ActuatorModel(model)
+            # Effects may saturate or depend on the action in any way; only a bare learned base is affine by
+            # construction.
             if isinstance(model.base, LearnedBase) and not model.effects:
                 prediction.affine = True
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy is made again: what is compiled cannot be made without its arguments."""
+        """A copy is constructed again: a compiled object cannot be created without its arguments."""
         if self._model is not None:
             return Prediction.of_model, (self._model,)
         return Prediction, (self._affine, self._step)
@@ -119,173 +126,182 @@ class Prediction:
         return self._physics is not None and self._physics.timed
 
     def report_time(self, seconds: float) -> None:
-        """Seconds since the start of the run, for the questions that follow."""
+        """Sets the time [s] since the start of the run for the evaluations that follow."""
         if self._physics is not None:
             self._physics.clock.seconds = seconds
 
     @property
-    def remembers(self) -> bool:
-        """Whether what follows from a state depends on what actuators remember."""
-        return self._actuators is not None and self._actuators.remember
+    def has_actuator_memory(self) -> bool:
+        """Whether the next state depends on actuator memory."""
+        return self._actuators is not None and self._actuators.has_memory
 
     def dead_time(self, latent: tuple[float, ...] | None) -> float:
-        """s from where an action is put in force until its slowest channel begins to act; 0: at once, or not known."""
+        """Time [s] from applying an action until its slowest channel responds; 0: immediate, or not known."""
         return 0.0 if self._actuators is None else self._actuators.dead_time(latent)
 
-    def begin(self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any) -> EffectStart | None:
-        """Where an action that is chosen at ``state`` begins to act; None: there and then."""
-        return None if self._actuators is None or not memory else self._actuators.begin(state, latent, memory)
+    def effect_start(
+        self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any
+    ) -> EffectStart | None:
+        """Where an action chosen at ``state`` takes effect; None: immediately."""
+        # Without memory nothing is in flight, and no object is created: the usual case.
+        return None if self._actuators is None or not memory else self._actuators.effect_start(state, latent, memory)
 
-    def after(self, begin: EffectStart, action: Sequence[float], latent: tuple[float, ...] | None) -> list[float]:
-        """(begin.rows * states,) what is judged of ``action``: the state after each period from ``begin.near`` on."""
+    def rollout(self, effect: EffectStart, action: Sequence[float], latent: tuple[float, ...] | None) -> list[float]:
+        """(steps * states,) the constrained states: after each period from ``effect.state_at_effect`` on."""
         assert self._actuators is not None
-        return self._actuators.after(begin, action, latent)
+        return self._actuators.rollout(effect, action, latent)
 
-    def slopes_after(
-        self, begin: EffectStart, around: Sequence[float], latent: tuple[float, ...] | None
+    def control_matrix_at_effect(
+        self, effect: EffectStart, around: Sequence[float], latent: tuple[float, ...] | None
     ) -> list[list[float]]:
-        """d(after)/d(action) (begin.rows * states, actions) about the action ``around``."""
+        """d(rollout)/d(action) (steps * states, actions) about the action ``around``."""
         assert self._actuators is not None
-        return self._actuators.slopes(begin, around, latent)
+        return self._actuators.control_matrix(effect, around, latent)
 
     @property
-    def of_this_project(self) -> bool:
-        """Whether it came from ``of_model``."""
+    def is_project_model(self) -> bool:
+        """Whether it was made by ``of_model``."""
         return self._model is not None
 
-    def sensitivity_of_one(
+    def sensitivity_floats(
         self, state: Sequence[float], around: Sequence[float], latent: tuple[float, ...] | None
     ) -> list[list[float]] | None:
         """Slopes of the next state in state and action (states, states + actions), by recorded equations, or None.
 
-        Raises ValueError or ArithmeticError for numbers that Python's math refuses.
+        Raises ValueError or ArithmeticError for values that Python's math functions refuse.
         """
         physics = self._physics
-        if physics is None or (recorded := physics.straight_sensitivity) is None:
+        if physics is None or (recorded := physics.scalar_sensitivity) is None:
             return None
         return recorded(state, around, self._fixed if latent is None else latent, physics.clock.seconds)[1]
 
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
-        """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
+        """``next_state_floats`` and ``control_matrix_floats`` at this state in one object; None: use those.
 
-        Only of a model that is known to be affine, without effects. The networks are asked once.
+        Only for a model that is known to be affine, without effects. The networks are evaluated once.
         """
         base, model = self._learned, self._physics
         if base is None or model is None:
             return None
         free = self._fixed if latent is None else latent
+        # Wrong sizes are left to the general path, which raises an error with names.
         if len(state) != len(model.system.state_names) or len(free) != len(model.latent_names):
             return None
         try:
             known = base.known_at(state, free)
-        except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+        except (ValueError, ArithmeticError):  # values that Python's math functions refuse
             return None
         return AffineMotion(state, known, model.period, base.weights.description.period)
 
-    def following(
+    def next_state_floats(
         self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[float]:
-        """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
-        physics, step = self._physics, self._recorded_step
-        if step is None and physics is not None:  # once there is one it stays
-            step = self._recorded_step = physics.straight(physics.period)
+        """``next_state`` in Python floats. Raises InputError if the model returns another shape."""
+        physics, step = self._physics, self._scalar_step
+        if step is None and physics is not None:  # looked up until there is one: the model may be recorded later
+            step = self._scalar_step = physics.scalar_step(physics.period)
         if step is not None and physics is not None:
             try:
                 after: list[float] = step(
                     state, action, self._fixed if latent is None else latent, physics.clock.seconds
                 )
                 return after
-            except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+            except (ValueError, ArithmeticError):  # values that Python's math functions refuse: NumPy returns NaN
                 pass
-        given = None if latent is None else _unwritten(latent)
-        found = self.next_state(_unwritten(state), _unwritten(action), given, memory)
-        reached: list[float] = _plain("predicted state", found, (len(state),))
+        # Arrays only from here on: the scalar path above serves nearly every call.
+        given = None if latent is None else _read_only_array(latent)
+        found = self.next_state(_read_only_array(state), _read_only_array(action), given, memory)
+        reached: list[float] = _checked_list("predicted state", found, (len(state),))
         return reached
 
-    def slopes_of_one(
+    def control_matrix_floats(
         self, state: tuple[float, ...], around: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[list[float]]:
-        """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
-        physics, tangent = self._physics, self._recorded_tangent
+        """``control_matrix`` in Python floats. Raises InputError if the model returns another shape."""
+        physics, tangent = self._physics, self._scalar_tangent
         if tangent is None and physics is not None:
-            tangent = self._recorded_tangent = physics.straight_tangent()
+            tangent = self._scalar_tangent = physics.scalar_tangent()
         if tangent is not None and physics is not None:
             try:
                 free = self._fixed if latent is None else latent
-                slopes: list[list[float]] = tangent(state, around, free, physics.clock.seconds)[1]
-                return slopes
+                control_matrix: list[list[float]] = tangent(state, around, free, physics.clock.seconds)[1]
+                return control_matrix
             except (ValueError, ArithmeticError):
                 pass
-        given = None if latent is None else _unwritten(latent)
-        found = self.slopes(_unwritten(state), _unwritten(around), given, memory)
-        g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))
+        given = None if latent is None else _read_only_array(latent)
+        found = self.control_matrix(_read_only_array(state), _read_only_array(around), given, memory)
+        g: list[list[float]] = _checked_list("g of the model", found, (len(state), len(around)))
         return g
 
     def next_state(self, state: FloatArray, action: FloatArray, latent: FloatArray | None, memory: Any) -> FloatArray:
         """x[t+1] (states,) under ``action`` (actions,)."""
         model = self._model
         if model is not None:
-            cached = model.initial_memory(action) if memory is None else memory
-            return checked_output("predicted state", model.advance(state, action, cached, latent)[0])
+            start_memory = model.initial_memory(action) if memory is None else memory
+            return checked_output("predicted state", model.advance(state, action, start_memory, latent)[0])
+        # Without a step the model is affine by definition, and f + g a is its prediction.
         if self._step is None:
-            f, g = self._tangent(state, action, latent, memory)
+            f, g = self._affine_at(state, action, latent, memory)
             states = len(state)
             if f.shape != (states,) and (f.ndim != 0 or states != 1):
                 raise InputError(f"f of the model: got shape {f.shape}, wanted {(states,)}")
-            if g.shape != (states, len(action)):  # numpy would add one number to every entry of the state
+            if g.shape != (states, len(action)):  # NumPy would broadcast a scalar over every entry of the state
                 raise InputError(f"g of the model: got shape {g.shape}, wanted {(states, len(action))}")
             return np.asarray(f + g @ action)
-        phrase = {"memory": memory} if "memory" in self._step_text else {}
-        found = self._step(*(state, action, latent)[: self._step_counts[latent is not None]], **phrase)
+        keywords = {"memory": memory} if "memory" in self._step_keywords else {}
+        found = self._step(*(state, action, latent)[: self._step_counts[latent is not None]], **keywords)
         return checked_output("predicted state", found)
 
-    def slopes(self, state: FloatArray, around: FloatArray, latent: FloatArray | None, memory: Any) -> FloatArray:
-        """g (states, actions), exact at the action ``around`` (actions,) where ``affine`` accepts it."""
+    def control_matrix(
+        self, state: FloatArray, around: FloatArray, latent: FloatArray | None, memory: Any
+    ) -> FloatArray:
+        """g (states, actions), exact at the action ``around`` (actions,) if ``affine`` accepts that keyword."""
         if self._model is not None:
-            return checked_output("g of the model", self._model.slopes(state, latent, around, memory))
-        return self._tangent(state, around, latent, memory)[1]
+            return checked_output("g of the model", self._model.control_matrix(state, latent, around, memory))
+        return self._affine_at(state, around, latent, memory)[1]
 
-    def _tangent(
+    def _affine_at(
         self, state: FloatArray, around: FloatArray, latent: FloatArray | None, memory: Any
     ) -> tuple[FloatArray, FloatArray]:
+        # Only the keywords that the function accepts: a plain affine(x) takes none.
         offered = {"around": around, "memory": memory}
-        phrase = {word: offered[word] for word in self._affine_text}
-        f, g = self._affine(*(state, latent)[: self._affine_counts[latent is not None]], **phrase)
+        keywords = {name: offered[name] for name in self._affine_keywords}
+        f, g = self._affine(*(state, latent)[: self._affine_counts[latent is not None]], **keywords)
         return checked_output("f of the model", f), checked_output("g of the model", g)
 
 
-def _accepted(what: str, function: Callable[..., Any], most: int) -> tuple[tuple[int, int], frozenset[str]]:
-    """How many positional arguments (at most ``most``) and which of the filter's keywords a function takes.
+def _accepted_arguments(what: str, function: Callable[..., Any], most: int) -> tuple[tuple[int, int], frozenset[str]]:
+    """Returns how many positional arguments (at most ``most``) and which of the filter's keywords a function takes.
 
-    Two numbers: without a latent and with one, which is the last. A last one with a default may be anything, such as a
-    period: where no latent is given, neither is it.
+    Two numbers: without a latent and with one, which comes last. A last argument with a default may be something else,
+    such as a period: without a latent it is left out.
     """
     if not callable(function):
         raise InputError(f"{what}: got {type(function).__name__}, wanted a function: affine(x) -> (f, g), step(x, a)")
+    # Some builtins and compiled functions have no readable signature; guessing would pass wrong arguments.
     try:
         parameters = inspect.signature(function).parameters.values()
     except ValueError as error:
         raise InputError(
-            f"{what}: got {type(function).__name__}, which does not tell its arguments; wanted a function of Python "
-            "around it"
+            f"{what}: got {type(function).__name__}, which has no readable signature; wanted a Python function around it"
         ) from error
-    phrase = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
+    keywords = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
     positional = [
-        p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.name not in phrase
+        p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.name not in keywords
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
     own = len(positional) >= most and positional[most - 1].default is not inspect.Parameter.empty
-    return (most - 1 if own else count, count), phrase
+    return (most - 1 if own else count, count), keywords
 
 
-def _unwritten(numbers: Sequence[float]) -> FloatArray:
-    """What a function of the user's may read and may not write into: what it is asked next would be changed."""
+def _read_only_array(numbers: Sequence[float]) -> FloatArray:
+    """A read-only array for user functions: one that wrote into it would change the next evaluation."""
     array = np.array(numbers)
     array.setflags(write=False)
     return array
 
 
-def _plain(what: str, array: FloatArray, shape: tuple[int, ...]) -> Any:
+def _checked_list(what: str, array: FloatArray, shape: tuple[int, ...]) -> Any:
     if array.shape != shape:
         raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
     return array.tolist()

@@ -1,6 +1,7 @@
-"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers.
+"""The CBF constraints at one state: evaluated for an action, and linearised about one, in Python floats.
 
-Nothing in here has a scale of its own. What is small next to what is told by each barrier's
+No threshold is absolute. What is small is measured against each barrier's
+
 
     scale_i = max(|h_i(x)|, epsilon_i, what the actions can change in h_i(x+))
 
@@ -26,22 +27,22 @@ __all__ = ["NO_INFLUENCE", "ROUNDING", "ActionCandidate", "Constraints", "Plain"
 Plain = Sequence[float]
 
 NO_INFLUENCE: Final = 1e-9
-"""A column of g that over the action's whole range moves no entry of the state by more than this share of the entry, or
-of its motion, is rounding error: the actuator is saturated."""
+"""A column of g that over the action's whole range changes no state entry by more than this share of the entry, or of
+its motion, is rounding error: the actuator is saturated."""
 
 _TINY: Final = 1e-300
-"""Scale of a barrier that has none: h = 0, no margin, and no action that moves it."""
+"""Scale of a barrier with h = 0, no margin and no influence of any action; it only avoids a division by zero."""
 
 _LARGEST: Final = 1.7976931348623157e308
-"""The largest number there is: a margin may be so wide that what misses it is none."""
+"""Largest finite float, reported in place of an infinite violation: every value of a verdict is finite."""
 
 ROUNDING: Final = 1e-10
-"""Share of a barrier's scale by which its condition may be missed: rounding errors of h and of the model."""
+"""Share of a barrier's scale by which its constraint may be violated: rounding errors of h and of the model."""
 
 
 @final
 class ActionCandidate:
-    """What the model predicts for one action (actions,)."""
+    """An action (actions,) with its predicted state, h and residuals."""
 
     def __init__(
         self,
@@ -49,25 +50,26 @@ class ActionCandidate:
         next_state: Plain,
         h_next: list[float],
         residual: list[float],
-        broken: list[int],
+        violated: list[int],
     ) -> None:
         self.action, self.next_state, self.h_next = action, next_state, h_next
         self.residual = residual
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
-        self.broken = broken
-        """Rows whose condition is broken by more than rounding."""
-        self.least: float = _smallest(h_next)
+        self.violated_rows = violated
+        """Rows whose constraint is violated by more than rounding."""
+        self.min_h_next: float = _smallest(h_next)
         """Smallest h_i(x+)."""
-        self.usable: bool = self.least > -inf
-        """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
-        self.kept: bool = not broken and self.least >= 0.0
-        """Whether every condition holds, and every h_i(x+) >= 0."""
+        self.is_finite: bool = self.min_h_next > -inf
+        """False if model or barrier return a value that is not finite: then every h is -infinity."""
+        # h >= 0 is required as well: with h_i(x) < 0 a constraint may allow a next state that is still unsafe.
+        self.is_feasible: bool = not violated and self.min_h_next >= 0.0
+        """Whether every constraint holds, and every h_i(x+) >= 0."""
 
     @property
     def violation(self) -> float:
-        """The slack that this action needs, the largest of all rows, in the unit of that row's h."""
+        """The largest slack that this action needs, in the unit of that row's h."""
         worst = 0.0
-        for row in self.broken:
+        for row in self.violated_rows:
             missing = -self.residual[row]
             worst = missing if missing > worst else worst
         return worst if worst < _LARGEST else _LARGEST
@@ -75,12 +77,12 @@ class ActionCandidate:
 
 @final
 class Constraints:
-    """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent; eta = 1 for those
-    that may be used up ``at_once``.
+    """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent.
 
-    ``sides`` (actions,) are lowest value, highest value and range of each action.
+    eta is 1 for barriers that may be used up ``at_once``. ``sides`` (actions,) are lowest value, highest value and
+    range of each action.
 
-    Raises InputError when a barrier or the model returns a wrong shape or a number that is not finite.
+    Raises InputError if a barrier or the model returns a wrong shape or a value that is not finite.
     """
 
     def __init__(
@@ -95,99 +97,113 @@ class Constraints:
         sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
-        plain = barriers.since(state).plain(len(state))
+        # Barriers that look between two ticks need the measured state, not the predicted one at which an action takes
+        # effect.
+        plain = barriers.starting_at(state).scalar_rows(len(state))
         self._plain: Any = plain
         self._state, self._latent, self._sides = state, latent, sides
         self._memory = memory.memory if isinstance(memory, InFlightCommands) else memory
         self._widths: list[float] = [width for _, _, width in sides]
-        h_now: list[float] = plain.heights(state)
+        h_now: list[float] = plain.h_floats(state)
         self.h_now = h_now
-        _finite("h at the state", h_now)
-        self.least_now: float = _smallest(h_now)
+        _require_finite("h at the state", h_now)
+        self.min_h_now: float = _smallest(h_now)
         """Smallest h_i at the state."""
-        self.least_pending: float = inf
-        """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
-        self._begin = begin = prediction.begin(state, latent, memory)
-        if begin is not None:
-            for passed in begin.path:
-                on_the_way: list[float] = plain.heights(passed)
-                _finite("h on the way to where the action acts", on_the_way)
-                self.least_pending = min(self.least_pending, *on_the_way)
-            if begin.rows > 1:
-                self._plain = plain = MultiStepBarriers(plain, begin.rows, len(state))
-                epsilon = [*epsilon] * begin.rows
-            self._state, h_now = begin.state, plain.heights(begin.state)
-            if begin.at_once and not prediction.remembers:  # it is the state there that decides, and nothing else
-                self._begin, self._memory = None, begin.memory
-            _finite("h where the action begins to act", h_now)
-        self.h_begin = h_now
-        """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
+        self.min_h_in_flight: float = inf
+        """Smallest h_i before an action takes effect, which no action can change; infinity: no dead time."""
+        # With dead time the constraint is imposed at the predicted state where this action takes effect: before that no
+        # action can change anything, and a constraint would be infeasible or trivially satisfied.
+        self._effect = effect = prediction.effect_start(state, latent, memory)
+        if effect is not None:
+            for passed in effect.path:
+                h_in_flight: list[float] = plain.h_floats(passed)
+                _require_finite("h while commands are in flight", h_in_flight)
+                self.min_h_in_flight = min(self.min_h_in_flight, *h_in_flight)
+            # A faster channel acts before the slowest one, so every state from its effect on is constrained.
+            if effect.steps > 1:
+                self._plain = plain = MultiStepBarriers(plain, effect.steps, len(state))
+                epsilon = [*epsilon] * effect.steps
+            self._state, h_now = effect.state, plain.h_floats(effect.state)
+            # Then only the start state differs; prediction from it needs no further delay model.
+            if effect.at_once and not prediction.has_actuator_memory:
+                self._effect, self._memory = None, effect.memory
+            _require_finite("h where the action takes effect", h_now)
+        self.h_at_effect = h_now
+        """(rows,) h where the action takes effect; one block of rows for each state that is constrained."""
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share, at_once = 1.0 - eta, barriers.at_once
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
-        required: list[float] = []
+        rhs: list[float] = []
         scales: list[float] = []
         for index in range(len(h_now)):
             margin: float = epsilon[index]
-            required.append(margin if at_once[index % len(at_once)] else share * h_now[index] + margin)
-            height = abs(h_now[index])
-            scales.append(height if height > margin else margin if margin > _TINY else _TINY)
-        self.required = required
-        self.sizes = scales.copy()
+            # ``at_once``: the whole of h may be used in one step, down to the margin.
+            rhs.append(margin if at_once[index % len(at_once)] else share * h_now[index] + margin)
+            size = abs(h_now[index])
+            # The scale is never 0, so that residual / scale exists; comparisons only, since max() is a slow call when
+            # compiled.
+            scales.append(size if size > margin else margin if margin > _TINY else _TINY)
+        self.rhs = rhs
+        self.base_scales = scales.copy()
         """(m,) max(|h_i(x)|, epsilon_i)."""
         self.scales = scales
-        """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
+        """(m,) in the unit of each h; grows by what the actions can change, as soon as a linearisation shows it."""
         self.affine: bool = prediction.affine
-        """Whether the predicted state is affine in the action, which then saturates nowhere."""
+        """Whether the predicted state is affine in the action; then no actuator saturates."""
         self.saturated: bool = False
-        """Whether a tangent was drawn where an actuator saturates."""
+        """Whether a linearisation was computed where an actuator saturates."""
         self._last_g: list[list[float]] | None = None
 
-    def outcome(self, action: Plain) -> ActionCandidate:
-        """What ``action`` (actions,) leads to."""
-        following, required, scales = self._following(action), self.required, self.scales
-        if not _is_finite(following):
-            return self._nothing(action, following)
-        h_next: list[float] = self._plain.heights(following)
-        if len(h_next) != len(required):
-            raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
+    def evaluate(self, action: Plain) -> ActionCandidate:
+        """Predicts the next state and h under ``action`` (actions,)."""
+        next_state, rhs, scales = self._predict(action), self.rhs, self.scales
+        if not _is_finite(next_state):
+            return self._infeasible_candidate(action, next_state)
+        h_next: list[float] = self._plain.h_floats(next_state)
+        if len(h_next) != len(rhs):
+            raise ValueError(f"{len(h_next)} values of h, wanted {len(rhs)}")
         residual: list[float] = []
-        broken: list[int] = []
+        violated: list[int] = []
         total = 0.0
-        for index in range(len(required)):
-            rest = h_next[index] - required[index]
-            total += rest
-            residual.append(rest)
-            if rest < 0.0 and rest < -ROUNDING * scales[index]:
-                broken.append(index)
+        for index in range(len(rhs)):
+            slack = h_next[index] - rhs[index]
+            total += slack
+            residual.append(slack)
+            # Two comparisons: most residuals are positive, and then no product is computed.
+            if slack < 0.0 and slack < -ROUNDING * scales[index]:
+                violated.append(index)
+        # One sum finds NaN and infinity in most cases; h itself is scanned only if the sum is not finite.
         if total - total != 0.0 and not _is_finite(h_next):
-            return self._nothing(action, following)
-        return ActionCandidate(action, following, h_next, residual, broken)
+            return self._infeasible_candidate(action, next_state)
+        return ActionCandidate(action, next_state, h_next, residual, violated)
 
-    def _nothing(self, action: Plain, following: Plain) -> ActionCandidate:
-        """Of an action for which model or barrier have no finite numbers."""
-        lowest = [-inf] * len(self.required)
-        return ActionCandidate(action, following, lowest, lowest, list(range(len(lowest))))
+    def _infeasible_candidate(self, action: Plain, next_state: Plain) -> ActionCandidate:
+        """The candidate of an action for which model or barrier return a value that is not finite."""
+        # -infinity in every row: a candidate without a prediction must never win a comparison.
+        lowest = [-inf] * len(self.rhs)
+        return ActionCandidate(action, next_state, lowest, lowest, list(range(len(lowest))))
 
-    def linearised(self, about: ActionCandidate) -> Linearization:
-        """The conditions tangent at ``about``."""
+    def linearize(self, about: ActionCandidate) -> Linearization:
+        """The constraints linearised about ``about``."""
+        # An affine model has the same g everywhere: one computation serves all iterations of the SQP.
         if self._last_g is None or not self._prediction.affine:
-            self._last_g = self._slopes(about)
+            self._last_g = self._control_matrix(about)
         return Linearization(self._plain, self._last_g, about.next_state, self._widths, self.scales)
 
-    def tightest(self, found: ActionCandidate) -> float:
-        """Least residual, each as a share of its barrier's scale."""
+    def min_scaled_residual(self, found: ActionCandidate) -> float:
+        """Smallest residual, each as a share of its barrier's scale."""
         residual, scales = found.residual, self.scales
-        least = residual[0] / scales[0]
+        smallest = residual[0] / scales[0]
         for row in range(1, len(residual)):
             value = residual[row]
-            if value < least * scales[row]:
-                least = value / scales[row]
-        return least
+            # Multiplied instead of divided: one division for each new minimum only.
+            if value < smallest * scales[row]:
+                smallest = value / scales[row]
+        return smallest
 
     def active_names(self, found: ActionCandidate, limit: float) -> tuple[str, ...]:
-        """Names of the barriers whose residual is ``limit`` of their scale at most, the tightest first."""
+        """Names of the barriers whose residual is at most ``limit`` of their scale, the tightest first."""
         near: list[tuple[float, int]] = []
         scales = self.scales
         for row in range(len(found.residual)):
@@ -198,55 +214,59 @@ class Constraints:
             return ()
         near.sort()
         names = self.barriers.names
+        # Several rows may belong to one barrier; dict.fromkeys removes repeated names and keeps the order.
         return tuple(dict.fromkeys([names[row % len(names)] for _, row in near]))
 
-    def _slopes(self, about: ActionCandidate) -> list[list[float]]:
-        """g (states, actions) about an action."""
+    def _control_matrix(self, about: ActionCandidate) -> list[list[float]]:
+        """g (states, actions) about a candidate."""
         g: list[list[float]]
         if self._motion is not None:
-            g = self._motion.slopes()
-        elif self._begin is not None:
-            g = self._prediction.slopes_after(self._begin, about.action, self._latent)
+            g = self._motion.control_matrix()
+        elif self._effect is not None:
+            g = self._prediction.control_matrix_at_effect(self._effect, about.action, self._latent)
         else:
-            g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
+            g = self._prediction.control_matrix_floats(self._state, about.action, self._latent, self._memory)
         for row in g:
             if not _is_finite(row):
                 raise NotFiniteError("g of the model: got NaN or infinity, wanted finite numbers")
-        return g if self._prediction.affine else self._unsaturated(g, about)
+        return g if self._prediction.affine else self._replace_saturated_columns(g, about)
 
-    def _following(self, action: Plain) -> list[float]:
+    def _predict(self, action: Plain) -> list[float]:
         found: list[float]
         if self._motion is not None:
-            found = self._motion.after(action)
-        elif self._begin is not None:
-            found = self._prediction.after(self._begin, action, self._latent)
+            found = self._motion.next_state(action)
+        elif self._effect is not None:
+            found = self._prediction.rollout(self._effect, action, self._latent)
         else:
-            found = self._prediction.following(self._state, action, self._latent, self._memory)
+            found = self._prediction.next_state_floats(self._state, action, self._latent, self._memory)
         return found
 
-    def _unsaturated(self, g: list[list[float]], about: ActionCandidate) -> list[list[float]]:
-        """g with a chord in place of each column that vanishes because the actuator saturates at ``about``.
+    def _replace_saturated_columns(self, g: list[list[float]], about: ActionCandidate) -> list[list[float]]:
+        """Replaces each column of g that vanishes because the actuator saturates at ``about`` by a chord.
 
-        A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
-        bound that is further away, unless an earlier tangent knows the slope.
+        A zero column would say that this action has no influence, although its other values have. The chord leads to
+        the bound that is further away, unless an earlier linearisation knows the derivative.
         """
         for index in range(len(about.action)):
-            if self._silent(g, index, about.next_state):
+            if self._is_saturated(g, index, about.next_state):
                 self.saturated = True
                 last = self._last_g
+                # An earlier derivative is exact at some action, a chord nowhere.
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
+                # No finite value at the bound either: keep the zero column, since NaN would spoil the whole program.
                 if not _is_finite(column):
                     continue
-                g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
+                g = [[*row[:index], entry, *row[index + 1 :]] for row, entry in zip(g, column, strict=True)]
         return g
 
-    def _silent(self, g: list[list[float]], column: int, reached: Plain) -> bool:
+    def _is_saturated(self, g: list[list[float]], column: int, reached: Plain) -> bool:
         width = self._widths[column]
         for row in range(len(g)):
             entry: float = reached[row]
             motion = abs(entry - self._state[row])
             size = abs(entry)
             noise = NO_INFLUENCE * (motion if motion > size else size)
+            # Written as "not <=", so that NaN counts as influence and is found by the check for finite values.
             if not abs(g[row][column]) * width <= noise:
                 return False
         return True
@@ -255,18 +275,18 @@ class Constraints:
         value, (low, high, _) = about.action[index], self._sides[index]
         end = low if value - low > high - value else high
         other = (*about.action[:index], end, *about.action[index + 1 :])
-        reached = zip(self._following(other), about.next_state, strict=True)
+        reached = zip(self._predict(other), about.next_state, strict=True)
         return [(there - here) / (end - value) for there, here in reached]
 
 
 def _smallest(numbers: list[float]) -> float:
-    least = numbers[0]
+    smallest = numbers[0]
     for value in numbers:
-        least = value if value < least else least
-    return least
+        smallest = value if value < smallest else smallest
+    return smallest
 
 
-def _finite(what: str, numbers: list[float]) -> None:
+def _require_finite(what: str, numbers: list[float]) -> None:
     if not _is_finite(numbers):
         raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
 
@@ -275,5 +295,5 @@ def _is_finite(numbers: list[float]) -> bool:
     total = 0.0
     for value in numbers:
         total += value
-    # finite numbers have an infinite sum where they are as large as a float can be
+    # The sum of finite numbers may overflow, so a sum that is not finite is only a hint.
     return total - total == 0.0 or all(map(isfinite, numbers))

@@ -1,12 +1,14 @@
-"""What to do where no action satisfies every condition, or some h is below 0 already: the least-violation action.
+"""The least-violation action: used if no action satisfies every constraint, or if some h is below 0 already.
 
-    first    the largest attainable least h_i(x+) / scale_i,
-    then     of the rows that this leaves free, the next least one, until all their conditions hold,
+A lexicographic max-min search:
+
+    first    the largest attainable minimum of h_i(x+) / scale_i,
+    then     the same over the rows that remain free, until all their constraints hold,
     last     the least change of the nominal action,
 
-each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs
-are linear, tangent at the best action known, and are posed again about their solution; what counts is the model's own
-prediction for it.
+each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 if 0 can be attained. The programs
+are linear, linearised about the best action known, and repeated from their solution; candidates are compared by the
+model's own prediction.
 """
 
 from __future__ import annotations
@@ -16,11 +18,11 @@ from math import inf, isfinite, isnan, nan
 from typing import Final, Protocol, final
 
 from safedpa.safety.errors import NotFiniteError
-from safedpa.safety.solver.candidates import NEARBY, grid_around
+from safedpa.safety.solver.candidates import STEP_SHARES, grid_around
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa.safety.solver.linearization import Linearization
 from safedpa.safety.solver.qp import QuadraticProgram
-from safedpa.safety.solver.qp_scaling import Side, within
+from safedpa.safety.solver.qp_scaling import Side, clip_to_bounds
 from safedpa.safety.solver.sqp import DecisionError
 
 __all__ = ["TOLERANCE", "least_violation"]
@@ -28,406 +30,432 @@ __all__ = ["TOLERANCE", "least_violation"]
 Action = tuple[float, ...]
 
 TOLERANCE: Final = 2e-3
-"""Share of what the actions can change in an h that is given away for the next aim; the programs give away half."""
+"""Share of what the actions can change in an h that the next objective may give up; the programs give up half."""
 
 _ROUNDING: Final = 1e-12
-"""Share of a scale by which the h of two actions may differ that no action changes."""
-_SLIGHT: Final = 5e-6
-"""Share of what may be given away that always is: else rounding would refuse the nearest of all that are as high."""
-_ROUNDS: Final = 4
-_LEVELS: Final = 4
-_TRUE: Final = 1e-6
-"""Share of a scale to which a tangent has to foretell h for its optimum to be the optimum."""
-_FEWEST: Final = 5
-"""Outcomes from which what the actions can change is read, and no fewer than there are corners of their range: fewer
-are not all over it."""
-_STEPS: Final = (0.5, 0.125)
-"""Shares of the way to a solution that are tried where its end is no better."""
+"""Relative difference of h up to which a row counts as independent of the action."""
+_MIN_TOLERANCE: Final = 5e-6
+"""Share of the tolerance that is always given up: rounding would otherwise reject the nearest of equal actions."""
+_MAX_ASCENTS: Final = 4
+"""Linearisations of one ascent; drives need one or two, and a period has no time for many more."""
+_MAX_LEVELS: Final = 4
+"""Rounds of the lexicographic program: the later ones fix rows that are far from their constraints."""
+_ACCURACY: Final = 1e-6
+"""Share of a scale to which a linearisation must predict h for its optimum to be accepted as the optimum."""
+_MIN_SAMPLES: Final = 5
+"""Candidates, and at least the number of corners, from which the influence of the actions is measured; fewer would not
+cover the range."""
+_BACKTRACK_SHARES: Final = (0.5, 0.125)
+"""Shares of the step to a solution that are tried if the whole step is no improvement."""
 
 
 class _MaxMin(Protocol):
-    """What is needed of ``HighestProgram``."""
+    """What the search needs of ``MaxMinProgram``."""
 
     def solve(
-        self, slopes: Sequence[Sequence[float]], heights: Sequence[float], levels: Sequence[float]
+        self, gradients: Sequence[Sequence[float]], offsets: Sequence[float], levels: Sequence[float]
     ) -> list[float] | None:
-        """u (actions,) with the least free row as high as it can be."""
+        """u (actions,) that maximises the smallest free row."""
 
 
 def least_violation(
-    conditions: Constraints,
+    constraints: Constraints,
     program: QuadraticProgram,
-    highest: _MaxMin,
+    maximin_lp: _MaxMin,
     nominal: Action,
     backup: ActionCandidate,
     known: Sequence[ActionCandidate],
 ) -> tuple[ActionCandidate, tuple[str, ...]]:
-    """The least-violation outcome found, and the barriers in question that no action moves within one step.
+    """Returns the least-violation candidate, and names of violated barriers that no action influences in one step.
 
-    ``known`` are some that were computed already, those of actions all over their range among them: what the actions
-    can change in h is taken from them, since a tangent would say too much where an actuator saturates. Where a barrier
-    that is not kept, or below 0 now, does not depend on the action yet, the ``backup`` stands in for the nominal action: it is
-    what is known to be good beyond one step. Raises DecisionError where no action has a finite prediction.
+    ``known`` are candidates computed before, spread over the action range: the influence of the actions on h is
+    measured from them, since a linearisation exaggerates it where an actuator saturates. If a violated barrier does not
+    depend on the action yet, the ``backup`` replaces the nominal action: it is known to be good beyond one step. Raises
+    DecisionError if no action has a finite prediction.
     """
-    usable = [one for one in (backup, *known) if one.usable]
-    if not usable:
+    finite = [one for one in (backup, *known) if one.is_finite]
+    if not finite:
         raise DecisionError("the model or a barrier has no finite number for any action")
-    lift = _Lift(conditions, program, highest, nominal, backup, usable)
-    return lift.run(usable), lift.stuck
+    lift = _LeastViolationSearch(constraints, program, maximin_lp, nominal, backup, finite)
+    return lift.run(finite), lift.uncontrollable
 
 
 @final
-class _CandidateLog:
-    """An outcome as it is compared with others, over the rows that actions move."""
+class _ScoredCandidate:
+    """A candidate with its objectives, over the rows that actions influence."""
 
-    def __init__(self, outcome: ActionCandidate, heights: list[float], least: float, missing: float) -> None:
-        self.outcome, self.heights, self.least, self.missing = outcome, heights, least, missing
-        """``heights``: h_i(x+) / scale_i, no more than what is enough; the ``least`` of them, infinity if there is
-        none; ``missing``: the sum of what conditions miss, each as a share of its scale."""
+    def __init__(self, candidate: ActionCandidate, scaled_h: list[float], smallest: float, violation: float) -> None:
+        self.candidate, self.scaled_h, self.level, self.violation = candidate, scaled_h, smallest, violation
+        """``scaled_h``: h_i(x+) / scale_i, capped where more is no better; ``level``: their minimum, infinity without
+        rows; ``violation``: the sum of all violations, each as a share of its scale."""
 
 
 @final
-class _Lift:
-    """One search. The scales stay as they are, so that heights can be compared."""
+class _LeastViolationSearch:
+    """One search. The scales are fixed at its start, so that candidates remain comparable."""
 
     def __init__(
         self,
-        conditions: Constraints,
+        constraints: Constraints,
         program: QuadraticProgram,
-        highest: _MaxMin,
+        maximin_lp: _MaxMin,
         nominal: Action,
         backup: ActionCandidate,
-        usable: list[ActionCandidate],
+        finite: list[ActionCandidate],
     ) -> None:
-        self._conditions, self._program, self._highest = conditions, program, highest
+        self._constraints, self._program, self._maximin_lp = constraints, program, maximin_lp
         self._sides: tuple[Side, ...] = program.sides
-        self._safe: bool = conditions.least_now >= 0.0
+        self._safe: bool = constraints.min_h_now >= 0.0
         self._rows: list[int] = []
-        """Those that the actions move; what follows is of them alone."""
+        """Rows that the actions influence; all lists below have one entry for each of them."""
         self._scales: list[float] = []
-        self._given: list[float] = []
-        """What may be given away for the next aim, as a share of the scale."""
-        self._wanted: list[float] = []
-        """What the conditions require, as a share of the scale."""
-        self._most_given = _ROUNDING
-        self._decided = inf
-        """Least h_i(x+) / scale_i of the rows that no action moves."""
-        self._held = inf
-        """Least height now."""
-        stuck = self._divided(usable[0], self._measured_reach(usable))
-        names = conditions.barriers.names
-        self.stuck: tuple[str, ...] = tuple([names[row % len(names)] for row in stuck])
-        self._nominal: Action = tuple(backup.action) if stuck else nominal
+        self._tolerances: list[float] = []
+        """What may be given up for the next objective, as a share of the scale."""
+        self._targets: list[float] = []
+        """Right-hand sides of the constraints, as a share of the scale."""
+        self._max_tolerance = _ROUNDING
+        self._fixed_level = inf
+        """Smallest h_i(x+) / scale_i of the rows that no action influences."""
+        self._level_now = inf
+        """Smallest scaled h now."""
+        uncontrollable = self._split_rows(finite[0], self._measured_reach(finite))
+        names = constraints.barriers.names
+        self.uncontrollable: tuple[str, ...] = tuple([names[row % len(names)] for row in uncontrollable])
+        # Within one step nothing can be done about an uncontrollable row; the backup is safe over its whole horizon.
+        self._nominal: Action = tuple(backup.action) if uncontrollable else nominal
 
-    def _measured_reach(self, usable: list[ActionCandidate]) -> list[float]:
+    def _measured_reach(self, finite: list[ActionCandidate]) -> list[float]:
         """(rows,) what the actions change in h."""
         reach: list[float] = []
-        for row in range(len(usable[0].h_next)):
+        for row in range(len(finite[0].h_next)):
             low, high = inf, -inf
-            for one in usable:
-                height = one.h_next[row]
-                low = height if height < low else low
-                high = height if height > high else high
+            for one in finite:
+                value = one.h_next[row]
+                low = value if value < low else low
+                high = value if value > high else high
             reach.append(high - low)
-        if len(usable) >= max(_FEWEST, 2 ** len(self._sides)):
+        if len(finite) >= max(_MIN_SAMPLES, 2 ** len(self._sides)):
             return reach
-        tangents = self._conditions.linearised(usable[0]).all(len(reach))
+        # Too few samples to cover the range: the linearisation is an upper estimate, and the larger of both counts.
+        rows = self._constraints.linearize(finite[0]).all(len(reach))
         for row in range(len(reach)):
             change = 0.0
             for column in range(len(self._sides)):
-                change += abs(tangents[row][column]) * self._sides[column][2]
+                change += abs(rows[row][column]) * self._sides[column][2]
             reach[row] = max(reach[row], change)
         return reach
 
-    def _divided(self, one: ActionCandidate, reach: list[float]) -> list[int]:
-        """Divides the rows into those that actions move and the others; which of these are not well, whatever is done.
+    def _split_rows(self, one: ActionCandidate, reach: list[float]) -> list[int]:
+        """Splits the rows by whether actions influence them; returns those without influence that are violated.
 
-        ``one`` outcome, all the same which, tells of a row that no action moves what becomes of it.
+        Any candidate ``one`` shows what becomes of a row without influence.
         """
-        conditions, stuck = self._conditions, list[int]()
-        sizes, begin = conditions.sizes, conditions.h_begin
+        constraints, uncontrollable = self._constraints, list[int]()
+        base_scales, begin = constraints.base_scales, constraints.h_at_effect
         for row in range(len(reach)):
-            size = max(sizes[row], abs(one.h_next[row]))
+            size = max(base_scales[row], abs(one.h_next[row]))
+            # Relative to the row's own size: an absolute threshold would depend on the unit of h.
             moved = reach[row] > _ROUNDING * size
-            scale = max(sizes[row], reach[row]) if moved else size
-            given = max(TOLERANCE * reach[row] / scale, _ROUNDING)
-            self._most_given = max(self._most_given, given)
+            scale = max(base_scales[row], reach[row]) if moved else size
+            tolerance = max(TOLERANCE * reach[row] / scale, _ROUNDING)
+            self._max_tolerance = max(self._max_tolerance, tolerance)
             if moved:
                 self._rows.append(row)
                 self._scales.append(scale)
-                self._given.append(given)
-                self._wanted.append(conditions.required[row] / scale)
-                self._held = min(self._held, begin[row] / scale)
+                self._tolerances.append(tolerance)
+                self._targets.append(constraints.rhs[row] / scale)
+                self._level_now = min(self._level_now, begin[row] / scale)
                 continue
-            self._decided = min(self._decided, one.h_next[row] / scale)
+            self._fixed_level = min(self._fixed_level, one.h_next[row] / scale)
             if begin[row] < 0.0 or one.residual[row] < -_ROUNDING * scale:
-                stuck.append(row)
-        return stuck
+                uncontrollable.append(row)
+        return uncontrollable
 
     def run(self, known: list[ActionCandidate]) -> ActionCandidate:
-        """The least-violation of what is known and found.
+        """The least-violation candidate of those known and found.
 
-        Where another barrier is the least whatever is done, the others need no more than their conditions; but where
-        these cannot all be kept either, the least of them is raised as if there were no other.
+        If a row without influence is the minimum, the others need no more than their constraints. But if these cannot
+        all be satisfied, their minimum is raised as if that row did not exist.
         """
-        best = self._searched([self._seen(one) for one in known])
-        if isfinite(self._decided) and best.missing > _TRUE:
-            self._decided = inf
-            best = self._searched([self._seen(one) for one in [best.outcome, *known]])
-        return best.outcome
+        best = self._search([self._score(one) for one in known])
+        if isfinite(self._fixed_level) and best.violation > _ACCURACY:
+            self._fixed_level = inf
+            best = self._search([self._score(one) for one in [best.candidate, *known]])
+        return best.candidate
 
-    def _seen(self, one: ActionCandidate) -> _CandidateLog:
-        h_next, residual, rows, scales, wanted = one.h_next, one.residual, self._rows, self._scales, self._wanted
-        heights: list[float] = []
-        least, missing, decided = inf, 0.0, self._decided
-        for place in range(len(rows)):
-            row, scale, enough = rows[place], scales[place], wanted[place]
-            height, rest = h_next[row] / scale, residual[row]
-            enough = decided if decided > enough else enough  # above it a row is no better
-            height = enough if height > enough else height
-            heights.append(height)
-            least = height if height < least else least
+    # The inner loops below run some seventy times per search: plain comparisons, no calls of min() and max().
+    def _score(self, one: ActionCandidate) -> _ScoredCandidate:
+        h_next, residual, rows, scales, targets = one.h_next, one.residual, self._rows, self._scales, self._targets
+        scaled_h: list[float] = []
+        smallest, violation, fixed_level = inf, 0.0, self._fixed_level
+        for index in range(len(rows)):
+            row, scale, cap = rows[index], scales[index], targets[index]
+            value, rest = h_next[row] / scale, residual[row]
+            # More than its constraint, or than the fixed minimum, does not make a row any better.
+            cap = fixed_level if fixed_level > cap else cap
+            value = cap if value > cap else value
+            scaled_h.append(value)
+            smallest = value if value < smallest else smallest
             if rest < 0.0:
-                missing -= rest / scale
-        return _CandidateLog(one, heights, least, missing)
+                violation -= rest / scale
+        return _ScoredCandidate(one, scaled_h, smallest, violation)
 
-    def _tried(self, action: Action) -> _CandidateLog:
-        return self._seen(self._conditions.outcome(action))
+    def _evaluate(self, action: Action) -> _ScoredCandidate:
+        return self._score(self._constraints.evaluate(action))
 
-    def _searched(self, known: list[_CandidateLog]) -> _CandidateLog:
-        best, exact = self._climbed(self._best(known))
-        if exact and self._conditions.affine:
+    def _search(self, known: list[_ScoredCandidate]) -> _ScoredCandidate:
+        # Ascent by linearisation first: it needs few evaluations, and for an affine model its result is exact.
+        best, exact = self._ascend(self._select(known))
+        if exact and self._constraints.affine:
             return best
-        seen = self._aside(best)
-        upper = self._uppermost([best, *seen])
+        scored = self._coordinate_search(best)
+        # Samples around it find a ridge that a saturated actuator hides from every linearisation.
+        upper = self._max_level([best, *scored])
         if upper is not best and self._gain(best, upper) >= 1.0:
-            seen.append(self._climbed(upper)[0])
-        return self._best([best, *seen])
+            scored.append(self._ascend(upper)[0])
+        return self._select([best, *scored])
 
-    def _climbed(self, best: _CandidateLog) -> tuple[_CandidateLog, bool]:
-        """The best that tangents lead to from there, and whether the last one predicted it."""
+    def _ascend(self, best: _ScoredCandidate) -> tuple[_ScoredCandidate, bool]:
+        """The best candidate by repeated linearisation, and whether the last linearisation predicted it."""
         exact = False
-        for _ in range(_ROUNDS):
-            if self._enough(best):
+        for _ in range(_MAX_ASCENTS):
+            if self._is_done(best):
                 break
             about = best
-            best, exact = self._improved(about)
+            best, exact = self._improve(about)
             if exact or best is about or self._gain(about, best) < 1.0:
                 break
         return best, exact
 
-    def _enough(self, one: _CandidateLog) -> bool:
-        """What keeps all is no longer a question of less or more."""
-        return self._safe and one.outcome.kept
+    def _is_done(self, one: _ScoredCandidate) -> bool:
+        """Whether the candidate is feasible: then there is no violation left to minimise."""
+        # With some h below 0 now the aim is to raise h, so a feasible candidate does not end the search.
+        return self._safe and one.candidate.is_feasible
 
-    def _aside(self, best: _CandidateLog) -> list[_CandidateLog]:
-        """What moving one entry at a time leads to, by less and less, each time from the uppermost so far."""
-        seen: list[_CandidateLog] = []
-        for share in NEARBY:
-            if self._enough(best):
+    def _coordinate_search(self, best: _ScoredCandidate) -> list[_ScoredCandidate]:
+        """Candidates from coordinate steps of decreasing size, each from the best so far."""
+        scored: list[_ScoredCandidate] = []
+        for share in STEP_SHARES:
+            if self._is_done(best):
                 break
-            tried = [self._tried(one) for one in grid_around(self._sides, best.outcome.action, share)]
-            best = self._uppermost([best, *tried])
-            seen += tried
-        return seen
+            neighbours = [self._evaluate(one) for one in grid_around(self._sides, best.candidate.action, share)]
+            best = self._max_level([best, *neighbours])
+            scored += neighbours
+        return scored
 
-    def _uppermost(self, others: list[_CandidateLog]) -> _CandidateLog:
-        """One that keeps all; else the highest, of equals what breaks conditions least, of equals the first.
+    def _max_level(self, others: list[_ScoredCandidate]) -> _ScoredCandidate:
+        """A feasible candidate; else the one with the largest level, then the least violation, then the first.
 
-        Nothing is given away for the nominal action yet, since a way that leads somewhere begins with little steps.
+        No tolerance is given up for the nominal action yet: progress along a ridge begins with small steps.
         """
-        usable = [one for one in others if one.outcome.usable]
+        finite = [one for one in others if one.candidate.is_finite]
         top = -inf
-        for one in usable:
-            if self._enough(one):
+        for one in finite:
+            if self._is_done(one):
                 return one
-            top = one.least if one.least > top else top
-        high = [one for one in usable if one.least >= top - _TRUE]
-        fewest = min([one.missing for one in high])
-        return next(one for one in high if one.missing <= fewest + _TRUE)
+            top = one.level if one.level > top else top
+        high = [one for one in finite if one.level >= top - _ACCURACY]
+        fewest = min([one.violation for one in high])
+        return next(one for one in high if one.violation <= fewest + _ACCURACY)
 
-    def _improved(self, about: _CandidateLog) -> tuple[_CandidateLog, bool]:
-        """A better outcome than ``about`` (or itself), and whether the tangent there predicted it."""
-        best, as_predicted, outcome = about, True, about.outcome
+    def _improve(self, about: _ScoredCandidate) -> tuple[_ScoredCandidate, bool]:
+        """A better candidate than ``about`` (or itself), and whether the linearisation predicted it."""
+        best, as_predicted, candidate = about, True, about.candidate
         try:
-            tangent = self._conditions.linearised(outcome)
-        except NotFiniteError:  # no slopes there
+            linearization = self._constraints.linearize(candidate)
+        except NotFiniteError:  # no derivatives there
             return about, False
-        proposals = self._proposals(tangent, outcome)
-        for proposed, heights in proposals:
-            found = self._tried(proposed)
-            true = found.outcome.usable and self._furthest_from(heights, found.outcome) <= _TRUE
-            as_predicted = as_predicted and true
-            better = self._best([best, found])
-            if better is not found and not true:
-                between = [self._tried(self._between(outcome, found.outcome, share)) for share in _STEPS]
-                better = self._best([better, *between])
+        proposals = self._proposals(linearization, candidate)
+        for proposed, scaled_h in proposals:
+            found = self._evaluate(proposed)
+            accurate = found.candidate.is_finite and self._prediction_error(scaled_h, found.candidate) <= _ACCURACY
+            as_predicted = as_predicted and accurate
+            better = self._select([best, found])
+            # A wrong prediction with no gain: the direction may still be right, so shorter steps are tried.
+            if better is not found and not accurate:
+                between = [
+                    self._evaluate(self._between(candidate, found.candidate, share)) for share in _BACKTRACK_SHARES
+                ]
+                better = self._select([better, *between])
             best = better
         return best, as_predicted and len(proposals) > 0
 
-    def _furthest_from(self, heights: list[float], found: ActionCandidate) -> float:
-        """By how much a height is another than predicted, at the most."""
+    def _prediction_error(self, scaled_h: list[float], found: ActionCandidate) -> float:
+        """The largest difference between predicted and actual scaled h."""
         most = 0.0
-        for place in range(len(heights)):
-            error = abs(found.h_next[self._rows[place]] / self._scales[place] - heights[place])
+        for index in range(len(scaled_h)):
+            error = abs(found.h_next[self._rows[index]] / self._scales[index] - scaled_h[index])
             most = error if error > most else most
         return most
 
-    def _proposals(self, tangent: Linearization, about: ActionCandidate) -> list[tuple[Action, list[float]]]:
-        """Actions with the heights that the tangent foretells: the highest one, then the nearest as high."""
-        slopes: list[list[float]] = []
-        bases: list[float] = []
-        rows = tangent.all(len(about.h_next)) if self._rows else []
-        for place in range(len(self._rows)):
-            row, scale = self._rows[place], self._scales[place]
-            slope, base = list[float](), about.h_next[row] / scale
+    def _proposals(self, linearization: Linearization, about: ActionCandidate) -> list[tuple[Action, list[float]]]:
+        """Actions with their predicted scaled h: the max-min action, then the nearest one that reaches its levels."""
+        gradients: list[list[float]] = []
+        offsets: list[float] = []
+        rows = linearization.all(len(about.h_next)) if self._rows else []
+        for index in range(len(self._rows)):
+            row, scale = self._rows[index], self._scales[index]
+            gradient, offset = list[float](), about.h_next[row] / scale
             for column in range(len(self._sides)):
                 low, _, width = self._sides[column]
+                # In u of the unit box: all entries of the program then have the same order of magnitude.
                 step = rows[row][column] * width / scale
-                base -= step * ((about.action[column] - low) / width)
-                slope.append(step)
-            slopes.append(slope)
-            bases.append(base)
-        u, levels = self._levels(slopes, bases)
+                offset -= step * ((about.action[column] - low) / width)
+                gradient.append(step)
+            gradients.append(gradient)
+            offsets.append(offset)
+        u, levels = self._levels(gradients, offsets)
         if not u:
             return []
         action = [side[0] + side[2] * share for side, share in zip(self._sides, u, strict=True)]
-        found = [(within(action, self._sides), _reached(slopes, bases, u))]
-        nearest = self._nearest(slopes, bases, levels)
+        found = [(clip_to_bounds(action, self._sides), _linear_values(gradients, offsets, u))]
+        nearest = self._nearest_at_levels(gradients, offsets, levels)
         if nearest is not None:
             shares = [(value - side[0]) / side[2] for side, value in zip(self._sides, nearest, strict=True)]
-            found.append((nearest, _reached(slopes, bases, shares)))
+            found.append((nearest, _linear_values(gradients, offsets, shares)))
         return found
 
-    def _nearest(self, slopes: list[list[float]], bases: list[float], levels: list[float]) -> Action | None:
-        """The action nearest to the nominal action that holds the levels; None where the program gives up."""
+    def _nearest_at_levels(
+        self, gradients: list[list[float]], offsets: list[float], levels: list[float]
+    ) -> Action | None:
+        """The action nearest to the nominal one that reaches the levels; None if the program fails."""
         A: list[list[float]] = []
         b: list[float] = []
-        for place in range(len(slopes)):
-            row, limit = list[float](), levels[place] - bases[place]
+        for index in range(len(gradients)):
+            row, limit = list[float](), levels[index] - offsets[index]
             for column in range(len(self._sides)):
                 low, _, width = self._sides[column]
-                entry = slopes[place][column] / width
+                entry = gradients[index][column] / width
                 row.append(entry)
                 limit += entry * low
             A.append(row)
             b.append(limit)
         solution = self._program.solve(A, b, self._nominal)
-        return within(solution.action, self._sides) if solution.solved else None
+        # Slack is not inspected: the clipped action is evaluated with the model and compared like any other.
+        return clip_to_bounds(solution.action, self._sides) if solution.solved else None
 
-    def _levels(self, slopes: list[list[float]], bases: list[float]) -> tuple[list[float], list[float]]:
-        """u (actions,), and the levels (rows,) that it holds: the highest, then the conditions. Empty: none found."""
-        count, wanted, levels = len(bases), self._wanted, [nan] * len(bases)
+    def _levels(self, gradients: list[list[float]], offsets: list[float]) -> tuple[list[float], list[float]]:
+        """u (actions,) and the levels (rows,) to hold: the maximum first, then the constraints. Empty: none found."""
+        count, targets, levels = len(offsets), self._targets, [nan] * len(offsets)
         floors, reached, u = list[float](), list[float](), list[float]()
-        for _ in range(_LEVELS if count else 0):
-            found = self._raised(slopes, bases, levels)
+        for _ in range(_MAX_LEVELS if count else 0):
+            found = self._solve_maximin(gradients, offsets, levels)
             if not found:
                 break
-            u, reached = found, _reached(slopes, bases, found)
-            least = min([reached[place] for place in range(count) if isnan(levels[place])])
-            given = self._given if least <= 0.0 else [min(most, least) for most in self._given]
-            lowest = min(self._decided, least)
+            u, reached = found, _linear_values(gradients, offsets, found)
+            smallest = min([reached[index] for index in range(count) if isnan(levels[index])])
+            # Above 0 a tolerance must not lead below 0; at or below 0 every row keeps its full tolerance.
+            tolerances = self._tolerances if smallest <= 0.0 else [min(most, smallest) for most in self._tolerances]
+            lowest = min(self._fixed_level, smallest)
             first = not floors
             if first:
-                floors = [self._lowered(lowest, 0.5 * most) for most in given]
+                floors = [self._relax(lowest, 0.5 * most) for most in tolerances]
             left = False
-            for place in range(count):
-                if not isnan(levels[place]):
+            for index in range(count):
+                if not isnan(levels[index]):
                     continue
-                if reached[place] <= least + 0.5 * given[place]:
-                    level = self._lowered(least, 0.5 * given[place])
-                    if not first or self._decided <= least:  # the least of all is another: conditions are enough
-                        level = min(level, wanted[place])
-                    levels[place] = max(level, floors[place])
-                elif reached[place] < wanted[place]:
+                # Rows at the minimum are binding: they are fixed at their level, and the next round maximises the rest.
+                if reached[index] <= smallest + 0.5 * tolerances[index]:
+                    level = self._relax(smallest, 0.5 * tolerances[index])
+                    # If another row is the minimum, the constraint itself is enough.
+                    if not first or self._fixed_level <= smallest:
+                        level = min(level, targets[index])
+                    levels[index] = max(level, floors[index])
+                elif reached[index] < targets[index]:
                     left = True
             if not left:
                 break
-        for place in range(count if floors else 0):
-            if isnan(levels[place]):
-                levels[place] = min(max(wanted[place], floors[place]), reached[place])
+        # Rows that were never binding need their constraint only, but no more than the last program attained.
+        for index in range(count if floors else 0):
+            if isnan(levels[index]):
+                levels[index] = min(max(targets[index], floors[index]), reached[index])
         return u, levels
 
-    def _raised(self, slopes: list[list[float]], bases: list[float], levels: list[float]) -> list[float]:
-        """u (actions,) with the least of the free rows as high as it can be; empty where the program gives up."""
-        which = _matters(slopes, bases, levels)
-        found = self._highest.solve(
-            [slopes[place] for place in which], [bases[place] for place in which], [levels[place] for place in which]
+    def _solve_maximin(self, gradients: list[list[float]], offsets: list[float], levels: list[float]) -> list[float]:
+        """u (actions,) that maximises the smallest free row; empty if the program fails."""
+        # Rows that can never be the minimum are left out: with dozens of obstacles the program stays small.
+        which = _relevant_rows(gradients, offsets, levels)
+        found = self._maximin_lp.solve(
+            [gradients[index] for index in which],
+            [offsets[index] for index in which],
+            [levels[index] for index in which],
         )
         return [] if found is None else found
 
-    def _best(self, others: list[_CandidateLog]) -> _CandidateLog:
-        """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the nominal action."""
-        compared = [one for one in others if one.outcome.usable]
+    def _select(self, others: list[_ScoredCandidate]) -> _ScoredCandidate:
+        """The largest level; within the tolerance the least violation, then the nearest to the nominal action."""
+        compared = [one for one in others if one.candidate.is_finite]
+        # From a safe state a feasible candidate always wins, whatever its level.
         if self._safe:
-            compared = [one for one in compared if one.outcome.kept] or compared
-        top = max([one.least for one in compared])
-        levels = [self._lowered(top, given) for given in self._given]
-        good = [one for one in compared if _reaches(one.heights, levels)]
-        limit = min([one.missing for one in good]) + self._most_given
-        best, least = good[0], inf
+            compared = [one for one in compared if one.candidate.is_feasible] or compared
+        top = max([one.level for one in compared])
+        levels = [self._relax(top, tolerance) for tolerance in self._tolerances]
+        good = [one for one in compared if _reach_levels(one.scaled_h, levels)]
+        limit = min([one.violation for one in good]) + self._max_tolerance
+        best, smallest = good[0], inf
         for one in good:
-            if one.missing <= limit:
-                away: float = self._program.distance(one.outcome.action, self._nominal)
-                if away < least:
-                    best, least = one, away
+            if one.violation <= limit:
+                away: float = self._program.distance(one.candidate.action, self._nominal)
+                if away < smallest:
+                    best, smallest = one, away
         return best
 
-    def _gain(self, about: _CandidateLog, best: _CandidateLog) -> float:
-        """What was gained, as a share of what may be given away."""
-        higher, fewer = best.least - about.least, about.missing - best.missing
-        return max(higher, fewer) / self._most_given if isfinite(higher) else 0.0
+    def _gain(self, about: _ScoredCandidate, best: _ScoredCandidate) -> float:
+        """The improvement, as a share of the tolerance."""
+        higher, fewer = best.level - about.level, about.violation - best.violation
+        return max(higher, fewer) / self._max_tolerance if isfinite(higher) else 0.0
 
-    def _lowered(self, height: float, given: float) -> float:
-        """The least as good as ``height``: not below what the robot has now, nor below 0 where that is reached.
+    def _relax(self, value: float, tolerance: float) -> float:
+        """The lowest level that counts as good as ``value``: not below the present level, nor below 0 if 0 is reached.
 
-        Else what is given away would add up from one decision to the next. Missed by rounding alone is reached.
+        Otherwise the tolerance would add up from one decision to the next. A shortfall by rounding counts as reached.
         """
-        if -_TRUE < height <= 0.0:
-            return height
-        kept = min(height, self._held) - _SLIGHT * given
-        lowered = height - given
-        if height >= 0.0 and lowered < 0.0:
+        if -_ACCURACY < value <= 0.0:
+            return value
+        bound = min(value, self._level_now) - _MIN_TOLERANCE * tolerance
+        lowered = value - tolerance
+        if value >= 0.0 and lowered < 0.0:
             lowered = 0.0
-        return max(lowered, kept)
+        return max(lowered, bound)
 
     def _between(self, one: ActionCandidate, other: ActionCandidate, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
 
 
-def _reached(slopes: list[list[float]], bases: list[float], u: list[float]) -> list[float]:
-    """(rows,) base + slope . u."""
+def _linear_values(gradients: list[list[float]], offsets: list[float], u: list[float]) -> list[float]:
+    """(rows,) offset + gradient . u."""
     reached: list[float] = []
-    for place in range(len(bases)):
-        slope, height = slopes[place], bases[place]
+    for index in range(len(offsets)):
+        gradient, value = gradients[index], offsets[index]
         for column in range(len(u)):
-            height += slope[column] * u[column]
-        reached.append(height)
+            value += gradient[column] * u[column]
+        reached.append(value)
     return reached
 
 
-def _reaches(heights: list[float], levels: list[float]) -> bool:
-    for place in range(len(levels)):  # noqa: SIM110 - a generator costs more when compiled
-        if heights[place] < levels[place]:
+def _reach_levels(scaled_h: list[float], levels: list[float]) -> bool:
+    for index in range(len(levels)):  # noqa: SIM110 - a generator takes longer when compiled
+        if scaled_h[index] < levels[index]:
             return False
     return True
 
 
-def _matters(slopes: list[list[float]], bases: list[float], levels: list[float]) -> list[int]:
-    """Places of the rows that some u in [0, 1] makes the least free one, or takes below their level (NaN: free)."""
-    lowest, most = bases.copy(), inf
-    for place in range(len(bases)):
-        highest = bases[place]
-        for slope in slopes[place]:
-            if slope < 0.0:
-                lowest[place] += slope
+def _relevant_rows(gradients: list[list[float]], offsets: list[float], levels: list[float]) -> list[int]:
+    """Indices of rows that some u in [0, 1] makes the smallest free one, or takes below their level (NaN: free)."""
+    # Interval arithmetic: a row whose minimum exceeds the smallest maximum of all free rows is never the minimum.
+    lowest, most = offsets.copy(), inf
+    for index in range(len(offsets)):
+        maximum = offsets[index]
+        for entry in gradients[index]:
+            if entry < 0.0:
+                lowest[index] += entry
             else:
-                highest += slope
-        if isnan(levels[place]) and highest < most:
-            most = highest
-    matters: list[int] = []
-    for place in range(len(bases)):
-        level = levels[place]
-        if lowest[place] <= (most if isnan(level) else level):
-            matters.append(place)
-    return matters
+                maximum += entry
+        if isnan(levels[index]) and maximum < most:
+            most = maximum
+    relevant: list[int] = []
+    for index in range(len(offsets)):
+        level = levels[index]
+        if lowest[index] <= (most if isnan(level) else level):
+            relevant.append(index)
+    return relevant

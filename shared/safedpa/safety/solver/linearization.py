@@ -1,4 +1,4 @@
-"""The barrier conditions linearised about one outcome: what each action changes in h, row by row."""
+"""The CBF constraints linearised about one candidate: the Lie derivative p'g of each row."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ __all__ = ["MARK", "Linearization"]
 Plain = Sequence[float]
 
 _ROUNDING: Final = 1e-9
-"""Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
+"""Share by which the bound on a row's change is enlarged, so that no rounding error leaves a row out."""
 
 MARK: Final = 1e-10
-"""Share of a row's reach by which a solution shall exceed its condition: more than the rounding errors of the program's
-solution, so that it satisfies the condition, not almost."""
+"""Share of a row's reach by which a solution shall exceed its constraint: more than the rounding errors of the solver,
+so that the solution satisfies the constraint exactly."""
 
 
 @final
 class Linearization:
-    """h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about).
+    """h(x+) is approximated by h + p'(x - x+), and x by x+ + g (a - about).
 
     x+ (states,) is the predicted state under ``about``, g (states, actions), ``widths`` (actions,) the actions' ranges.
-    ``barriers`` have ``along`` and ``steepest``. A row's slopes p'g are computed when it is asked for, and only if some
-    action might break it; ``scales`` (m,) learn what the actions can change in h by them.
+    ``barriers`` have ``lie_derivative_floats`` and ``grad_bound``. A row p'g is computed when it is first needed, and
+    only if some action might violate it. ``scales`` (m,) are raised to what the actions can change in h.
     """
 
     def __init__(self, barriers: Any, g: list[list[float]], state: Plain, widths: list[float], scales: list[float]):
@@ -34,81 +34,87 @@ class Linearization:
         self._scales = scales
         self._rows: dict[int, list[float]] = {}
         self._changes: dict[int, float] = {}
-        self._most = inf
-        """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
-        steepest = barriers.steepest(state)
-        if steepest is not None:
-            self._most = self._furthest(steepest, widths) * (1.0 + _ROUNDING)
+        self._reach = inf
+        """No action within its range changes a row by more: sum_kj |p_k| |g_kj| width_j."""
+        grad_bound = barriers.grad_bound(state)
+        if grad_bound is not None:
+            self._reach = self._largest_change(grad_bound, widths) * (1.0 + _ROUNDING)
 
     def at(self, residual: Plain, action: Plain, overshoot: float) -> tuple[list[list[float]], list[float]]:
-        """A (rows, actions) and b (rows,) of A a >= b for the rows that actions might break.
+        """Returns A (rows, actions) and b (rows,) of A a >= b for the rows that some action might violate.
 
-        ``residual`` (m,) is the true one under ``action`` (actions,). Of what a row misses there the share
-        ``overshoot`` is asked for on top: what curvature will take away.
+        ``residual`` (m,) is the true one under ``action`` (actions,). ``overshoot`` is the share of a violation that is
+        requested on top, to compensate for the curvature of h.
         """
-        near = self._near(residual)
-        slopes: list[list[float]] = []
-        limits: list[float] = []
+        near = self._rows_in_reach(residual)
+        A: list[list[float]] = []
+        b: list[float] = []
         for index in near:
             row = self._rows[index]
-            rest: float = residual[index]
-            total = MARK * self._changes[index] - rest
-            if rest < 0.0:
-                total -= overshoot * rest
+            residual_now: float = residual[index]
+            # The true residual, not the linearised one: successive programs then converge to the model's own boundary.
+            limit = MARK * self._changes[index] - residual_now
+            if residual_now < 0.0:
+                limit -= overshoot * residual_now
             for column in range(len(row)):
                 value: float = action[column]
-                total += row[column] * value
-            slopes.append(row)
-            limits.append(total)
-        return slopes, limits
+                limit += row[column] * value
+            A.append(row)
+            b.append(limit)
+        return A, b
 
     def all(self, count: int) -> list[list[float]]:
-        """p'g of the rows 0 to ``count`` - 1."""
-        missing = [index for index in range(count) if index not in self._rows]
-        if missing:
-            self._add(missing)
+        """The rows p'g with indices 0 to ``count`` - 1."""
+        # Computed rows are kept: the max-min program needs all of them, the QP only some.
+        unknown = [index for index in range(count) if index not in self._rows]
+        if unknown:
+            self._compute_rows(unknown)
         return [self._rows[index] for index in range(count)]
 
-    def _near(self, residual: Plain) -> list[int]:
-        rows, most = self._rows, self._most
+    # Most obstacles are far away: skipping their gradients is the largest single saving of a decision.
+    def _rows_in_reach(self, residual: Plain) -> list[int]:
+        rows, reach = self._rows, self._reach
         near: list[int] = []
-        missing: list[int] = []
+        unknown: list[int] = []
         for index in range(len(residual)):
-            if not residual[index] > most:
+            # Written as "not >", so that a residual of NaN keeps its row.
+            if not residual[index] > reach:
                 near.append(index)
                 if index not in rows:
-                    missing.append(index)
-        if missing:
-            self._add(missing)
+                    unknown.append(index)
+        if unknown:
+            self._compute_rows(unknown)
         return near
 
-    def _furthest(self, steepest: Plain, widths: list[float]) -> float:
+    def _largest_change(self, grad_bound: Plain, widths: list[float]) -> float:
         g, reach = self._g, 0.0
-        if len(steepest) != len(g):
-            raise ValueError(f"the model has slopes of {len(g)} states, the barriers of {len(steepest)}")
+        if len(grad_bound) != len(g):
+            raise ValueError(f"the model has slopes of {len(g)} states, the barriers of {len(grad_bound)}")
         for index in range(len(g)):
-            slope: float = steepest[index]
+            bound: float = grad_bound[index]
             row = g[index]
             for column in range(len(row)):
-                reach += slope * abs(row[column]) * widths[column]
+                reach += bound * abs(row[column]) * widths[column]
         return reach
 
-    def _add(self, missing: list[int]) -> None:
-        found: list[list[float]] = self._barriers.along(self._state, self._g, self._widths, missing)
-        for place in range(len(missing)):
-            row, index = found[place], missing[place]
+    def _compute_rows(self, unknown: list[int]) -> None:
+        found: list[list[float]] = self._barriers.lie_derivative_floats(self._state, self._g, self._widths, unknown)
+        for place in range(len(unknown)):
+            row, index = found[place], unknown[place]
             change = 0.0
             for column in range(len(row)):
                 change += abs(row[column]) * self._widths[column]
+            # x - x is NaN for infinity and NaN: the row is scanned only if its sum is not finite.
             if change - change != 0.0:
-                _refuse_infinite(row)
+                _require_finite(row)
+            # Only ever raised: residuals of earlier candidates stay comparable.
             if change > self._scales[index]:  # noqa: PLR1730 - max() of two floats costs a call when compiled
                 self._scales[index] = change
             self._changes[index] = change
             self._rows[index] = row
 
 
-def _refuse_infinite(row: list[float]) -> None:
+def _require_finite(row: list[float]) -> None:
     for value in row:
         if value - value != 0.0:
             raise NotFiniteError("gradient of h: got NaN or infinity, wanted finite numbers")

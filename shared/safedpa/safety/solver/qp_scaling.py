@@ -1,4 +1,4 @@
-"""The quadratic program's conditions in u = (a - low) / (high - low), and its solution for one or two actions."""
+"""Scaling and presolve of the quadratic program, and its solution for one or two actions."""
 
 from __future__ import annotations
 
@@ -8,19 +8,28 @@ from typing import Final
 from safedpa.safety.solver.active_set_2d import QP2D, HardQP2D, SoftQP2D
 from safedpa.safety.solver.solution import Solution
 
-__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "minimum_violation", "presolve", "within"]
+__all__ = [
+    "ScaledRow",
+    "Side",
+    "clip_to_bounds",
+    "presolve",
+    "solve_hard",
+    "solve_soft",
+    "violable_rows",
+    "weighted_distance",
+]
 
 ScaledRow = tuple[list[float], float, int, float]
-"""Slopes (actions,), limit, index and reach of a condition: slopes u >= limit, the slopes' sizes summing to 1.
+"""Entries (actions,), limit, index and reach of a constraint: entries . u >= limit, the entries' sizes summing to 1.
 
-The reach is what the actions can change in the condition, in its own unit: by it slopes and limit are divided.
+The reach is what the actions can change in the constraint, in its own unit; entries and limit are divided by it.
 """
 
 Side = tuple[float, float, float]
 """Lowest value, highest value and range of an action."""
 
 _BEYOND: Final = 2.0
-"""No action within the bounds reaches a limit of more than 1; how far beyond it lies does not matter."""
+"""Cap of a scaled limit. No action reaches a limit above 1, so its exact value has no effect; a cap avoids overflow."""
 
 
 def presolve(
@@ -30,55 +39,59 @@ def presolve(
     sides: tuple[Side, ...],
     weights: Sequence[float],
 ) -> tuple[Solution | None, list[ScaledRow]]:
-    """The minimiser of one or two actions where it is certain, and the ``breakable`` rows; None: ask a solver."""
-    finite, rows = breakable(A, b, sides)
+    """The minimiser for one or two actions if it is proven, and the ``violable_rows``; None: use a solver."""
+    finite, rows = violable_rows(A, b, sides)
+    # Not finite: no action is better than another, so the program is reported as not solved.
     if not finite:
         return Solution([side[0] for side in sides], [0.0] * len(b), False, "numbers not finite"), rows
     if not rows:
-        return Solution(within(nominal, sides), [0.0] * len(b), True, "not needed"), rows
+        return Solution(clip_to_bounds(nominal, sides), [0.0] * len(b), True, "not needed"), rows
     if len(sides) > 2:
         return None, rows
-    action, slack = closest(rows, nominal, sides, weights), [0.0] * len(b)
+    # Hard constraints first: only if they contradict each other is slack paid for.
+    action, slack = solve_hard(rows, nominal, sides, weights), [0.0] * len(b)
     if action is None:
-        action = minimum_violation(rows, nominal, sides, weights, slack)
+        action = solve_soft(rows, nominal, sides, weights, slack)
     return None if action is None else Solution(action, slack, True, "solved"), rows
 
 
-def breakable(
+def violable_rows(
     A: Sequence[Sequence[float]], b: Sequence[float], sides: tuple[Side, ...]
 ) -> tuple[bool, list[ScaledRow]]:
-    """Whether all numbers of A a >= b are finite, and the rows that some action within the bounds breaks.
+    """Whether all numbers of A a >= b are finite, and the rows that some action within the bounds violates.
 
-    Rows that no action changes are left out: whether they are kept is not for the program to say. Raises ValueError
-    when they are not as many as their limits, or a row has not one slope for each action.
+    Rows that no action changes are left out: the program has no influence on them. Raises ValueError if A and b have
+    different lengths, or a row has not one entry for each action.
     """
     rows: list[ScaledRow] = []
     count, actions = len(b), len(sides)
     if len(A) != count:
         raise ValueError(f"the program has {len(A)} rows and {count} limits")
     for index in range(count):
-        slopes = A[index]
-        if len(slopes) != actions:
-            raise ValueError(f"row {index} has {len(slopes)} slopes for {actions} actions")
+        row = A[index]
+        if len(row) != actions:
+            raise ValueError(f"row {index} has {len(row)} entries for {actions} actions")
         scaled: list[float] = []
         limit: float = b[index]
-        below, reach = 0.0, 0.0
+        minimum, reach = 0.0, 0.0
         for column in range(actions):
             low, _, width = sides[column]
-            slope: float = slopes[column]
-            limit -= slope * low
-            steep = slope * width
-            scaled.append(steep)
-            if steep < 0.0:
-                below += steep
-                reach -= steep
+            entry: float = row[column]
+            limit -= entry * low
+            change = entry * width
+            scaled.append(change)
+            if change < 0.0:
+                minimum += change
+                reach -= change
             else:
-                reach += steep
-        if limit - limit != 0.0 or reach - reach != 0.0:  # not finite
+                reach += change
+        # One subtraction each finds NaN and infinity in any of the numbers summed.
+        if limit - limit != 0.0 or reach - reach != 0.0:
             return False, rows
-        if below < limit and reach > 0.0:
+        # ``minimum`` is the least that the row takes over the unit box: above the limit no action violates it.
+        if minimum < limit and reach > 0.0:
             inverse = 1.0 / reach
-            if inverse - inverse != 0.0:  # the smallest of numbers
+            if inverse - inverse != 0.0:  # reach is subnormal: dividing by it overflows
                 continue
             for column in range(actions):
                 scaled[column] *= inverse
@@ -87,45 +100,48 @@ def breakable(
     return True, rows
 
 
-def closest(
+def solve_hard(
     rows: Sequence[ScaledRow], nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
 ) -> list[float] | None:
-    """Of one or two actions: the minimiser without slack; None: there is none, or it is not certain."""
-    x, y, weight = _wanted(nominal, sides, weights)
+    """The minimiser without slack for one or two actions; None if there is none, or it is not proven."""
+    x, y, weight = _nominal_in_unit_square(nominal, sides, weights)
     problem = HardQP2D(x, y, weights[0], weight)
-    _fill(problem, rows)
+    _add_rows(problem, rows)
     return _action(problem.x, problem.y, sides) if problem.solve() else None
 
 
-def minimum_violation(
+def solve_soft(
     rows: Sequence[ScaledRow],
     nominal: Sequence[float],
     sides: tuple[Side, ...],
     weights: Sequence[float],
     slack: list[float],
 ) -> list[float] | None:
-    """Of one or two actions: the minimiser with slack, which is written into ``slack``; None: it is not certain."""
-    x, y, weight = _wanted(nominal, sides, weights)
+    """The minimiser with slack for one or two actions; writes ``slack``; None if it is not proven."""
+    x, y, weight = _nominal_in_unit_square(nominal, sides, weights)
     problem = SoftQP2D(x, y, weights[0], weight)
-    _fill(problem, rows)
+    _add_rows(problem, rows)
     if not problem.solve():
         return None
     x, y = problem.x, problem.y
     for index in range(len(rows)):
-        slopes, limit, place, reach = rows[index]
-        missing = limit - slopes[0] * x - (slopes[1] * y if len(slopes) > 1 else 0.0)
-        slack[place] = reach * missing if missing > 0.0 else 0.0
+        row, limit, place, reach = rows[index]
+        # Slack is recomputed from the action: what the solver paid for it differs by rounding.
+        shortfall = limit - row[0] * x - (row[1] * y if len(row) > 1 else 0.0)
+        slack[place] = reach * shortfall if shortfall > 0.0 else 0.0
     return _action(x, y, sides)
 
 
-def _fill(problem: QP2D, rows: Sequence[ScaledRow]) -> None:
+def _add_rows(problem: QP2D, rows: Sequence[ScaledRow]) -> None:
     for index in range(len(rows)):
-        slopes, limit, _, _ = rows[index]
-        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
+        row, limit, _, _ = rows[index]
+        problem.add(row[0], row[1] if len(row) > 1 else 0.0, limit)
 
 
-def _wanted(nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:
-    """The nominal action in the unit square, and the second one's weight; a single action stands next to one that is nothing."""
+def _nominal_in_unit_square(
+    nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
+) -> tuple[float, float, float]:
+    """The nominal action in the unit square, and the second weight; a second action without effect is added to one."""
     low, _, width = sides[0]
     x: float = (nominal[0] - low) / width
     if len(sides) == 1:
@@ -135,8 +151,9 @@ def _wanted(nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence
 
 
 def _action(x: float, y: float, sides: tuple[Side, ...]) -> list[float]:
-    """Of one or two actions; exactly the bound where it lies there."""
+    """One or two actions from the unit square; at a bound exactly the bound."""
     low, high, width = sides[0]
+    # low + width may differ from high by one rounding; an action at its limit must be the limit itself.
     action = [high if x == 1.0 else low + width * x]
     if len(sides) > 1:
         low, high, width = sides[1]
@@ -144,17 +161,17 @@ def _action(x: float, y: float, sides: tuple[Side, ...]) -> list[float]:
     return action
 
 
-def within(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...]:
-    """(actions,) each entry at its bound where it lies beyond."""
-    kept: list[float] = []
+def clip_to_bounds(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...]:
+    """Clips each entry of an action (actions,) to its bounds."""
+    clipped: list[float] = []
     for index in range(len(sides)):
         low, high, _ = sides[index]
         value: float = action[index]
-        kept.append(low if value < low else high if value > high else value)
-    return tuple(kept)
+        clipped.append(low if value < low else high if value > high else value)
+    return tuple(clipped)
 
 
-def apart(
+def weighted_distance(
     action: Sequence[float], nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
 ) -> float:
     """(action - nominal)' W (action - nominal), W = diag(weights / range^2)."""

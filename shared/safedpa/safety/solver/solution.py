@@ -1,4 +1,4 @@
-"""What the quadratic program answers."""
+"""The result of the quadratic program."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["Solution"]
 
 @final
 class Solution:
-    """Minimiser ``action`` (actions,), its ``slack`` (m,) in the conditions' units, and the solver's word, ``status``.
+    """Minimiser ``action`` (actions,), its ``slack`` (m,) in the units of the constraints, and the solver's ``status``.
 
-    ``solved`` is False when the solver did not vouch for it: then it must not be used.
+    ``solved`` is False if the solver did not converge: the action must then not be used.
     """
 
     def __init__(self, action: Sequence[float], slack: Sequence[float], solved: bool, status: str) -> None:

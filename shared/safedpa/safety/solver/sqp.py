@@ -1,10 +1,8 @@
-"""The search for an action that satisfies all conditions: the quadratic program, posed again about its solution.
+"""Sequential quadratic programming (SQP): the feasible action nearest to the nominal action.
 
-An action that satisfies all conditions, brought back towards the nominal action one entry at a time.
-
-Tangents say how far an action has to go, and where an actuator saturates or h bends they say too much: the action found
-keeps all, and one of its entries stands somewhere on a plateau on which it changes nothing. An action that is the
-nearest has no entry that could come nearer by itself.
+``solve_sqp`` solves the QP of the linearised constraints, evaluates its solution with the model, and linearises again.
+``line_search`` and ``backtrack_towards`` move a feasible action back towards the nominal one: where an actuator
+saturates or h is curved, a tangent overestimates how far the action has to go.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from typing import Final, Protocol
 
 from safedpa.safety.errors import NotFiniteError
 from safedpa.safety.solver.constraints import ActionCandidate, Plain
-from safedpa.safety.solver.qp_scaling import Side, within
+from safedpa.safety.solver.qp_scaling import Side, clip_to_bounds
 from safedpa.safety.solver.solution import Solution
 
 __all__ = [
@@ -27,85 +25,85 @@ __all__ = [
     "DecisionError",
     "backtrack_towards",
     "line_search",
-    "search",
+    "solve_sqp",
     "tighten",
 ]
 
 SAME: Final = 1e-8
-"""Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
+"""Share of an action's range within which two solutions count as equal; the solver's accuracy is 1e-9."""
 
 
 SERVED_WELL: Final = 0.1
-"""Slopes that brought what is missing below this share of the last are used again."""
+"""If the violation falls below this share of the last one, the same linearisation is used again."""
 
 
 MOST_LEFT: Final = 0.75
-"""Share of what was missing that a solution is taken to leave at most."""
+"""Largest share of the violation that a solution is assumed to leave; it keeps r / (1 - r) bounded."""
 
 
 NEEDLESS: Final = 0.05
-"""A solution whose every condition is satisfied by more than this share of its scale was led astray by its slopes."""
+"""If every constraint holds by more than this share of its scale, the linearisation pushed the action too far."""
 
 
 OVERSHOOT: Final = 0.25
-"""Share of what the last solution misses that the next program asks for on top; each one after it again as much."""
+"""Share of the last violation that the next program asks for on top; it grows with every iteration."""
 
 
 TRIES: Final = 4
-"""Actions that are tried on the way to the nominal action."""
+"""Number of actions that a line search evaluates."""
 
 
 LEFT: Final = 0.9
-"""Share that is gone of the way on which the room would be used up: to end on the kept side."""
+"""Share of the predicted feasible interval that a line search takes, so that it ends on the feasible side."""
 
 
 DOUBTFUL: Final = 0.02
-"""A solution that far from the nominal action, kept by more than this share of its scale, may lie where an actuator saturates and
-nothing is lost by coming nearer."""
+"""A distant solution with more than this share of its scale to spare may lie on a plateau where an actuator saturates;
+a nearer action may then satisfy the constraints as well."""
 
 
 FAR: Final = 0.1
-"""Weighted share of the actions' ranges."""
+"""Weighted share of the actions' ranges beyond which a solution counts as distant."""
 
 
 NEAR: Final = 0.01
-"""Share of the way that is not worth a try."""
+"""Share of the interval below which a line search stops."""
 
 
 AGAIN: Final = 1
-"""How often the program is posed from there."""
+"""Rounds of the program after a line search."""
 
 
 class DecisionError(Exception):
-    """No decision can be computed; the text says why, ``solver`` what the solver said."""
+    """No decision can be computed; the text says why, ``solver`` is the solver's status."""
 
     def __init__(self, reason: str, solver: str = "not run") -> None:
         super().__init__(reason)
         self.solver = solver
 
 
-class _Drawn(Protocol):
-    """What the search needs of a ``Tangent``."""
+class _Linearized(Protocol):
+    """What the search needs of a ``Linearization``."""
 
     def at(self, residual: Plain, action: Plain, overshoot: float) -> tuple[list[list[float]], list[float]]:
         """A and b of A a >= b."""
 
 
-class _SearchConstraints(Protocol):
-    """What the search needs of ``Conditions``."""
+class _ConstraintEvaluator(Protocol):
+    """What the search needs of ``Constraints``."""
 
     @property
     def saturated(self) -> bool:
-        """Whether some slope was that of a chord, since the actuator saturates there."""
+        """Whether some column of g is a chord because the actuator saturates there."""
 
-    def outcome(self, action: Plain) -> ActionCandidate:
-        """What the action leads to."""
+    def evaluate(self, action: Plain) -> ActionCandidate:
+        """The candidate of this action."""
 
-    def linearised(self, about: ActionCandidate) -> _Drawn:
-        """The conditions tangent there."""
+    def linearize(self, about: ActionCandidate) -> _Linearized:
+        """The constraints linearised about it."""
 
-    def tightest(self, found: ActionCandidate) -> float:
-        """Its least residual, as a share of the barrier's scale."""
+    def min_scaled_residual(self, found: ActionCandidate) -> float:
+        """Its smallest residual as a share of the barrier's scale."""
 
 
 class _Program(Protocol):
@@ -122,142 +120,156 @@ class _Program(Protocol):
         """Between two actions."""
 
 
-def search(
-    conditions: _SearchConstraints, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
+def solve_sqp(
+    constraints: _ConstraintEvaluator, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
 ) -> tuple[ActionCandidate, str]:
-    """The best outcome found and the solver's word.
+    """Returns the best candidate found and the solver's status.
 
-    Best: satisfies all conditions, and nearest to the nominal action; if none does, the least broken one. Begins with the tangent at
-    ``start`` and poses the program at most ``rounds`` times, again about its last solution: with the true residual
-    there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are satisfied and
-    none of them needlessly far, when slopes drawn at a solution lead to it again, as they always would, or when the
-    solver gives up. Where all are still kept needlessly far, the way from there to the nominal action is gone as far as they
-    allow, and the program posed again: the nearest action has a condition that binds.
+    Best: feasible and nearest to the nominal action; if none is feasible, the one with the largest scaled residual.
+    Starts with the linearisation at ``start`` and solves the program at most ``rounds`` times, each time with the true
+    residual at the last solution, and with a new linearisation unless the old one predicted well (computing it takes
+    most of the time). Stops if all constraints hold without excess, if a solution repeats, or if the solver fails. If
+    all hold with excess, a line search moves towards the nominal action and the program is solved again from there: at
+    the nearest action some constraint binds.
     """
-    best, before, status = _posed(conditions, program, nominal, start, rounds)
-    if not best.kept:
+    # Everything below only moves a feasible result nearer to the nominal action.
+    best, before, status = _iterate(constraints, program, nominal, start, rounds)
+    # An infeasible result is returned as it is; the caller decides between another start and least violation.
+    if not best.is_feasible:
         return best, status
-    room = conditions.tightest(best)
+    room = constraints.min_scaled_residual(best)
     if room > NEEDLESS:
-        nearer = line_search(conditions, conditions.outcome(within(nominal, program.sides)), best)
-    elif (room > DOUBTFUL or conditions.saturated) and program.distance(best.action, nominal) > FAR * FAR:
-        back = _furthest_back(program, within(nominal, program.sides), best.action)
-        nearer = line_search(conditions, conditions.outcome(back), best)
-    elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
-        return line_search(conditions, before, best), status
+        nearer = line_search(constraints, constraints.evaluate(clip_to_bounds(nominal, program.sides)), best)
+    # On a plateau of a saturated actuator most of the change may be in an entry that has no effect: undo that one
+    # first.
+    elif (room > DOUBTFUL or constraints.saturated) and program.distance(best.action, nominal) > FAR * FAR:
+        back = _undo_largest_change(program, clip_to_bounds(nominal, program.sides), best.action)
+        nearer = line_search(constraints, constraints.evaluate(back), best)
+    # A jump from infeasible to distant feasible: the boundary lies between the last two iterates.
+    elif before is not start and not before.is_feasible and program.distance(best.action, before.action) > FAR * FAR:
+        return line_search(constraints, before, best), status
     else:
         return best, status
     if nearer is best:
         return best, status
-    again, _, _ = _posed(conditions, program, nominal, nearer, AGAIN)
-    return _better(conditions, program, nominal, nearer, again), status
+    # From the boundary one linearisation is accurate enough to slide along it.
+    again, _, _ = _iterate(constraints, program, nominal, nearer, AGAIN)
+    return _pick_better(constraints, program, nominal, nearer, again), status
 
 
-def line_search(conditions: _SearchConstraints, last: ActionCandidate, kept: ActionCandidate) -> ActionCandidate:
-    """The furthest action found on the way from a kept one to the ``last`` that is still kept.
+def line_search(constraints: _ConstraintEvaluator, last: ActionCandidate, feasible: ActionCandidate) -> ActionCandidate:
+    """Returns the feasible action furthest from ``feasible`` towards ``last``.
 
-    Each residual is taken to change along a straight line, again between the last action kept and the last not kept.
+    Each residual is assumed linear between the last feasible and the last infeasible action (regula falsi).
     """
-    if last.kept:
+    if last.is_feasible:
         return last
-    end, safe, low, high = last.action, kept, 0.0, 1.0
+    end, safe, low, high = last.action, feasible, 0.0, 1.0
     for _ in range(TRIES):
-        allowed = (high - low) * _allowed(safe, last)
+        allowed = (high - low) * _feasible_share(safe, last)
+        # What is left to gain is not worth another evaluation of model and barriers.
         if allowed <= NEAR:
             break
+        # Aim short of the predicted boundary, to land on the feasible side although no residual is exactly linear.
         share = low + LEFT * allowed
-        between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
-        tried = conditions.outcome(between)
-        if tried.kept:
-            safe, low = tried, share
+        between = [feasible.action[index] + share * (end[index] - feasible.action[index]) for index in range(len(end))]
+        trial = constraints.evaluate(between)
+        if trial.is_feasible:
+            safe, low = trial, share
         else:
-            last, high = tried, share
+            last, high = trial, share
     return safe
 
 
-def _allowed(kept: ActionCandidate, broken: ActionCandidate) -> float:
-    """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
-    if not broken.usable:
+def _feasible_share(feasible: ActionCandidate, infeasible: ActionCandidate) -> float:
+    """Share of the interval on which no residual falls below 0, if the residuals are linear on it."""
+    # Without finite residuals there is nothing to interpolate: bisect.
+    if not infeasible.is_finite:
         return 0.5
     share = 1.0
-    for row in range(len(kept.residual)):
-        here, there = kept.residual[row], broken.residual[row]
+    for row in range(len(feasible.residual)):
+        here, there = feasible.residual[row], infeasible.residual[row]
         if there < 0.0:
             room = here / (here - there) if here > 0.0 else 0.0
             share = room if room < share else share
     return share
 
 
-def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
-    """``found`` with the entry that costs most as it is wanted."""
+def _undo_largest_change(program: _Program, target: Plain, found: Plain) -> list[float]:
+    """``found`` with its most expensive entry replaced by that of ``target``."""
     most, entry = -1.0, 0
     for index in range(len(found)):
         other = list(found)
-        other[index] = wanted[index]
+        other[index] = target[index]
         cost = program.distance(other, found)
         if cost > most:
             most, entry = cost, index
     back = list(found)
-    back[entry] = wanted[entry]
+    back[entry] = target[entry]
     return back
 
 
-def _posed(
-    conditions: _SearchConstraints, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
+def _iterate(
+    constraints: _ConstraintEvaluator, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
 ) -> tuple[ActionCandidate, ActionCandidate, str]:
-    """The program, posed again about its solution: the best one, the one before the last, and the solver's word."""
+    """Returns the best candidate, the one before the last, and the solver's status."""
     best, before, about, status = start, start, start, "not run"
-    tangent = _tangent(conditions, start)
-    fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
+    tangent = _linearize_or_none(constraints, start)
+    fresh, shortfall, overshoot = True, _shortfall(constraints.min_scaled_residual(start)), 0.0
     for index in range(rounds):
         if tangent is None:
             break
         A, b = tangent.at(about.residual, about.action, overshoot)
         solution = program.solve(A, b, nominal)
         status = solution.status
-        action = _believed(solution, program)
+        action = _usable_action(solution, program)
         if action is None:
             break
-        before, about = about, conditions.outcome(action)
-        best = about if index == 0 else _better(conditions, program, nominal, best, about)
-        tightest = conditions.tightest(about)
-        if about.kept and tightest <= NEEDLESS:
+        before, about = about, constraints.evaluate(action)
+        # The start is compared from the second round on only: the first solution replaces an infeasible start in any
+        # case.
+        best = about if index == 0 else _pick_better(constraints, program, nominal, best, about)
+        min_residual = constraints.min_scaled_residual(about)
+        if about.is_feasible and min_residual <= NEEDLESS:
             break
-        if best.kept and not about.kept:  # the slopes there led astray: what was kept is as good a place to go on from
+        # The linearisation there misled: the best candidate is as good a point to continue from.
+        if best.is_feasible and not about.is_feasible:
             break
-        if fresh and _same(program, about, before):
+        # With a new linearisation at the same point the next solution would be the same again.
+        if fresh and _is_repeated(program, about, before):
             break
-        last, missing = missing, _missing(tightest)
-        fresh = not 0.0 < missing < SERVED_WELL * last
-        overshoot = tighten(index + 1, last, missing)
+        last, shortfall = shortfall, _shortfall(min_residual)
+        fresh = not 0.0 < shortfall < SERVED_WELL * last
+        overshoot = tighten(index + 1, last, shortfall)
         if fresh and index + 1 < rounds:
-            tangent = _tangent(conditions, about)
+            tangent = _linearize_or_none(constraints, about)
     return best, before, status
 
 
-def _tangent(conditions: _SearchConstraints, about: ActionCandidate) -> _Drawn | None:
-    """None where the model or a barrier has no numbers there, or no slopes."""
+def _linearize_or_none(constraints: _ConstraintEvaluator, about: ActionCandidate) -> _Linearized | None:
+    """None if model or barrier have no finite values there, or no finite derivatives."""
     try:
-        return conditions.linearised(about) if about.usable else None
+        return constraints.linearize(about) if about.is_finite else None
     except NotFiniteError:
         return None
 
 
-def tighten(solutions: int, last: float, missing: float) -> float:
-    """The share of what is missing to ask for on top: more with every solution, and where the last brought little.
+def tighten(solutions: int, last: float, shortfall: float) -> float:
+    """Share of the violation to request on top: more with every iteration, and more if the last one gained little.
 
-    Slopes that left the share r of what was missing will leave it again: r / (1 - r) on top makes up for that.
+    A linearisation that left the share r of the violation will leave it again; r / (1 - r) on top compensates for that.
     """
     more = OVERSHOOT * solutions
-    left = min(missing / last, MOST_LEFT) if last > 0.0 else 0.0
+    # 25 % more than the estimate: r itself is uncertain, and too little would take another iteration.
+    left = min(shortfall / last, MOST_LEFT) if last > 0.0 else 0.0
     return max(more, 1.25 * left / (1.0 - left))
 
 
-def _missing(tightest: float) -> float:
-    return -tightest if tightest < 0.0 else 0.0
+def _shortfall(min_residual: float) -> float:
+    return -min_residual if min_residual < 0.0 else 0.0
 
 
-def _same(program: _Program, one: ActionCandidate, other: ActionCandidate) -> bool:
+def _is_repeated(program: _Program, one: ActionCandidate, other: ActionCandidate) -> bool:
     sides, here, there = program.sides, one.action, other.action
     for index in range(len(sides)):
         change: float = here[index] - there[index]
@@ -266,84 +278,87 @@ def _same(program: _Program, one: ActionCandidate, other: ActionCandidate) -> bo
     return True
 
 
-def _better(
-    conditions: _SearchConstraints, program: _Program, nominal: Plain, one: ActionCandidate, other: ActionCandidate
+def _pick_better(
+    constraints: _ConstraintEvaluator, program: _Program, nominal: Plain, one: ActionCandidate, other: ActionCandidate
 ) -> ActionCandidate:
-    if one.kept and other.kept:
+    if one.is_feasible and other.is_feasible:
         return other if program.distance(other.action, nominal) < program.distance(one.action, nominal) else one
-    if one.kept or other.kept:
-        return one if one.kept else other
-    return other if conditions.tightest(other) > conditions.tightest(one) else one
+    if one.is_feasible or other.is_feasible:
+        return one if one.is_feasible else other
+    return other if constraints.min_scaled_residual(other) > constraints.min_scaled_residual(one) else one
 
 
-def _believed(solution: Solution, program: _Program) -> tuple[float, ...] | None:
-    """The solution within the actuators' bounds; None where the solver gave up or it is no number.
+def _usable_action(solution: Solution, program: _Program) -> tuple[float, ...] | None:
+    """The solution clipped to the bounds; None if the solver failed or returned NaN.
 
-    How far it missed the bounds does not matter: what counts is what the model predicts for the action itself.
+    How far the solution exceeds the bounds is irrelevant: the clipped action is evaluated with the model.
     """
     if not solution.solved:
         return None
+    # x - x is 0 for finite x and NaN otherwise: the cheapest test for finite values in compiled code.
     for value in solution.action:
         if value - value != 0.0:
             return None
-    return within(solution.action, program.sides)
+    return clip_to_bounds(solution.action, program.sides)
 
 
 STEP: Final = 0.1
-"""Share of an entry's range that it is tried to come nearer by; what is nearer than that to its nominal action is left alone."""
+"""Share of its range by which an entry must come nearer to be worth an evaluation; closer entries stay as they are."""
 
 _HALVINGS: Final = 5
-"""Of the way on which an entry that came nearer by a step is followed."""
+"""Bisection steps after a first step of ``STEP`` was feasible."""
 
 
 class _Predicted(Protocol):
-    """What is needed of ``Conditions``."""
+    """What backtracking needs of ``Constraints``."""
 
-    def outcome(self, action: Plain) -> ActionCandidate:
-        """What the action leads to."""
+    def evaluate(self, action: Plain) -> ActionCandidate:
+        """The candidate of this action."""
 
 
 def backtrack_towards(
-    conditions: _Predicted, sides: tuple[Side, ...], nominal: Plain, kept: ActionCandidate
+    constraints: _Predicted, sides: tuple[Side, ...], nominal: Plain, feasible: ActionCandidate
 ) -> ActionCandidate:
-    """``retained``, or what satisfies all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
-    wanted = within(nominal, sides)
-    for entry in _far_entries(sides, wanted, kept.action):
-        kept = _entry_back(conditions, entry, wanted[entry], sides[entry][2], kept)
-    return kept
+    """Moves entries back towards ``nominal`` (actions,), the furthest first, while all constraints hold."""
+    target = clip_to_bounds(nominal, sides)
+    for entry in _distant_entries(sides, target, feasible.action):
+        feasible = _backtrack_entry(constraints, entry, target[entry], sides[entry][2], feasible)
+    return feasible
 
 
-def _far_entries(sides: Sequence[Side], wanted: Plain, action: Plain) -> list[int]:
-    """Those further than a step from what is wanted, the furthest first."""
+def _distant_entries(sides: Sequence[Side], target: Plain, action: Plain) -> list[int]:
+    """Entries that are further than ``STEP`` from the target, the furthest first."""
     far: list[tuple[float, int]] = []
     for index in range(len(sides)):
-        away: float = (action[index] - wanted[index]) / sides[index][2]
+        away: float = (action[index] - target[index]) / sides[index][2]
+        # Two comparisons instead of abs(): this runs for every corrected action.
         if away > STEP or away < -STEP:
             far.append((-abs(away), index))
     far.sort()
     return [index for _, index in far]
 
 
-def _entry_back(
-    conditions: _Predicted, entry: int, wanted: float, width: float, kept: ActionCandidate
+def _backtrack_entry(
+    constraints: _Predicted, entry: int, target: float, width: float, feasible: ActionCandidate
 ) -> ActionCandidate:
-    """With this entry as near to what is wanted as keeps all, to a few halvings; ``retained`` if not a step nearer."""
-    start: float = kept.action[entry]
-    low, high = STEP * width / abs(wanted - start), 1.0
-    best = _at(conditions, kept, entry, start + low * (wanted - start))
-    if not best.kept:
-        return kept
+    """Moves this entry as near to the target as is feasible, by bisection; unchanged if not one step nearer."""
+    start: float = feasible.action[entry]
+    low, high = STEP * width / abs(target - start), 1.0
+    # The smallest step first: if it is infeasible, the entry is at its boundary and one evaluation was enough.
+    best = _at(constraints, feasible, entry, start + low * (target - start))
+    if not best.is_feasible:
+        return feasible
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
-        tried = _at(conditions, kept, entry, start + share * (wanted - start))
-        if tried.kept:
-            best, low = tried, share
+        trial = _at(constraints, feasible, entry, start + share * (target - start))
+        if trial.is_feasible:
+            best, low = trial, share
         else:
             high = share
     return best
 
 
-def _at(conditions: _Predicted, about: ActionCandidate, entry: int, value: float) -> ActionCandidate:
+def _at(constraints: _Predicted, about: ActionCandidate, entry: int, value: float) -> ActionCandidate:
     action = list(about.action)
     action[entry] = value
-    return conditions.outcome(action)
+    return constraints.evaluate(action)

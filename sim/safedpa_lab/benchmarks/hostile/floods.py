@@ -17,24 +17,24 @@ from safedpa.bus import Bus, ReceivedMessage, VerdictMessage, ZenohTransport
 from safedpa.bus.messages.topics import VERDICT
 from safedpa.bus.transport.ports import free_port
 from safedpa_lab.benchmarks.usage import load_average
+from safedpa_services.supervisor.certificate_store import ephemeral_certificates
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
-from safedpa_services.supervisor.securing import ephemeral_certificates
+from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_services.supervisor.supervisor import Supervisor
-from safedpa_services.supervisor.watch import RunMonitor
 from safedpa_sim.robots.trace import TracedPeriod, read_trace
 
 __all__ = ["FLOODS", "Flood", "floods_benchmark"]
 
 _FLEET, _ROBOT, _RATE = "fleet", "r1", 20.0
 _MARGIN_SECONDS = 0.25
-"""Five periods: an action and the state after it are on their way when a flood ends."""
+"""Five periods: an action and the state after it are in flight when a flood ends."""
 
 
 @final
 @dataclass(frozen=True)
 class Flood:
-    """Whose key was stolen, and what is said with it."""
+    """Whose key was stolen, and what is sent with it."""
 
     role: str
     topic: str
@@ -96,12 +96,12 @@ def floods_benchmark(
     report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Floods of ``seconds`` each. Raises SafedpaError when the loop cannot be brought up."""
-    with tempfile.TemporaryDirectory() as name, ephemeral_certificates(_FLEET, _ROBOT) as wallet:
+    with tempfile.TemporaryDirectory() as name, ephemeral_certificates(_FLEET, _ROBOT) as certificates:
         folder, load = Path(name), load_average()
         plan = Plan(
             robot="car", name=_ROBOT, load="none", seconds=0.0, seed=4, rate=_RATE, lockstep=False, filtered=True,
             dashboard=False, model="car", settings="car", margin="", controller="", fleet=_FLEET,
-            endpoint=f"tls/127.0.0.1:{free_port()}", folder=folder, diagnosis=True, wallet=wallet,
+            endpoint=f"tls/127.0.0.1:{free_port()}", folder=folder, diagnosis=True, certificates=certificates,
             surroundings=("--trace", str(folder / "trace")),
         )  # fmt: skip
         children = [
@@ -111,7 +111,7 @@ def floods_benchmark(
                 ("--fleet", _FLEET, "--connect", plan.endpoint, "--role", flood.role, "--topic", flood.topic,
                  "--bytes", str(flood.size), "--seconds", repr(seconds), "--account", str(folder / f"flood-{index}")),
                 folder / f"flood-{index}.log",
-                card=wallet.cards[flood.role],
+                credentials=certificates.credentials[flood.role],
             )
             for index, flood in enumerate(floods)
         ]  # fmt: skip

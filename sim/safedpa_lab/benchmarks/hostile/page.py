@@ -10,7 +10,7 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["write_page"]
+__all__ = ["attack_tables", "write_page"]
 
 _TITLES = {
     "offers": "Eight robots in real time, and models offered that take long to read",
@@ -41,8 +41,13 @@ def _page(found: Mapping[str, Any]) -> str:
             result = found[attack]
             held = "**It held.**" if result["held"] else "**It did not hold.**"
             lines += ["", f"## {title}", "", f"`{result['command']}`, {result['date']}, {_load(result)}. {held}", ""]
-            lines += _TABLES[attack](result)
+            lines += attack_tables(attack, result)
     return "\n".join(lines) + "\n"
+
+
+def attack_tables(attack: str, result: Mapping[str, Any]) -> list[str]:
+    """The lines of the tables of one kind of attack."""
+    return _TABLES[attack](result)
 
 
 def _load(result: Mapping[str, Any]) -> str:

@@ -23,7 +23,7 @@ from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import BusError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
-from safedpa_services.supervisor.securing import OPERATOR
+from safedpa_services.supervisor.certificate_store import OPERATOR
 
 __all__ = ["DESCRIPTORS", "MOST_JOIN_SECONDS", "SILENT", "silent_benchmark"]
 

@@ -83,7 +83,7 @@ def _graph(weights: Weights) -> str:
     from pathlib import Path
 
     from safedpa.errors import InputError
-    from safedpa_sim.training.onnx_export import export_onnx
+    from safedpa_sim.training.export.onnx import export_onnx
 
     with tempfile.TemporaryDirectory() as folder:
         try:

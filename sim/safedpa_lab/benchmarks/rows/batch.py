@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.bus import ACTION, LATENT, NOMINAL, ActionMessage
 from safedpa.dynamics import LearnedBase, load_model
 from safedpa.policy import LearnedPolicy, PolicyNode
@@ -93,8 +93,8 @@ def _action(state: Any, values: list[float]) -> ActionMessage:
 
 
 def _robots(count: int) -> list[Any]:
-    from safedpa_sim.robots.core import CarRobot
-    from safedpa_sim.robots.scene import Scene
+    from safedpa_sim.robots.car.robot import CarRobot
+    from safedpa_sim.robots.car.scene import Scene
 
     return [CarRobot(Scene.random(index, _LOADS[index % len(_LOADS)])) for index in range(count)]
 
@@ -119,7 +119,7 @@ class _OneByOne:
         if robot not in self._known:
             self._known.add(robot)
             for node in self._nodes:
-                node.welcome(robot, None)
+                node.adopt_model(robot, None)
         inputs: dict[Any, Any] = {LATENT: adaptation.step(robot, state, {})[LATENT]}
         safety.prepare(robot, state)
         inputs[NOMINAL] = policy.step(robot, state, inputs)[NOMINAL]

@@ -42,9 +42,9 @@ def _batched(count: int, seconds: float) -> dict[str, float]:
     import torch
 
     from safedpa_sim.training.configuration import load_configuration
-    from safedpa_sim.training.simulator import BatchedCars
+    from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
-    cars = BatchedCars(load_configuration("car"))
+    cars = BatchedSimulator(load_configuration("car"))
     generator = cars.generator(0)
     environment, action = cars.draw_environments(count, generator), cars.draw_actions(count, generator)
     state = cars.draw_states(count, generator)
@@ -60,8 +60,8 @@ def _batched(count: int, seconds: float) -> dict[str, float]:
 
 
 def _pymunk(seconds: float) -> Entry:
-    from safedpa_sim.robots.loads import load_named
-    from safedpa_sim.robots.world import CarWorld
+    from safedpa_sim.robots.car.loads import load_named
+    from safedpa_sim.robots.car.world import CarWorld
 
     world = CarWorld((0.0, 0.0, 0.0), (-1e4, 1e4, -1e4, 1e4), load=load_named("chair"))
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.decision import Decision, FilterInput
-from safedpa.safety.solver.sqp import backtrack_towards, search
+from safedpa.safety.solver.sqp import backtrack_towards, solve_sqp
 from safedpa_lab.benchmarks.filter_decisions import MODELS, Asked, decided, networks_alone
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with
 from safedpa_lab.benchmarks.results import Effort, Row, microseconds
@@ -45,21 +45,21 @@ def parts(problem: FilterProblem, model: PhysicsModel) -> dict[str, Asked]:
     nominal = tuple(problem.requests(model)[0][1].tolist())
     requests = [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
     decisions = [Decision(tools, request) for request in requests]
-    posed = [decision._posed() for decision in decisions]
-    about = [(conditions, conditions.outcome(nominal)) for conditions in posed]
-    rows = [conditions.linearised(one).at(one.residual, nominal, 0.0) for conditions, one in about]
-    found = [search(conditions, tools.program, nominal, one, rounds)[0] for conditions, one in about]
+    posed = [decision._build_constraints() for decision in decisions]
+    about = [(conditions, conditions.evaluate(nominal)) for conditions in posed]
+    rows = [conditions.linearize(one).at(one.residual, nominal, 0.0) for conditions, one in about]
+    found = [solve_sqp(conditions, tools.program, nominal, one, rounds)[0] for conditions, one in about]
     asked: dict[str, tuple[Callable[[Any], Any], Any]] = {
         WHOLE: decided(problem, model),
         "inputs": (lambda request: Decision(tools, request), requests),
-        "the conditions at the state": (lambda decision: decision._posed(), decisions),
-        "an outcome": (lambda conditions: conditions.outcome(nominal), posed),
+        "the conditions at the state": (lambda decision: decision._build_constraints(), decisions),
+        "an outcome": (lambda conditions: conditions.evaluate(nominal), posed),
         "the conditions linearised": (
-            lambda pair: pair[0].linearised(pair[1]).at(pair[1].residual, nominal, 0.0),
+            lambda pair: pair[0].linearize(pair[1]).at(pair[1].residual, nominal, 0.0),
             about,
         ),
         "the program": (lambda pair: tools.program.solve(pair[0], pair[1], nominal), rows),
-        "the search": (lambda pair: search(pair[0], tools.program, nominal, pair[1], rounds), about),
+        "the search": (lambda pair: solve_sqp(pair[0], tools.program, nominal, pair[1], rounds), about),
         "back towards the nominal action": (
             lambda pair: backtrack_towards(pair[0], tools.program.sides, nominal, pair[1]),
             list(zip(posed, found, strict=True)),

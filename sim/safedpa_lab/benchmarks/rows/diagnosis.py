@@ -24,7 +24,7 @@ __all__ = ["measure"]
 
 _RUNS, _SECONDS = 6, 40.0
 _HORIZON = 1.0
-_LACKS = "told what the model leaves of each step; no memory of actuators, nothing held out, no verdict"
+_LACKS = "given what the model leaves of each step; no memory of actuators, nothing held out, no verdict"
 _THRESHOLDS: Final = {"polynomial": 0.05, "weak": 0.05}
 """Below it a coefficient is dropped: half of the weakest term that is hidden."""
 
@@ -65,7 +65,7 @@ def _offered(log: Any) -> str:
 def _ours(cases: Sequence[Hidden], logs: Sequence[Any]) -> tuple[Entry, int]:
     from safedpa.diagnosis.diagnose import library_for
     from safedpa.dynamics import load_model
-    from safedpa_lab.experiments.diagnosing import diagnosed
+    from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed
     from safedpa_lab.hidden.case import truth_of
     from safedpa_lab.hidden.judge import judged
 
@@ -124,7 +124,7 @@ def _peer(name: str, reply: dict[str, Any], cases: Sequence[Hidden], way: str) -
 
 def _over_length(folder: Path, effort: Effort) -> Curve:
     """Seconds of our diagnosis over the length of each run."""
-    from safedpa_lab.experiments.diagnosing import diagnosed
+    from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed
 
     lengths, times = effort.of((5.0, 10.0), (10.0, 20.0, 40.0, 80.0, 160.0)), []
     for length in lengths:

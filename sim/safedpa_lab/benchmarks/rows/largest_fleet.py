@@ -101,7 +101,7 @@ def _steady_targets(entry: Entry) -> list[Target]:
 
 
 def _used(found: Mapping[str, Any]) -> Sequence[Mapping[str, float]]:
-    """Of each process that the system tells about."""
+    """Of each process that the system lists."""
     return [each for each in found["processes"].values() if each]
 
 

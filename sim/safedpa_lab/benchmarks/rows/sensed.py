@@ -132,7 +132,7 @@ def _message(state: StateMessage, points: tuple[tuple[float, ...], ...]) -> Surr
 
 
 def _reported() -> tuple[Callable[[Any], Any], list[StateMessage]]:
-    """The same of a car that is told eight circles and a field."""
+    """The same of a car that is given eight circles and a field."""
     model, problem = load_model("car"), problem_with(8)
     one, scene = SafetyFilter.for_model(model, problem.settings), CarScene(problem.settings)
     epsilon = _margins(model)

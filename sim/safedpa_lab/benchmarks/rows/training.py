@@ -20,11 +20,11 @@ _NO_TARGET = "no target: the row weights has one, for everything that is trained
 def measure(effort: Effort) -> Row:
     """Draws pairs for a while; trains on two numbers of pairs and scales by their difference, unless ``full``."""
     from safedpa_sim.training.configuration import load_configuration
-    from safedpa_sim.training.simulator import BatchedCars
-    from safedpa_sim.training.transitions import draw_transitions
+    from safedpa_sim.training.data.transitions import draw_transitions
+    from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
     configuration = load_configuration("car")
-    cars = BatchedCars(configuration)
+    cars = BatchedSimulator(configuration)
     generator = cars.generator(0)
     drawn = rate(lambda: draw_transitions(cars, _AT_ONCE, generator), _AT_ONCE, effort.of(0.3, 3.0))
     data = Entry(
@@ -54,7 +54,7 @@ def _phase_1a(configuration: object, effort: Effort) -> Entry:
 def _trained(configuration: object, pairs: int) -> float:
     """Seconds of phase 1a on so many pairs, evaluation and weights included."""
     from safedpa_sim.training.configuration import Configuration
-    from safedpa_sim.training.phase_1a import train_affine
+    from safedpa_sim.training.phases.phase_1a import train_affine
 
     assert isinstance(configuration, Configuration)
     chosen = replace(configuration, phase_1a=replace(configuration.phase_1a, pairs=pairs))

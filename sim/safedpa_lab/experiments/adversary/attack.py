@@ -1,4 +1,4 @@
-"""What an attack is: pieces of work for any number of processes, and rows of what was asked and what was measured."""
+"""The interface of an attack: pieces of work for several processes, and rows of measured values with their limits."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ __all__ = ["AbstractAttack", "Result", "Row", "WholeAttack"]
 @final
 @dataclass(frozen=True)
 class Row:
-    """One figure. ``most`` and ``least`` are what was asked of it; without either it is only told."""
+    """One measured value with its limits ``most`` and ``least``; without limits it is only reported."""
 
     what: str
     measured: float
     of: int | None = None
-    """How many were looked at, where the figure counts some of them."""
+    """Size of the sample, if the value is a count."""
     most: float | None = None
     least: float | None = None
     unit: str = ""
 
     @property
     def held(self) -> bool | None:
-        """Whether the figure is as asked; None where nothing was asked, or nothing was there to look at."""
+        """Whether the value is within its limits; None without limits, or with an empty sample."""
         if (self.most is None and self.least is None) or self.of == 0:
             return None
         low = -float("inf") if self.least is None else self.least
@@ -34,7 +34,7 @@ class Row:
 
     @property
     def asked(self) -> str:
-        """What was asked, in words."""
+        """The limits as text."""
         if self.most is None and self.least is None:
             return ""
         if self.most is not None and self.least is not None:

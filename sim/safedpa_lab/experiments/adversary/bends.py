@@ -114,7 +114,7 @@ def _far(problem: BentProblem, actions: FloatArray) -> FloatArray:
 
 
 def _rows(shape: str, items: Sequence[BentAnswer]) -> list[Row]:
-    """Steps, cliffs, holes and dead bands have no slope to follow: what is missed there is told, not asked for."""
+    """Steps, cliffs, holes and dead bands have no gradient: misses are reported there, without a limit."""
     kept = [item.broken for item in items if item.broken is not None]
     excess = [item.excess for item in items if item.excess is not None]
     rest = [item for item in items if item.broken is None]

@@ -38,7 +38,7 @@ class BentProblem:
     """Factors of h and of the actions."""
 
     def filter(self) -> SafetyFilter:
-        """The library's filter; the model's slopes are central differences about the action that is asked for."""
+        """The library's filter; the model's gradients are central differences about the given action."""
         h_unit, action_unit = self.units
         bound = (action_unit,) * self.actions
         settings = FilterSettings(

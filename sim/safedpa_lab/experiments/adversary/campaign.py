@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,24 +15,79 @@ from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs
 from safedpa_lab.experiments.adversary.bends import Bends
 from safedpa_lab.experiments.adversary.car_grid import CarGrid
-from safedpa_lab.experiments.adversary.drives import Drives
-from safedpa_lab.experiments.adversary.late_drives import LateDrives
+from safedpa_lab.experiments.adversary.drives import Drives, LateDrives, Standing
 from safedpa_lab.experiments.adversary.mirrors import Mirrors
 from safedpa_lab.experiments.adversary.peers import Peers
 from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.scales import Scales
-from safedpa_lab.experiments.adversary.standing import Standing
 from safedpa_lab.experiments.adversary.systems import Systems
-from safedpa_lab.experiments.car_workers import Workers
+from safedpa_lab.experiments.common.workers import Workers
+from safedpa_lab.experiments.record import Options, ReportProgress, silent
+from safedpa_lab.provenance.record import write_result
 
-__all__ = ["adversary", "all_attacks", "attacks_named", "digest_of_code"]
+__all__ = [
+    "adversary",
+    "adversary_markdown",
+    "all_attacks",
+    "attacks_named",
+    "digest_of_code",
+    "listing",
+    "run",
+    "with_parts_before",
+    "write_adversary",
+]
 
-ReportProgress = Callable[[int, int], None]
+_SAME = ("experiment", "seed", "small", "code")
+
+
+def with_parts_before(result: dict[str, Any], out: Path, order: Sequence[str]) -> dict[str, Any]:
+    """With the attacks that were run into the folder before by the same code on the same seed, in the order given.
+
+    What was run again takes the place of what was there. Results of other code, seed or size are not looked at.
+    """
+    path = out / "adversary.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if any(before.get(key) != result[key] for key in _SAME):
+        return result
+    parts = {part["name"]: part for part in (*before["attacks"], *result["attacks"])}
+    return result | {"attacks": [parts[name] for name in order if name in parts]}
+
+
+def write_adversary(result: dict[str, Any], out: Path) -> None:
+    """``adversary.json`` and ``adversary.md`` in the folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_result(out / "adversary.json", result)
+    (out / "adversary.md").write_text(adversary_markdown(result), encoding="utf-8")
+
+
+def adversary_markdown(result: dict[str, Any]) -> str:
+    """One table per attack: measured values, their limits, and whether they were met."""
+    size = ", small sizes" if result["small"] else ""
+    command = f"`{result['command']}`, " if "command" in result else ""
+    parts = [f"{command}{result['date']}, seed {result['seed']}{size}, digest of the code {result['code']}.\n"]
+    for attack in result["attacks"]:
+        parts.append(
+            f"## {attack['name']}\n\n{attack['sentence'][:1].upper()}{attack['sentence'][1:]}. {attack['held']} of "
+            f"{attack['held'] + attack['failed']} figures are as asked ({attack['seconds']:g} s).\n"
+        )
+        parts.append("| what | measured | of | asked | |\n|---|---|---|---|---|")
+        parts += [_line(row) for row in attack["rows"]]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _line(row: dict[str, Any]) -> str:
+    held = {True: "held", False: "**not held**", None: ""}[row["held"]]
+    measured = f"{row['measured']:.6g} {row['unit']}".strip()
+    of = "" if row["of"] is None else f"{row['of']:,}"
+    return f"| {row['what']} | {measured} | {of} | {row['asked']} | {held} |"
+
+
 Keep = Callable[[dict[str, Any]], None]
 
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
-    """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
+    """Every attack, the quick ones first; peers are searched in these Python interpreters, and in this one."""
     problems = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Programs())
     return [*problems, Drives(), LateDrives(), Standing(), Peers(interpreters)]
 
@@ -50,10 +106,10 @@ def adversary(
     seed: int,
     small: bool = False,
     workers: int = 1,
-    report_progress: ReportProgress = lambda _done, _all: None,
+    report_progress: ReportProgress = silent,
     keep: Keep = lambda _found: None,
 ) -> dict[str, Any]:
-    """Runs the attacks and tells what they found, whatever it is.
+    """Runs the attacks and returns their results.
 
     ``tell(done, all)`` after each piece of work; ``keep(found)`` after each attack, with all that was found so far, so
     that nothing is lost where someone ends a run of hours.
@@ -101,3 +157,31 @@ def _reported(attack: AbstractAttack, result: Result, seconds: float) -> dict[st
         "rows": rows,
         "worst": list(result.worst),
     }
+
+
+def listing(options: Options) -> list[str]:
+    """One line per attack."""
+    return [f"{attack.name:12}{attack.sentence}" for attack in attacks_named(options["only"], options["peers"])]
+
+
+def run(options: Options, report_progress: ReportProgress) -> dict[str, Any]:
+    """Runs ``safedpa experiment adversary``; the result so far is written after each attack."""
+    everything, out = [attack.name for attack in all_attacks()], options["out"]
+
+    def whole(found: dict[str, Any]) -> dict[str, Any]:
+        if out is not None:
+            found = with_parts_before(found, out, everything)
+        names = [part["name"] for part in found["attacks"]]
+        return {"command": _command(options, () if names == everything else names), **found}
+
+    def keep(found: dict[str, Any]) -> None:
+        if out is not None:
+            write_adversary(whole(found), out)
+
+    attacks = attacks_named(options["only"], options["peers"])
+    return whole(adversary(attacks, options["seed"], options["small"], options["workers"], report_progress, keep))
+
+
+def _command(options: Options, names: Sequence[str]) -> str:
+    only = "".join(f" --only {name}" for name in names)
+    return f"safedpa experiment adversary{only}{' --small' if options['small'] else ''} --seed {options['seed']}"

@@ -75,7 +75,7 @@ class CarGrid(AbstractAttack):
 
 
 def odd_question(seed: int, number: int) -> CarQuestion:
-    """Scenes that no one asked for: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
+    """Unusual scenes: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
     question, random = car_question(seed, 8 * number), np.random.default_rng([seed, 11, number])
     state, obstacles = question.state, question.obstacles
     what = number % 5
@@ -95,7 +95,7 @@ def odd_question(seed: int, number: int) -> CarQuestion:
 
 
 def car_question(seed: int, number: int) -> CarQuestion:
-    """A state with every h >= 0, one in eight anywhere; one to eight obstacles, most of them near; any nominal action."""
+    """A state with every h >= 0, one in eight anywhere; one to eight obstacles, most of them near."""
     settings, random = settings_named("car"), np.random.default_rng([seed, 3, number])
     while True:
         place = random.uniform(-3.5, 3.5, 2)
@@ -146,7 +146,10 @@ def _rows(kind: str, items: Sequence[_Answer]) -> list[Row]:
         Row(f"{kind}: largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=1e-9),
         Row(f"{kind}: passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
         Row(
-            f"{kind}: h < 0 now, and not told (or told wrongly)", sum(item.untold for item in items), len(items), most=0
+            f"{kind}: h < 0 now, and not reported (or reported wrongly)",
+            sum(item.untold for item in items),
+            len(items),
+            most=0,
         ),
         Row(f"{kind}: relaxed, though the grid keeps all", sum(item.missed for item in items), relaxed, most=0),
         Row(f"{kind}: corrected 0.1 of a range beyond the grid", far, len(excess), most=_MOST_FAR, unit="%"),
@@ -167,7 +170,7 @@ def _worst(items: Sequence[_Answer]) -> list[dict[str, Any]]:
         "missed": [(1.0, i.number) for i in items if i.missed],
         "too far": [(i.excess or 0.0, i.number) for i in items if (i.excess or 0.0) > _FAR],
         "not the least-violation": [(i.shortfall or 0.0, i.number) for i in items if (i.shortfall or 0.0) > _CLOSE],
-        "h < 0 now not told": [(1.0, i.number) for i in items if i.untold],
+        "h < 0 now not reported": [(1.0, i.number) for i in items if i.untold],
     }
     return [
         {"fault": fault, "size": size, "number": number, "count": len(cases)}

@@ -1,4 +1,4 @@
-"""The car's conditions on a grid of actions: h written down again, the model's own prediction, nothing of the filter."""
+"""The car's conditions on a grid of actions: its own h, the model's own prediction, and nothing of the filter."""
 
 from __future__ import annotations
 

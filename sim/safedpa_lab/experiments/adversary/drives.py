@@ -23,15 +23,17 @@ from safedpa_lab.experiments.adversary.hostile import (
     rocking,
     thrusting,
 )
-from safedpa_lab.experiments.reversing_drives import TOWED, ReversingDrive, run_reversing_drive
+from safedpa_lab.experiments.driving.delayed_drives import DelayedDrives, Lateness, delayed_drives, margin_with_delay
+from safedpa_lab.experiments.driving.long_drives import LongDrive, LongOutcome, long_summary, run_long_drive
+from safedpa_lab.experiments.driving.reversing_drives import TOWED, ReversingDrive, run_reversing_drive
 from safedpa_sim.closed_loop import Tick, drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.pendulum_robot import PendulumRobot
-from safedpa_sim.robots.pendulum_task import task_named
-from safedpa_sim.robots.pendulum_world import wind_towards
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.pendulum.robot import PendulumRobot
+from safedpa_sim.robots.pendulum.task import task_named
+from safedpa_sim.robots.pendulum.world import wind_towards
 
-__all__ = ["KINDS", "Driven", "Drives"]
+__all__ = ["KINDS", "Driven", "Drives", "LateDrives", "Standing"]
 
 _PERIOD: Final = 0.05
 _EVERY: Final = ("none", "box", "chair", "large_chair")
@@ -44,7 +46,7 @@ _SMALL: Final = (1, 3.0)
 @final
 @dataclass(frozen=True)
 class Driven:
-    """What became of one drive."""
+    """The result of one drive."""
 
     kind: str
     load: str
@@ -97,7 +99,7 @@ def _rows(kind: str, driven: Sequence[Driven]) -> list[Row]:
     hit = sum(each.collisions > 0 for each in driven)
     return [
         Row(f"{kind}: drives with a collision ({notice})", hit, len(driven), most=0),
-        Row(f"{kind}: least h told", min((each.least_h for each in driven), default=0.0), len(driven), unit="m"),
+        Row(f"{kind}: least reported h", min((each.least_h for each in driven), default=0.0), len(driven), unit="m"),
     ]
 
 
@@ -116,7 +118,7 @@ def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Callable[[str, 
 
 
 def _legs(robot: CarRobot, nominal_policy: NominalPolicy, seed: int, ticks: int) -> Iterator[Tick]:
-    """All processes are killed again and again, and begin again with nothing remembered; the watchdog brakes between."""
+    """All processes are killed repeatedly and restart without memory; the watchdog brakes in between."""
     random, left = np.random.default_rng([seed, 6]), ticks
     while left > 0:
         leg = min(left, int(random.integers(5, 60)))
@@ -179,3 +181,103 @@ KINDS: Final[Mapping[str, Callable[[str, str, int, float], Driven]]] = {
     "point": _point,
 }
 """By name: ``run(kind, load, seed, seconds)``."""
+
+
+_CASES: Final = (
+    *(Lateness(seconds) for seconds in (0.1, 0.2, 0.3, 0.4)),
+    Lateness(0.2, reported="clock"),
+    Lateness(0.1, reported="none"),
+    Lateness(0.15, reported="none"),
+)
+_SMALL_CASES: Final = (Lateness(0.2), Lateness(0.15, reported="none"))
+_LATE_FULL: Final = (40, 12.0)
+"""Drives of each case, and seconds of each."""
+_LATE_SMALL: Final = (1, 3.0)
+
+
+@final
+class LateDrives(AbstractAttack):
+    """Collisions, what the verdicts are, and goals. A model that knows the delay has a margin that was measured so."""
+
+    name = "late"
+    sentence = "drives whose commands arrive late, known and unknown"
+
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
+        return [(case, seed, small) for case in (_SMALL_CASES if small else _CASES)]
+
+    def work(self, piece: Any) -> DelayedDrives:  # noqa: D102
+        case, seed, small = piece
+        count, seconds = _LATE_SMALL if small else _LATE_FULL
+        margin = margin_with_delay(case) if case.reported == "model" and not small else None
+        return delayed_drives(case, count, 1000 * seed, seconds, margin=margin)
+
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+        return Result([row for found in answers for row in _late_rows(found)])
+
+
+def _late_rows(found: DelayedDrives) -> list[Row]:
+    """With a known delay, more actions have to be corrected than relaxed: otherwise the condition came too late."""
+    late, statuses = found.lateness, found.statuses
+    who = {"model": "known to the model", "clock": "reported by the clock", "none": "known to no one"}[late.reported]
+    name, ticks = f"{1000 * late.seconds:.0f} ms, {who}", sum(statuses.values())
+    beyond = sum(statuses[status] for status in ("relaxed", "violated", "fallback"))
+    asked = None if late.reported == "none" else 0
+    notice = ", ".join(f"{status} {100 * count / max(1, ticks):.1f} %" for status, count in sorted(statuses.items()))
+    return [
+        Row(f"{name}: drives with a collision ({notice})", found.collided, found.drives, most=0),
+        Row(f"{name}: relaxed and worse beyond corrected", max(0, beyond - statuses["corrected"]), ticks, most=asked),
+        Row(f"{name}: goals", found.goals, found.drives),
+        Row(f"{name}: least h", found.least_h, found.drives, unit="m"),
+    ]
+
+
+_STANDING_LOADS: Final = ("none", "box", "chair", "large_chair")
+_STANDING_FULL: Final = (25, 120.0)
+"""Drives of each load, and seconds of each."""
+_STANDING_SMALL: Final = (1, 4.0)
+_LATENESS: Final = (0.0, 0.006)
+"""s from sense to act: as in lockstep, and as a robot in real time reports it."""
+_MOST_IS_STATIONARY: Final = 2
+_GOALS: Final = 6.0
+"""A minute, in the mean."""
+_POINT: Final = "point"
+
+
+@final
+class Standing(AbstractAttack):
+    """Stops of ten seconds and more, by position, and whether the verdicts report them."""
+
+    name = "standing"
+    sentence = "two minutes of driving with every load: long stops, whether they are reported, and goals"
+
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
+        count, seconds = _STANDING_SMALL if small else _STANDING_FULL
+        return [
+            LongDrive(load, 1000 * seed + number, seconds, until_action=_LATENESS[number % len(_LATENESS)])
+            for load in _STANDING_LOADS
+            for number in range(count)
+        ] + [LongDrive(_POINT, 1000 * seed + number, seconds, driver=_POINT) for number in range(count)]
+
+    def work(self, piece: Any) -> LongOutcome:  # noqa: D102
+        return run_long_drive(piece)
+
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+        found = long_summary(answer for answer in answers if answer.load != _POINT)
+        point = long_summary(answer for answer in answers if answer.load == _POINT)
+        drives = found["drives"]
+        rows = [
+            Row("drives with a stand of 10 s and more", found["stands"], drives, most=_MOST_IS_STATIONARY),
+            Row("of these, not reported", found["untold"], found["stands"], most=0),
+            Row("drives with less than 1 m in any 20 s", found["crawls"], drives, most=_MOST_IS_STATIONARY),
+            Row("goals a minute", found["goals_a_minute"], drives, least=_GOALS),
+            Row("collisions", found["collisions"], drives, most=0),
+            Row("point robot: drives with a stand of 10 s and more", point["stands"], point["drives"], most=0),
+            Row("point robot: drives with less than 1 m in any 20 s", point["crawls"], point["drives"]),
+            Row("point robot: goals a minute", point["goals_a_minute"], point["drives"]),
+            Row("point robot: hazards entered", point["collisions"], point["drives"], most=0),
+        ]
+        longest = sorted(answers, key=lambda each: -each.longest_stand)[:5]
+        worst = [
+            {"fault": "stand", "load": each.load, "seed": each.seed, "seconds": each.longest_stand} for each in longest
+        ]
+        return Result(rows, [*worst, *found["standstills"], *point["standstills"]])

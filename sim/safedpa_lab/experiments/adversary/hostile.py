@@ -36,7 +36,7 @@ class HostileNode(AbstractNode):
     inputs: ClassVar[tuple[Any, ...]] = ()
     outputs: ClassVar[tuple[Any, ...]] = (NOMINAL,)
     share: ClassVar[float] = 0.2
-    lingers: ClassVar[bool] = False
+    defers_afterwards: ClassVar[bool] = False
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del robot, inputs

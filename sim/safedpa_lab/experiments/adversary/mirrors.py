@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray
 from safedpa.safety import SafetyFilter, Verdict
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
-from safedpa_lab.experiments.adversary.linear_shapes import random_problem
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 
 __all__ = ["MIRRORS", "Mirrors", "Reflected"]
 
@@ -28,7 +27,7 @@ _FULL: Final = 6_000
 _SMALL: Final = 60
 _PIECE: Final = 60
 _SHAPES: Final = ("plain", "tight", "degenerate", "feeble", "crowded", "costly", "wide")
-"""Others stand on an edge, where the last digit decides between two answers."""
+"""Others are borderline: the last digit decides between two answers."""
 _SAME: Final = 1e-6
 """Ranges within which two actions are the same; of the least-violation ones the least h is compared."""
 _AS_HIGH: Final = 0.01
@@ -122,7 +121,7 @@ MIRRORS: Final[Mapping[str, Callable[[LinearProblem, Random], Mirrored]]] = {
     "actions turned round": _actions_turned_round,
     "actions counted from elsewhere": _actions_counted_from_elsewhere,
     "states turned": _states_turned,
-    "gradient told or not": _gradient_reported_or_not,
+    "gradient given or not": _gradient_reported_or_not,
 }
 """By name."""
 _WORN: Final = "a filter that answered others before"
@@ -131,7 +130,7 @@ _AGAIN: Final = "its own answer requested"
 
 @final
 class Mirrors(AbstractAttack):
-    """Answers that depend on how a question is put, or on what was asked before."""
+    """Answers that depend on the form of a question, or on earlier questions."""
 
     name = "mirrors"
     sentence = "the same problems put differently, and to a filter that has answered others before"
@@ -169,7 +168,7 @@ class Mirrors(AbstractAttack):
 
 
 def _problem(seed: int, number: int) -> LinearProblem:
-    """The problem of this number among those that do not stand on an edge."""
+    """The problem of this number among those that are not borderline."""
     candidate = 5 * number
     while random_problem(seed, candidate).shape not in _SHAPES:
         candidate += 1
@@ -178,7 +177,7 @@ def _problem(seed: int, number: int) -> LinearProblem:
 
 @final
 class _Worn:
-    """Filters that have answered others before: one for each number of actions, asked with each problem's barriers."""
+    """Filters that have answered other questions before: one per number of actions."""
 
     def __init__(self) -> None:
         self._filters: dict[int, SafetyFilter] = {}

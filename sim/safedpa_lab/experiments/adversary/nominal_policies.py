@@ -1,4 +1,4 @@
-"""What is requested of a system by someone who wants it to crash."""
+"""Nominal policies that try to make a system crash."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa_lab.experiments.adversary.control_system import ControlSystem
+from safedpa_lab.experiments.adversary.example_systems import ControlSystem
 
 __all__ = ["NOMINAL_POLICIES"]
 

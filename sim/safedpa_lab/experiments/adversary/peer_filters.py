@@ -1,8 +1,8 @@
 """Other projects' filters on linear problems: run by path, in whichever Python has them; needs nothing of this project.
 
-Standard input holds ``{"peer": name, "eta": eta, "problems": [...]}`` with state, f, g, P, q and nominal action of each problem,
-all of the same shapes, actions between -1 and 1. For each the answer on standard output is the action (null: none) and
-what was said about it: a warning, an exception, a status; nothing where the action came without a word.
+Standard input holds ``{"peer": name, "eta": eta, "problems": [...]}`` with state, f, g, P, q and nominal action
+of each problem, all of the same shapes, actions between -1 and 1. For each the answer on standard output is the action
+(null: none) and the message: a warning, an exception, a status; empty where there was none.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _run_time_assurance(example: Problem, eta: float) -> Decide:
 
 
 def _cvxpy(example: Problem, eta: float, solver: str) -> Decide:
-    """As it stands in many a tutorial: hard conditions, and whatever the variable holds is the action."""
+    """As in many tutorials: hard constraints, and the value of the variable is the action."""
     cp: Any = importlib.import_module("cvxpy")
     rows, actions = len(example["q"]), len(example["nominal"])
     action, A = cp.Variable(actions), cp.Parameter((rows, actions))
@@ -151,7 +151,7 @@ PEERS: Mapping[str, Callable[[Problem, float], Decide]] = {
     "cvxpy, OSQP": partial(_cvxpy, solver="OSQP"),
     "cvxpy, Clarabel": partial(_cvxpy, solver="CLARABEL"),
 }
-"""By name: ``make(example, eta)``; the example tells the shapes."""
+"""By name: ``make(example, eta)``; the example gives the shapes."""
 
 if __name__ == "__main__":
     main()

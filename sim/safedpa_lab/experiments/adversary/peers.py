@@ -14,9 +14,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
-from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
-from safedpa_lab.experiments.adversary.linear_shapes import random_problem
+from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 
 __all__ = ["OWN", "PEER_PACKAGES", "Peers", "peer_problems"]
 
@@ -40,7 +39,7 @@ _SECONDS: Final = 600.0
 _QUIET: Final = {"OMP_NUM_THREADS": "1", "JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu"}
 
 Answer = tuple[list[float] | None, str]
-"""The action, if there is one, and what was said about it."""
+"""The action, if there is one, and the message about it."""
 
 
 @final
@@ -93,7 +92,7 @@ def peer_problems(seed: int, count: int, mixed: bool) -> list[LinearProblem]:
 
 
 def _ordinary(problem: LinearProblem) -> bool:
-    """Whether the problem stands in the units in which it was drawn."""
+    """Whether the problem is in the units in which it was drawn."""
     return bool((problem.high - problem.low).max() < 4.0 and (problem.high - problem.low).min() > 0.4)
 
 
@@ -158,7 +157,7 @@ def _has(python: str, package: str) -> bool:
 
 
 def _rows(name: str, problems: Sequence[LinearProblem], answers: Sequence[Answer], most: float | None) -> list[Row]:
-    """``most`` unsafe actions may come unsaid; of a peer it is only told how many did."""
+    """``most`` unsafe actions may come without a message; of a peer they are only counted."""
     unsaid, notice, none, feasible = 0, 0, 0, 0
     for problem, (action, phrase) in zip(problems, answers, strict=True):
         judge = LinearJudge(problem)
@@ -169,7 +168,7 @@ def _rows(name: str, problems: Sequence[LinearProblem], answers: Sequence[Answer
             unsaid, notice = unsaid + int(not phrase), notice + int(bool(phrase))
     return [
         Row(f"{name}: unsafe action, and not a word", unsaid, len(problems), most=most),
-        Row(f"{name}: unsafe action, and said so", notice, len(problems)),
+        Row(f"{name}: unsafe action, reported as such", notice, len(problems)),
         Row(f"{name}: no action at all", none, len(problems)),
         *([Row(f"{name}: problems that can be kept", feasible, len(problems))] if most is not None else []),
     ]

@@ -9,8 +9,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_lab.experiments.adversary.linear_shapes import random_problem, shape_of
-from safedpa_lab.experiments.adversary.linear_verdict import BROKEN, FAR, Judged, judged
+from safedpa_lab.experiments.adversary.linear.judge import BROKEN, FAR, Judged, judged
+from safedpa_lab.experiments.adversary.linear.problem import random_problem, shape_of
 
 __all__ = ["Programs"]
 
@@ -18,7 +18,7 @@ _FULL: Final = 100_000
 _SMALL: Final = 330
 _PIECE: Final = 500
 _KEPT_CASES: Final = 3
-"""Of each fault, the worst so many are told."""
+"""Number of worst cases reported per fault."""
 _CLOSE: Final = 0.01
 """Share of the scale within which the least-violation action counts as such."""
 
@@ -69,7 +69,9 @@ def _rows(items: Sequence[Judged]) -> list[Row]:
         Row("passed or corrected, condition broken", sum(b > BROKEN for b in kept), len(kept), most=0),
         Row("largest break, in scales", max(kept, default=0.0), len(kept), most=BROKEN),
         Row("passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
-        Row("h < 0 now, and not told (or told wrongly)", sum(item.untold for item in items), len(items), most=0),
+        Row(
+            "h < 0 now, and not reported (or reported wrongly)", sum(item.untold for item in items), len(items), most=0
+        ),
         Row("no decision computed", sum(item.status == "fallback" for item in items), len(items), most=0),
         Row("corrected further than needed", sum(e > FAR for e in excess), len(excess), most=0),
         Row("largest excess, in ranges", max(excess, default=0.0), len(excess), most=FAR),
@@ -92,7 +94,7 @@ def _worst(found: Sequence[tuple[int, int, Judged]]) -> list[dict[str, Any]]:
         marks = {
             "condition broken": item.broken if (item.broken or 0.0) > BROKEN else None,
             "predicted h < 0": 1.0 if item.below else None,
-            "h < 0 now not told": 1.0 if item.untold else None,
+            "h < 0 now not reported": 1.0 if item.untold else None,
             "no decision": 1.0 if item.status == "fallback" or item.status.startswith("raised") else None,
             "too far": item.excess if (item.excess or 0.0) > FAR else None,
             "missed": 1.0 if item.missed else None,

@@ -106,7 +106,7 @@ class Scales(AbstractAttack):
 
 
 def _rows(what: str, found: Sequence[Drive], reference: Drive) -> list[Row]:
-    """Of a moved origin the digits of h themselves are fewer: there only the wall is asked for."""
+    """With a moved origin, h itself has fewer digits: only the wall is checked there."""
     strict = None if what == "origin" else 0
     apart = max((_apart(driven, reference) for driven in found), default=0.0)
     others = sum(driven.statuses != reference.statuses for driven in found)

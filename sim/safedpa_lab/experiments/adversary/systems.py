@@ -13,16 +13,23 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_lab.experiments.adversary.control_system import ControlSystem
-from safedpa_lab.experiments.adversary.line_systems import adaptive_cruise, double_integrator, late_drive, pendulum
-from safedpa_lab.experiments.adversary.looking_systems import (
+from safedpa_lab.experiments.adversary.example_systems import (
+    ControlSystem,
+    adaptive_cruise,
+    chased,
+    corridor,
     disc_by_higher_order,
     disc_by_rollout,
+    disc_of_degree_two,
+    double_integrator,
     late_by_pending_actions,
+    late_drive,
+    pendulum,
+    quadrotor,
     thin_disc,
+    unicycle,
 )
 from safedpa_lab.experiments.adversary.nominal_policies import NOMINAL_POLICIES
-from safedpa_lab.experiments.adversary.plane_systems import chased, corridor, disc_of_degree_two, quadrotor, unicycle
 
 __all__ = ["SYSTEMS", "Systems", "Tally"]
 
@@ -49,7 +56,7 @@ _FULL: Final = (40, 150)
 """Episodes of each system, and periods of each."""
 _SMALL: Final = (4, 60)
 _EVERY: Final = {False: 1, True: 5}
-"""Periods between two looks at the grid; whose barriers are rollouts is slow to judge."""
+"""Periods between two evaluations of the grid; rollout barriers are slow to evaluate."""
 _BROKEN: Final = 1e-9
 _FAR: Final = 0.1
 _CLOSE: Final = 0.01
@@ -79,14 +86,14 @@ class Tally:
         """Takes another one's figures in."""
         self.statuses.update(other.statuses)
         self.least_h, self.broken = min(self.least_h, other.least_h), max(self.broken, other.broken)
-        for name in ("crashed", "episodes", "retained", "below", "missed", "needless", "unkept"):
+        for name in ("crashed", "episodes", "kept", "below", "missed", "needless", "unkept"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.excess += other.excess
 
 
 @final
 class Systems(AbstractAttack):
-    """Least h in truth, and what the grid knows better. The model is exact: whatever goes wrong is the filter's."""
+    """True least h, and better actions of the grid. The model is exact: every failure is the filter's."""
 
     name = "systems"
     sentence = "nine small systems under hostile nominal actions, against grids of actions"

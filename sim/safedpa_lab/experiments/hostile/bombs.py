@@ -193,7 +193,7 @@ def _zip() -> bytes:
 
 
 def _zip_that_lies() -> bytes:
-    """Its directory tells of 10 bytes."""
+    """Its directory claims 10 bytes."""
     packed = zlib.compress(bytes(200 * _MEBI))[2:-4]
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:

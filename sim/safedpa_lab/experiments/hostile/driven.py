@@ -16,7 +16,7 @@ from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.hostile.mutations import mutated
 from safedpa_lab.experiments.hostile.targets import messages
 from safedpa_sim.robots import CarRobot, Scene
-from safedpa_sim.robots.fleet_loop import FleetLoop
+from safedpa_sim.robots.fleet.loop import FleetLoop
 
 __all__ = ["DrivenLoop"]
 
@@ -50,7 +50,7 @@ class DrivenLoop:
     @property
     def refused(self) -> int:
         """Messages that no service took."""
-        return sum(loop._strangers.refused for loop in self._services)
+        return sum(loop._unserved.refused for loop in self._services)
 
     def attacked(self, chance: random.Random) -> tuple[float, str]:
         """s of processor time that the slowest service took for one turn under attack, and what it raised."""
@@ -62,7 +62,7 @@ class DrivenLoop:
             self._stranger.put(key, mutated(chance, self._seeds), never_drop=topic.delivery == "all")
         worst, hole = 0.0, ""
         self._now += _TURN_SECONDS
-        self._robots.turn()
+        self._robots.step()
         for service in self._services:
             began = time.thread_time()
             try:
@@ -74,7 +74,7 @@ class DrivenLoop:
 
     def _turn(self) -> None:
         self._now += _TURN_SECONDS
-        self._robots.turn()
+        self._robots.step()
         for service in self._services:
             service.turn(0.0)
 

@@ -24,7 +24,7 @@ _AT_A_TIME = 20
 
 @dataclass
 class Tally:
-    """What came of the inputs of one target."""
+    """The results of one target."""
 
     name: str
     inputs: int = 0
@@ -32,7 +32,7 @@ class Tally:
     worst_seconds: float = 0.0
     """Processor time of one input."""
     holes: list[str] = field(default_factory=list)
-    """What came out that should not, in words."""
+    """Descriptions of unexpected results."""
 
     def as_row(self) -> dict[str, Any]:
         """For JSON."""

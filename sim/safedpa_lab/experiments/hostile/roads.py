@@ -22,6 +22,7 @@ from typing import Any, NoReturn
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments.hostile.bombs import BOMBS, Bomb
+from safedpa_lab.experiments.record import ReportProgress, silent
 
 __all__ = [
     "MOST_MEBIBYTES",
@@ -111,6 +112,7 @@ ROADS: tuple[Road, ...] = tuple(
         ("replay: recording", (".mcap", ".csv"), ("replay", "{file}", "--out", "{folder}/r.csv")),
         ("export: recording", (".mcap",), ("export", "{file}", "--format", "csv", "--out", "{folder}/r.csv")),
         ("export: weights", (".safetensors",), ("export", "{file}", "--onnx", "{folder}/onnx")),
+        ("migrate: file", (".toml", ".mcap"), ("migrate", "{file}", "--out", "{folder}/new")),
         ("workbench --session", (".json",), ("workbench", "--session", "{file}", "--out", "{folder}/out")),
         ("workbench: model", _TOML, ("{file}", "{good}", "")),
         ("workbench: column map", (".map",), ("car", "{good}", "{file}")),
@@ -215,8 +217,8 @@ def prepare() -> None:
     for name in (
         "numpy", "pyarrow.parquet", "pyarrow.csv", "zstandard", "lz4.frame", "mcap.reader", "rosbags.typesys",
         "pyulog.core", "safetensors", "safedpa.records.readers.mcap", "safedpa.diagnosis", "safedpa.policy.node",
-        "safedpa_services.command_line.up", "safedpa_services.workbench.file_preview",
-        "safedpa_services.workbench.session", "safedpa.ros.definitions",
+        "safedpa_services.command_line.up", "safedpa_services.workbench.open_dialog.file_preview",
+        "safedpa_services.workbench.session.session", "safedpa.ros.definitions",
     ):  # fmt: skip
         import_module(name)
 
@@ -250,7 +252,7 @@ def _walked(road: Road, bomb: Bomb, file: Path, good: Path, folder: Path) -> int
 
 def _opened(phrase: Sequence[str]) -> int:
     """What the Open button does."""
-    from safedpa_services.workbench.recordings import InputSelection, load_inputs
+    from safedpa_services.workbench.session.inputs import InputSelection, load_inputs
 
     model, run, columns = phrase
     bag = Path(run).suffix in _BAGS or Path(run).is_dir()
@@ -267,7 +269,7 @@ def _uploaded(file: Path) -> int:
     from safedpa.dynamics import load_model
     from safedpa.records import load_column_map
     from safedpa_services.web.upload_store import FileStore
-    from safedpa_services.workbench.file_preview import check_recording, raw_rows
+    from safedpa_services.workbench.open_dialog.file_preview import check_recording, raw_rows
 
     try:
         (path,) = FileStore([file.parent]).recordings([str(file)])
@@ -351,9 +353,7 @@ def _memory(what: str) -> float:
     return float(line.split()[1]) / 1024.0
 
 
-def walk(
-    chosen: Sequence[tuple[Road, Bomb]], report_progress: Callable[[int, int], None] = lambda _done, _all: None
-) -> list[dict[str, Any]]:
+def walk(chosen: Sequence[tuple[Road, Bomb]], report_progress: ReportProgress = silent) -> list[dict[str, Any]]:
     """A row for each pair; a bomb is made once for all roads that follow each other with it."""
     prepare()
     rows: list[dict[str, Any]] = []

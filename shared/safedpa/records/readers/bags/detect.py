@@ -1,4 +1,4 @@
-"""What a file is, by its first bytes; a wrong kind is named for what it is."""
+"""Detects the kind of a file by its first bytes; the error for another kind of file names that kind."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["kind_of", "topic_log"]
 _WANTED = "a recording: .csv, .parquet, .mcap, .db3, .bag, .ulg or a rosbag2 folder"
 _MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
 _OTHERS: tuple[tuple[bytes, str, str], ...] = (
-    (b"#ROSBAG V1", "a ROS 1 bag of format 1", "bring it up to format 2.0: rosbag fix"),
+    (b"#ROSBAG V1", "a ROS 1 bag of format 1", "convert it to format 2.0: rosbag fix"),
     (b"\x1f\x8b", "packed by gzip", "unpack it: gunzip"),
     (b"BZh", "packed by bzip2", "unpack it: bunzip2"),
     (b"\xfd7zXZ", "packed by xz", "unpack it: unxz"),
@@ -47,12 +47,12 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
 
 
 def kind_of(path: Path) -> str:
-    """csv, parquet, mcap (a recording of the bus), or topics: a log of topics, which needs a map that names them.
+    """Returns csv, parquet, mcap (a recording of the bus) or topics (a log of topics, which needs a column map).
 
-    Raises RunError for what is not there, is empty, or is something else, and says what.
+    Raises RunError if the file is missing, empty or of another kind, which the message names.
     """
     if any("\ud800" <= sign <= "\udfff" for sign in str(path)):
-        raise RunError(f"{readable(str(path))}: its name is not UTF-8, which readers of tables want; rename it")
+        raise RunError(f"{readable(str(path))}: its name is not UTF-8, as the table readers require; rename it")
     if path.is_dir():
         if is_bag_folder(path):
             return "topics"
@@ -70,7 +70,7 @@ def kind_of(path: Path) -> str:
     if path.name == "metadata.yaml":
         raise RunError(f"{path}: is the metadata of a bag; name its folder, {path.parent}")
     if path.suffix.lower() == ".mcap":
-        return "mcap"  # its reader says what is wrong
+        return "mcap"  # the reader reports what is wrong
     if start.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
         return "parquet"
     _refuse_others(path, start)
@@ -78,19 +78,19 @@ def kind_of(path: Path) -> str:
 
 
 def _refuse_others(path: Path, start: bytes) -> None:
-    for magic, what, cure in _OTHERS:
+    for magic, what, fix in _OTHERS:
         if start.startswith(magic):
-            raise RunError(f"{path}: is {what}; {cure}, or name {_WANTED}")
+            raise RunError(f"{path}: is {what}; {fix}, or name {_WANTED}")
     if start.startswith(_ZSTD):
-        raise RunError(f"{path}: is packed by zstd; unpack it, or call it NAME.mcap.zstd; wanted {_WANTED}")
-    ending = path.suffix.lower()
-    if ending in (".bag", ".db3", ".ulg"):
-        what = {".bag": "ROS 1 bag", ".db3": "rosbag2 in SQLite", ".ulg": "PX4 flight log"}[ending]
-        raise RunError(f"{path}: is called {ending}, but is no {what}; copy it again, or name {_WANTED}")
+        raise RunError(f"{path}: is packed by zstd; unpack it, or rename it to NAME.mcap.zstd; wanted {_WANTED}")
+    suffix = path.suffix.lower()
+    if suffix in (".bag", ".db3", ".ulg"):
+        what = {".bag": "ROS 1 bag", ".db3": "rosbag2 in SQLite", ".ulg": "PX4 flight log"}[suffix]
+        raise RunError(f"{path}: has the suffix {suffix}, but is no {what}; copy it again, or name {_WANTED}")
 
 
 def topic_log(path: Path) -> AbstractLog:
-    """The log in a file or folder of which ``kind_of`` says topics."""
+    """Opens the log in a file or folder for which ``kind_of`` returns topics."""
     if path.is_dir():
         return FolderBag(path)
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Bags: logs of encoded messages, decoded as far as they are asked for."""
+"""Bags: logs of encoded ROS messages, of which only the requested fields are decoded."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from safedpa.ros.definitions import QUATERNION, Definitions, numeric_fields, par
 
 __all__ = ["AbstractBag", "DeclaredTopic", "yaw_of"]
 
-_NEARLY = 1e-6
-"""Off length 1 by this much, a quaternion is one that was rounded."""
-_MOST_FRAMES = 16
-"""Names of frames of one topic that are kept."""
+_UNIT_TOLERANCE = 1e-6
+"""Deviation of |q|² from 1 that is rounding; a quaternion beyond it is normalised."""
+_MAX_FRAMES = 16
+"""Frame names that are kept for one topic."""
 _STAMP, _FRAMES = "header.stamp", ("header.frame_id", "child_frame_id")
 
 
 @dataclass(frozen=True)
 class DeclaredTopic:
-    """What a bag says of a topic."""
+    """Declaration of a topic in a bag."""
 
     type: str
     """``package/msg/Type``."""
     encoding: str
-    """cdr, ros1, or another one, which cannot be read."""
+    """cdr or ros1; messages of any other encoding cannot be read."""
     definition: str = ""
     form: str = ""
     """ros1msg, ros2msg or ros2idl; empty without a definition."""
 
 
 class AbstractBag(AbstractLog):
-    """A bag; what differs between formats is how messages are found in it."""
+    """A bag; its subclasses implement how messages are found in a format."""
 
     def __init__(self, path: Path, kind: str) -> None:
         super().__init__(path, kind)
@@ -52,10 +52,10 @@ class AbstractBag(AbstractLog):
 
     @abstractmethod
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message), of all topics or of these, in the file's order."""
+        """Yields (topic, receipt time in ns, encoded message) of all or the given topics, in the order of the file."""
 
     def topics(self) -> Mapping[str, LoggedTopic]:
-        """Every topic, by name. The whole bag is read for it, once."""
+        """Every topic by name. The first call reads the whole bag."""
         return self._topics
 
     @cached_property
@@ -72,21 +72,21 @@ class AbstractBag(AbstractLog):
                     entry[1] = at
                 elif at > entry[2]:
                     entry[2] = at
-        del self.findings[found:]  # said again when the series are read
+        del self.findings[found:]  # they are reported again when the series are read
         if not counts:
-            raise RunError(f"{self.path}: the bag holds no message; record again, or name another file")
-        listed = self._listed()
+            raise RunError(f"{self.path}: the bag contains no message; record again, or name another file")
+        listed = self._topics_to_list()
         return {name: self._topic(name, counts.get(name, [0, 0, 0]), name in listed) for name in sorted(self.declared)}
 
-    def _listed(self) -> set[str]:
-        """Topics whose fields are listed: those of the shortest definitions, up to their limit all together."""
+    def _topics_to_list(self) -> set[str]:
+        """Topics whose fields are listed: those with the shortest definitions, up to the limit for all together."""
         letters, lines = limit("definitions_letters"), limit("definitions_lines")
         seen, found = set[tuple[str, str]](), set[str]()
         for name, declared in sorted(self.declared.items(), key=lambda item: (len(item[1].definition), item[0])):
             if (declared.type, declared.definition) not in seen:
                 seen.add((declared.type, declared.definition))
                 letters -= len(declared.definition)
-                if letters >= 0:  # else not even counted
+                if letters >= 0:  # beyond the limit even counting the lines takes too long
                     lines -= summarize_definition(declared.definition, declared.form)[1]
             if letters < 0 or lines < 0:
                 break
@@ -115,78 +115,78 @@ class AbstractBag(AbstractLog):
         return Definitions(declared.encoding == "ros1", own)
 
     def series(self, wanted: Mapping[str, tuple[str, ...]]) -> Mapping[str, Series]:
-        """Fields of topics, in one pass. Raises RunError and InputError as AbstractLog says."""
-        collected: dict[str, _Collected] = {}
+        """Reads fields of topics in one pass; raises RunError and InputError like ``AbstractLog.series``."""
+        collected: dict[str, _TopicCollector] = {}
         most = limit("bag_messages")
-        for retained, (topic, at, data) in enumerate(self.messages(tuple(wanted)), 1):
-            into = collected.get(topic)
-            if into is None:
-                into = collected[topic] = self._collector(topic, wanted[topic])
-            into.add(at, data)
-            if retained > most:
-                raise too_much("bag_messages", retained, str(self.path))
+        for count, (topic, at, data) in enumerate(self.messages(tuple(wanted)), 1):
+            collector = collected.get(topic)
+            if collector is None:
+                collector = collected[topic] = self._collector(topic, wanted[topic])
+            collector.add(at, data)
+            if count > most:
+                raise too_much("bag_messages", count, str(self.path))
         for topic in wanted:
             if topic not in collected:
-                self.topic(topic)  # raises, naming what is there
-        for topic, into in collected.items():
-            self._report_refused(topic, into)
-        return {topic: into.series() for topic, into in collected.items()}
+                self.topic(topic)  # raises an error that lists the topics
+        for topic, collector in collected.items():
+            self._report_refused(topic, collector)
+        return {topic: collector.series() for topic, collector in collected.items()}
 
-    def _collector(self, topic: str, paths: tuple[str, ...]) -> _Collected:
+    def _collector(self, topic: str, paths: tuple[str, ...]) -> _TopicCollector:
         declared = self.declared[topic]
         try:
-            return _Collected(self._definitions(declared), declared, paths)
+            return _TopicCollector(self._definitions(declared), declared, paths)
         except InputError as error:
             raise RunError(f"{self.path}: topic '{topic}': {error}") from error
 
-    def _report_refused(self, topic: str, into: _Collected) -> None:
-        if not into.receipt:
+    def _report_refused(self, topic: str, collector: _TopicCollector) -> None:
+        if not collector.receipt:
             raise RunError(
-                f"{self.path}: topic '{topic}': none of its {into.refused} messages is a {self.declared[topic].type} "
-                "as its definition says; record it again with the definition that its publisher has"
+                f"{self.path}: topic '{topic}': none of {collector.refused} messages is a {self.declared[topic].type} "
+                "as defined; record it again with the definition that its publisher uses"
             )
-        if into.refused:
-            sentence = f"{topic}: {into.refused} messages could not be decoded; left out"
-            self.findings.append(Finding("unreadable_message", sentence, into.refused))
+        if collector.refused:
+            sentence = f"{topic}: {collector.refused} messages could not be decoded and were ignored"
+            self.findings.append(Finding("unreadable_message", sentence, collector.refused))
 
 
 def _column_type(kind: str) -> str:
     return "angle" if kind == QUATERNION else "time" if kind.startswith("builtin_interfaces/") else kind
 
 
-class _Collected:
-    """Numbers of one topic, as they come."""
+class _TopicCollector:
+    """Collects the requested numbers of one topic, message by message."""
 
     def __init__(self, definitions: Definitions, declared: DeclaredTopic, paths: tuple[str, ...]) -> None:
-        there = numeric_fields(definitions, declared.type)
+        available = numeric_fields(definitions, declared.type)
         first = {item.name: item.type for item in definitions.of(declared.type)}
-        self._stamped = _STAMP in there
-        alongside = [_STAMP] if self._stamped else []
+        self._stamped = _STAMP in available
+        extra = [_STAMP] if self._stamped else []
         if first.get("header") == "std_msgs/msg/Header":
-            alongside.append(_FRAMES[0])
+            extra.append(_FRAMES[0])
         if first.get("child_frame_id") == "string":
-            alongside.append(_FRAMES[1])
-        self._paths, self._alongside = paths, tuple(alongside)
-        self._decode = Decoder(definitions, declared.type, (*alongside, *paths), ros1=declared.encoding == "ros1")
-        self._frames: dict[str, set[str]] = {path: set() for path in alongside if path in _FRAMES}
-        self._names = [self._frames.get(path) for path in alongside]
+            extra.append(_FRAMES[1])
+        self._paths, self._extra_paths = paths, tuple(extra)
+        self._decode = Decoder(definitions, declared.type, (*extra, *paths), ros1=declared.encoding == "ros1")
+        self._frames: dict[str, set[str]] = {path: set() for path in extra if path in _FRAMES}
+        self._names = [self._frames.get(path) for path in extra]
         self.receipt = array("q")
         self._stamps = array("q")
         self._columns = [array("d") for _ in paths]
-        self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(alongside) :]]
+        self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(extra) :]]
         self.refused = 0
 
     def add(self, at: int, data: bytes) -> None:
-        """One message more."""
+        """Decodes and adds one message."""
         try:
             values = self._decode(data)
         except DecodingError:
             self.refused += 1
             return
         self.receipt.append(at)
-        start = len(self._alongside)
+        start = len(self._extra_paths)
         for names, value in zip(self._names, values, strict=False):
-            if names is not None and len(names) < _MOST_FRAMES:
+            if names is not None and len(names) < _MAX_FRAMES:
                 names.add(value)
         if self._stamped:
             self._stamps.append(values[0])
@@ -194,7 +194,7 @@ class _Collected:
             column.append(math.nan if value is None else convert(value))
 
     def series(self) -> Series:
-        """What came, in the order of the recorder's clock."""
+        """Returns the collected series, sorted by receipt time."""
         receipt = np.frombuffer(self.receipt, dtype=np.int64) if self.receipt else np.empty(0, dtype=np.int64)
         order = np.argsort(receipt, kind="stable")
         stamps = np.frombuffer(self._stamps, dtype=np.int64)[order] if self._stamps else None
@@ -205,18 +205,18 @@ class _Collected:
 
 
 def _seconds(value: int) -> float:
-    return value / 1e9  # rounded once, so equal to the nearest number of a float
+    return value / 1e9  # one rounding: gives the float nearest to the exact time
 
 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """rad; rotation about the vertical axis: atan2(2 (w z + x y), 1 - 2 (y^2 + z^2)), as of ROS REP 103.
+    """Yaw angle [rad] of a quaternion: atan2(2 (w z + x y), 1 - 2 (y^2 + z^2)), axes as in ROS REP 103.
 
-    A quaternion of another length than 1 counts by its direction; NaN for one of zeros, which is none.
+    The quaternion is normalised; the result is NaN for zero length.
     """
     size = x * x + y * y + z * z + w * w
     if not size > 0.0:
         return math.nan
-    one = 1.0 if abs(size - 1.0) < _NEARLY else size
+    one = 1.0 if abs(size - 1.0) < _UNIT_TOLERANCE else size
     return math.atan2(2.0 * (w * z + x * y), one - 2.0 * (y * y + z * z))
 
 

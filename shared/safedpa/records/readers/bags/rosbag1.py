@@ -1,7 +1,7 @@
-"""ROS 1 bags, format 2.0, read front to back: so without their index, and up to where they were cut off.
+"""Reads ROS 1 bags of format 2.0 sequentially: without their index, and up to a truncation.
 
-The format (wiki.ros.org/Bags/Format/2.0): records of a header and data, each behind its length; a header holds
-``name=value`` fields behind theirs; ``op`` says what a record is. Chunks hold connections and messages, packed or not.
+Format (wiki.ros.org/Bags/Format/2.0): a record is a header and data, each after its length. A header consists of
+``name=value`` fields, each after its length; ``op`` is the kind of record. Chunks contain connections and messages.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
-_LONGEST_HEADER = 1 << 20
-"""Bytes of a record's header; a connection's definition stands in its data."""
+_MAX_HEADER_BYTES = 1 << 20
+"""Largest header of a record; long message definitions are in the data of a connection."""
 
 
 class Ros1Bag(AbstractBag):
-    """A ``.bag`` of ROS 1."""
+    """A ROS 1 bag (``.bag``)."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "ROS 1 bag")
         self._names: dict[int, str] = {}
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message) in the file's order; a damaged end is told and left out."""
+        """Yields (topic, receipt time in ns, encoded message) in file order; stops at damage, with a finding."""
         size = self.path.stat().st_size
         if size > limit("bag_bytes"):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
         budget = max(limit("expansion_free_bytes"), size * limit("expansion"))
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
-                raise RunError(f"{self.path}: is no ROS 1 bag of format 2.0; 'rosbag fix' brings older ones up to it")
+                raise RunError(f"{self.path}: is no ROS 1 bag of format 2.0; 'rosbag fix' converts older ones")
             while True:
                 at = file.tell()
                 try:
@@ -53,10 +53,10 @@ class Ros1Bag(AbstractBag):
                     fields, length = head
                     operation = fields[b"op"][0] if fields.get(b"op") else 0
                     if operation == _CHUNK:
-                        data = self._opened(fields, file.read(length), budget)
+                        data = self._unpack_chunk(fields, file.read(length), budget)
                         budget -= len(data)
                         yield from self._in_chunk(data, topics)
-                    elif operation == _MESSAGE:  # of bags without chunks
+                    elif operation == _MESSAGE:  # in bags without chunks
                         yield from self._message(fields, file.read(length), topics)
                     elif operation == _CONNECTION:
                         self._connection(fields, file.read(length))
@@ -66,27 +66,27 @@ class Ros1Bag(AbstractBag):
                     self.findings.append(_damaged(at, size))
                     return
 
-    def _opened(self, fields: dict[bytes, bytes], packed: bytes, budget: int) -> bytes:
-        """What a chunk holds, never more than it says, and no more than the file may still become."""
-        (reported,) = _LENGTH.unpack(fields[b"size"])
-        if max(reported, len(packed)) > limit("bag_chunk_bytes"):
-            raise too_much("bag_chunk_bytes", f"{max(reported, len(packed))} bytes", str(self.path))
-        if reported > budget:
+    def _unpack_chunk(self, fields: dict[bytes, bytes], packed: bytes, budget: int) -> bytes:
+        """Unpacks a chunk; never produces more than its declared size, which must fit the remaining ``budget``."""
+        (declared_size,) = _LENGTH.unpack(fields[b"size"])
+        if max(declared_size, len(packed)) > limit("bag_chunk_bytes"):
+            raise too_much("bag_chunk_bytes", f"{max(declared_size, len(packed))} bytes", str(self.path))
+        if declared_size > budget:
             raise too_much("expansion", "more", str(self.path))
         how = fields[b"compression"]
         if how == b"none":
             data = packed
         elif how == b"bz2":
-            data = bz2.BZ2Decompressor().decompress(packed, reported + 1)
+            data = bz2.BZ2Decompressor().decompress(packed, declared_size + 1)
         elif how == b"lz4":
             import lz4.frame  # type: ignore[import-untyped]
 
-            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=reported + 1)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=declared_size + 1)
         else:
             raise RunError(
-                f"{self.path}: chunks are packed by '{readable(how.decode('latin-1'), 20)}'; wanted bz2 or lz4"
+                f"{self.path}: chunks are compressed by '{readable(how.decode('latin-1'), 20)}'; wanted bz2 or lz4"
             )
-        if len(data) != reported:
+        if len(data) != declared_size:
             raise _DamageError
         return data
 
@@ -124,7 +124,7 @@ class Ros1Bag(AbstractBag):
         if len(self._names) >= limit("bag_topics") and number not in self._names:
             raise too_much("bag_topics", len(self._names) + 1, str(self.path))
         kind = readable(plain_type(about[b"type"].decode("utf-8", "replace")))
-        reported = DeclaredTopic(
+        declared = DeclaredTopic(
             kind, "ros1", about.get(b"message_definition", b"").decode("utf-8", "replace"), "ros1msg"
         )
         before = self.declared.get(name)
@@ -134,7 +134,7 @@ class Ros1Bag(AbstractBag):
                 "rosbag filter IN.bag OUT.bag EXPRESSION"
             )
         self._names[number] = name
-        self.declared[name] = reported
+        self.declared[name] = declared
 
 
 class _DamageError(Exception):
@@ -142,15 +142,15 @@ class _DamageError(Exception):
 
 
 def _record(file: IO[bytes], size: int) -> tuple[dict[bytes, bytes], int] | None:
-    """Fields of the next record, and how long its data are; None at the file's end."""
+    """Header fields of the next record and the length of its data; None at the end of the file."""
     start = file.read(4)
     if not start:
         return None
     (length,) = _LENGTH.unpack(start)
-    if length > _LONGEST_HEADER:
+    if length > _MAX_HEADER_BYTES:
         raise _DamageError
     fields = _fields(file.read(length))
-    (count,) = _LENGTH.unpack(file.read(4))  # raises where the header went beyond the end
+    (count,) = _LENGTH.unpack(file.read(4))  # raises struct.error if the header ends beyond the file
     if file.tell() + count > size:
         raise _DamageError
     if count > limit("bag_chunk_bytes"):
@@ -174,5 +174,5 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
 
 def _damaged(at: int, size: int) -> Finding:
     return Finding(
-        "cut_off", f"the bag is cut off or damaged at byte {at} of {size}; read up to there, the rest left out"
+        "cut_off", f"the bag is cut off or damaged at byte {at} of {size}; read up to there, the rest ignored"
     )

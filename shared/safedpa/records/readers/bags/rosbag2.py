@@ -1,11 +1,7 @@
-"""rosbag2 as it lies on disk: a folder of ``metadata.yaml`` and one or more files, packed or not.
+"""Reads rosbag2 recordings: SQLite files, MCAP files, and folders of them, compressed or not.
 
-rosbag2 in SQLite (``.db3``): one table of topics, one of messages, read by the standard library alone.
-
-Nothing in the file is believed to be harmless: it is opened for reading, its tables must be tables, a row has a largest
-size, and functions of a schema are not run.
-
-MCAP files with ROS messages: what rosbag2 writes by default, and many recorders besides.
+A SQLite file (``.db3``) is treated as hostile: it is opened read-only, its tables must not be views, the size of a row
+is limited, and functions in its schema are not run. MCAP files with ROS messages are also written by other recorders.
 """
 
 from __future__ import annotations
@@ -32,40 +28,40 @@ __all__ = [
     "McapBag",
     "PackedBag",
     "SqliteBag",
-    "bag_in",
     "is_bag_folder",
     "is_recording_of_the_bus",
+    "open_bag_file",
 ]
 
 MAGIC = b"SQLite format 3\0"
-_CURE = "it was damaged or made to harm: sqlite3 FILE.db3 .recover brings back what is there"
-_WANTED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
+_UNSAFE_SIZE = "it is damaged or malicious; sqlite3 FILE.db3 .recover restores what is left"
+_TABLES = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
 
 
 class SqliteBag(AbstractBag):
-    """A ``.db3`` of rosbag2."""
+    """A rosbag2 file in SQLite (``.db3``)."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rosbag2 in SQLite")
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message) in the file's order; a damaged end is told and left out."""
+        """Yields (topic, receipt time in ns, encoded message) in file order; stops at damage, with a finding."""
         size = self.path.stat().st_size
         if size > limit("bag_bytes"):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
         try:
-            with closing(self._opened()) as base:
+            with closing(self._connect()) as base:
                 self._check(base)
                 numbers = self._declare(base)
                 chosen = {number: name for number, name in numbers.items() if topics is None or name in topics}
                 yield from self._rows(base, chosen, every=topics is None)
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # its own message may quote bytes that are no text
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the message may quote bytes that are not text
             raise RunError(
                 f"{self.path}: cannot be read as SQLite ({readable(str(error), 100)}); if it was cut off, "
                 "sqlite3 FILE.db3 .recover brings back what is left"
             ) from error
 
-    def _opened(self) -> sqlite3.Connection:
+    def _connect(self) -> sqlite3.Connection:
         from urllib.parse import quote
 
         base = sqlite3.connect(f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1", uri=True)
@@ -77,12 +73,12 @@ class SqliteBag(AbstractBag):
         return base
 
     def _check(self, base: sqlite3.Connection) -> None:
-        """Raises RunError where the file is no bag."""
+        """Raises RunError if the database is not a bag."""
         kinds = dict(base.execute("SELECT name, type FROM sqlite_master").fetchmany(1000))
-        for table, wanted in _WANTED.items():
+        for table, wanted in _TABLES.items():
             present = {row[1] for row in base.execute(f"PRAGMA table_info({table})")} if table in kinds else set()
             if kinds.get(table) != "table" or not wanted <= present:
-                raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: it has no table '{table}' of one")
+                raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: it has no such table '{table}'")
         log = self.path.with_name(self.path.name + "-wal")
         if log.exists() and log.stat().st_size:
             sentence = f"{log.name} holds messages that never came into the bag: it was not closed; without them"
@@ -110,33 +106,33 @@ class SqliteBag(AbstractBag):
     def _rows(
         self, base: sqlite3.Connection, chosen: dict[int, str], *, every: bool
     ) -> Iterator[tuple[str, int, bytes]]:
-        data = "x''" if every else "data"  # counting needs no message
+        data = "x''" if every else "data"  # without a selection messages are only counted
         marks = ",".join("?" * len(chosen)) if len(chosen) <= 500 else ""
         where = f" WHERE topic_id IN ({marks})" if marks and not every else ""
         cursor = base.execute(
             f"SELECT topic_id, timestamp, {data} FROM messages{where}", tuple(chosen) if where else ()
         )
-        left = max(limit("expansion_free_bytes"), self.path.stat().st_size)  # rows may share their bytes in the file
+        left = max(limit("expansion_free_bytes"), self.path.stat().st_size)  # corrupt rows may share bytes
         try:
             for number, at, content in cursor:
                 if number in chosen and isinstance(at, int) and isinstance(content, bytes):
                     left -= len(content)
                     if left < 0:
-                        raise RunError(f"{self.path}: its messages are longer than the file; {_CURE}")
+                        raise RunError(f"{self.path}: its messages are larger than the file; {_UNSAFE_SIZE}")
                     yield chosen[number], at, content
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-            sentence = f"the bag is damaged ({readable(str(error), 60)}); read up to there, the rest left out"
+            sentence = f"the bag is damaged ({readable(str(error), 60)}); read up to there, the rest ignored"
             self.findings.append(Finding("cut_off", sentence))
 
 
 class McapBag(AbstractBag):
-    """An ``.mcap`` whose channels hold CDR or ROS 1 messages."""
+    """An MCAP file whose channels contain CDR or ROS 1 messages."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "MCAP file")
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message) in the file's order; a damaged end is told and left out."""
+        """Yields (topic, receipt time in ns, encoded message) in file order; stops at damage, with a finding."""
         from mcap.records import Channel, Message, Schema
 
         size = self.path.stat().st_size
@@ -155,15 +151,15 @@ class McapBag(AbstractBag):
                 elif isinstance(record, Channel):
                     names[record.id] = record.topic
                     kind, form, text = schemas.get(record.schema_id, ("", "", b""))
-                    reported = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
-                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(reported[0])), *reported[1:])
+                    declared = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
+                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(declared[0])), *declared[1:])
         except DamageError as damage:
             where = f"is cut off or damaged at byte {damage.offset} of {damage.size}"
-            self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest left out"))
+            self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest ignored"))
 
 
 def is_recording_of_the_bus(path: Path) -> bool:
-    """Whether an MCAP file is a recording of this project's bus; so is one that cannot be read: its reader says why."""
+    """Whether an MCAP file is a recording of the bus; also True if it is unreadable: the bus reader reports why."""
     from mcap.records import Channel
 
     from safedpa.records.readers.table import require_file
@@ -182,69 +178,69 @@ def is_recording_of_the_bus(path: Path) -> bool:
     return not channels or any(channel.message_encoding == "msgpack" for channel in channels)
 
 
-_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_MOST_FILES = 10_000
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_MAX_FILES = 10_000
 _KEY = re.compile(r"( +)([a-z_]+):[ \t]*(.*)")
 _ITEM = re.compile(r" +- (.*)")
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder holds a bag: metadata, or files of one."""
+    """Whether a folder contains a bag: its metadata or its files."""
     return path.is_dir() and bool((path / "metadata.yaml").is_file() or _files_in(path))
 
 
 def _files_in(folder: Path) -> list[Path]:
-    return sorted(item for item in folder.iterdir() if item.name.endswith(_ENDINGS) and item.is_file())
+    return sorted(item for item in folder.iterdir() if item.name.endswith(_SUFFIXES) and item.is_file())
 
 
 class FolderBag(AbstractBag):
-    """All files of a folder as one bag, whatever order or index its metadata give."""
+    """All files of a folder as one bag; metadata.yaml gives the order of the files but not their content."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rosbag2 folder")
         about = _metadata(path)
         self._files = list(dict.fromkeys(path / Path(name).name for name in about.files))
-        there = [file for file in self._files if file.is_file()]
-        if len(there) < len(self._files):
+        present = [file for file in self._files if file.is_file()]
+        if len(present) < len(self._files):
             lost = [file.name for file in self._files if not file.is_file()]
             self.findings.append(
                 Finding(
                     "cut_off",
-                    f"{len(lost)} of the bag's {len(self._files)} files are not there ({readable(lost[0])}); "
-                    "read without",
+                    f"{len(lost)} of the bag's {len(self._files)} files are missing ({readable(lost[0])}); "
+                    "the others are read",
                 )
             )
-        self._files = there or _files_in(path)
+        self._files = present or _files_in(path)
         if not self._files:
-            raise RunError(f"{path}: metadata.yaml names no file that is there; wanted .mcap or .db3 files next to it")
-        self._each = about.mode.upper() == "MESSAGE"
-        if self._each and about.format != "zstd":
+            raise RunError(f"{path}: metadata.yaml names no existing file; wanted .mcap or .db3 files next to it")
+        self._packed_messages = about.mode.upper() == "MESSAGE"
+        if self._packed_messages and about.format != "zstd":
             raise RunError(
-                f"{path}: messages are packed by '{readable(about.format)}'; wanted zstd; unpack with ros2 bag convert"
+                f"{path}: messages are compressed by '{readable(about.format)}'; wanted zstd; use ros2 bag convert"
             )
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message), file after file."""
+        """Yields (topic, receipt time in ns, encoded message), file by file."""
         for file in self._files:
-            bag = bag_in(file)
+            bag = open_bag_file(file)
             bag.declared = self.declared
             for name, at, data in bag.messages(topics):
-                yield name, at, _unpacked(data) if self._each and data else data
+                yield name, at, _unpack_message(data) if self._packed_messages and data else data
             self.findings += bag.findings
 
 
 class PackedBag(AbstractBag):
-    """One file of a bag that was packed whole by zstd."""
+    """A file of a bag that was compressed as a whole by zstd."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "packed rosbag2")
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message) of what is unpacked next to, for as long as it is read."""
+        """Yields (topic, receipt time in ns, encoded message) of the file, which is unpacked to a temporary folder."""
         with tempfile.TemporaryDirectory(prefix="safedpa-bag-") as folder:
             file = Path(folder) / self.path.name.removesuffix(".zstd")
             self._unpack(file)
-            bag = bag_in(file)
+            bag = open_bag_file(file)
             bag.declared = self.declared
             try:
                 yield from bag.messages(topics)
@@ -265,17 +261,17 @@ class PackedBag(AbstractBag):
                         raise too_much("expansion", "more", str(self.path))
                     out.write(piece)
         except zstandard.ZstdError as error:
-            raise RunError(f"{self.path}: cannot be unpacked ({str(error)[:80]}); wanted one packed by zstd") from error
+            raise RunError(f"{self.path}: cannot be unpacked ({str(error)[:80]}); wanted a zstd file") from error
 
 
-def bag_in(file: Path) -> AbstractBag:
-    """The bag in one file, by its ending."""
+def open_bag_file(file: Path) -> AbstractBag:
+    """Opens the bag in one file, by its suffix."""
     if file.name.endswith(".zstd"):
         return PackedBag(file)
     return SqliteBag(file) if file.suffix == ".db3" else McapBag(file)
 
 
-def _unpacked(data: bytes) -> bytes:
+def _unpack_message(data: bytes) -> bytes:
     import zstandard
 
     most = limit("bag_message_bytes")
@@ -291,7 +287,7 @@ def _unpacked(data: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class _Metadata:
-    """What of metadata.yaml is wanted; the files themselves say the rest."""
+    """The used part of metadata.yaml; everything else is read from the files."""
 
     files: tuple[str, ...] = ()
     mode: str = ""
@@ -299,9 +295,9 @@ class _Metadata:
 
 
 def _metadata(folder: Path) -> _Metadata:
-    """What metadata.yaml says; nothing without one, or where it is damaged: the files speak for themselves.
+    """Reads metadata.yaml; empty if it is missing or damaged, because the files are readable without it.
 
-    Read line by line, as rosbag2 writes it, since YAML lets a kilobyte of references become any number of entries.
+    It is parsed line by line, as rosbag2 writes it: YAML references could expand a kilobyte to any number of entries.
     """
     need("ros", what="reading ROS logs")
     path = folder / "metadata.yaml"
@@ -312,22 +308,22 @@ def _metadata(folder: Path) -> _Metadata:
     except UnicodeDecodeError:
         return _Metadata()
     names: list[str] = []
-    reported: dict[str, str] = {}
+    values: dict[str, str] = {}
     margin, key = None, ""
     for line in lines:
         entry = _KEY.fullmatch(line)
         if entry and margin in (None, entry[1]):
             margin, key = entry[1], entry[2]
-            reported.setdefault(key, _scalar(entry[3]))
-        elif key == "relative_file_paths" and len(names) < _MOST_FILES and (item := _ITEM.fullmatch(line)):
+            values.setdefault(key, _scalar(entry[3]))
+        elif key == "relative_file_paths" and len(names) < _MAX_FILES and (item := _ITEM.fullmatch(line)):
             names.append(_scalar(item[1]))
     return _Metadata(
-        tuple(filter(None, names)), reported.get("compression_mode", ""), reported.get("compression_format", "")
+        tuple(filter(None, names)), values.get("compression_mode", ""), values.get("compression_format", "")
     )
 
 
 def _scalar(written: str) -> str:
-    """A YAML scalar on one line; empty where its quotes do not end."""
+    """A YAML scalar on one line; empty if its quotes do not end."""
     text = written.strip()
     if text.startswith("'"):
         return text[1:-1].replace("''", "'") if len(text) > 1 and text.endswith("'") else ""

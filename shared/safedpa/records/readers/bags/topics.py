@@ -1,6 +1,6 @@
-"""What a log of topics holds, whatever its format: topics, and series of chosen fields.
+"""Logs of topics in any format: their topics, series of selected fields, and one table of several topics.
 
-Topics of different rates become one table: the rows of one topic, and next to each what the others said last.
+The table has a row for each message of one topic, with the latest values of the other topics.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ __all__ = [
 ]
 
 RECEIPT, HEADER, STAMP = "@receipt", "@header", "@stamp"
-"""Clocks of a topic, written where a field's path would stand: when the recorder received a message; the message's own
-time stamp; the stamp where there is one, else the receipt."""
+"""Clocks of a topic, used in place of a field path: time of receipt by the recorder; stamp in the message header; the
+stamp if there is one, else the receipt."""
 _CLOCKS = (RECEIPT, HEADER, STAMP)
 
 
@@ -46,16 +46,16 @@ class LoggedTopic:
     type: str
     count: int
     first: int
-    """ns, of the recorder's clock; 0 of a topic without messages."""
+    """Receipt time of the first message, ns; 0 for a topic without messages."""
     last: int
     fields: Mapping[str, str] = field(default_factory=dict)
-    """Path to type of what can become a column; empty where the type is not known."""
+    """Type by path of every field that can become a column; empty if the message type is unknown."""
     problem: str = ""
-    """Why it cannot be read."""
+    """Why the topic cannot be read; empty if it can."""
 
     @property
     def rate(self) -> float:
-        """Messages per second; 0 of fewer than two."""
+        """Messages per second; 0 for fewer than two messages."""
         return (
             (self.count - 1) / ((self.last - self.first) * 1e-9) if self.count > 1 and self.last > self.first else 0.0
         )
@@ -63,20 +63,20 @@ class LoggedTopic:
 
 @dataclass(frozen=True)
 class Series:
-    """Messages of one topic in the order of the recorder's clock."""
+    """Selected fields of one topic, sorted by receipt time."""
 
     receipt: NDArray[np.int64]
-    """(messages,) ns."""
+    """Receipt times, shape (messages,), ns."""
     stamp: NDArray[np.int64] | None
-    """(messages,) ns; None where the messages carry none, or only zeros."""
+    """Time stamps in the messages, shape (messages,), ns; None if they have none or only zeros."""
     values: Mapping[str, NDArray[np.float64]]
-    """(messages,) by path; NaN where a sequence was too short."""
+    """Values by path, shape (messages,); NaN if an array in the message was too short."""
     frames: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    """What ``header.frame_id`` and ``child_frame_id`` say, where they are there."""
+    """Frame names by field: ``header.frame_id`` and ``child_frame_id``, if the message has them."""
 
 
 class AbstractLog(ABC):
-    """A log whose numbers come by topic and field, each topic at a rate of its own."""
+    """A log of topics, each with its own fields and rate."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -84,45 +84,45 @@ class AbstractLog(ABC):
 
     @abstractmethod
     def topics(self) -> Mapping[str, LoggedTopic]:
-        """Every topic, by name. Raises RunError for a file that cannot be read at all."""
+        """Every topic by name; raises RunError if the file cannot be read."""
 
     @abstractmethod
     def series(self, wanted: Mapping[str, tuple[str, ...]]) -> Mapping[str, Series]:
-        """Fields of topics. Raises RunError for a topic that is not there, InputError for a field that is not."""
+        """Reads fields of topics; raises RunError for a missing topic and InputError for a missing field."""
 
     def topic(self, name: str) -> LoggedTopic:
-        """One topic. Raises RunError naming those that are there."""
+        """Returns one topic; raises RunError that lists the topics of the log if it is missing or empty."""
         known = self.topics()
         shown = readable(name)
         if name not in known:
             hint = readable(did_you_mean(name, known), 600)
-            raise RunError(f"{self.path}: topic '{shown}' is not there; {hint}")
+            raise RunError(f"{self.path}: topic '{shown}' does not exist; {hint}")
         if not known[name].count:
             raise RunError(f"{self.path}: topic '{shown}' has no message; record it, or leave it out of the map")
         return known[name]
 
 
 def split_source(source: str) -> tuple[str, str]:
-    """(topic, path) of ``/odom:pose.pose.position.x``; the topic is empty of a column that names none."""
+    """Splits ``/odom:pose.pose.position.x`` into (topic, path); the topic is empty if the column names none."""
     topic, _, path = source.rpartition(":")
     return topic, path
 
 
 HOLD_ACTION = 0.5
-"""s; how old a command may be that is still in force, unless a column's ``hold`` says otherwise."""
+"""s; default for the age up to which a command counts as still applied."""
 _HOLD_STATE = 0.1
-"""s; how old what another topic measured may be."""
-_CLOCKS_APART = 0.5
-"""s; farther apart two clocks are two computers', and messages of both cannot be put in order."""
+"""s; default for the age up to which a measurement of another topic is used."""
+_MAX_CLOCK_OFFSET = 0.5
+"""s; beyond it two clocks are taken for those of two computers, whose messages cannot be ordered."""
 
 
 def read_log_table(log: AbstractLog, columns: ColumnMap, system: System) -> Table:
-    """The columns of a map out of a log of topics; a row for each message of the topic that gives the time.
+    """Reads the columns of a map from a log of topics, with a row for each message of the topic that gives the time.
 
-    Of another topic a row holds the newest message that is no older than the column's ``hold``, else NaN: nothing is
-    interpolated. Raises RunError naming what the log lacks, and where clocks or frames are not what was asked for.
+    For another topic a row has the latest value that is no older than the column's ``hold``, else NaN; nothing is
+    interpolated. Raises RunError if the log lacks a topic or field, or if clocks or frames do not match the map.
     """
-    wanted = _wanted(log, columns)
+    wanted = _fields_by_topic(log, columns)
     at = columns.columns["t"]
     assert isinstance(at, SourceColumn)
     rows_topic, clock = split_source(at.source)
@@ -134,7 +134,7 @@ def read_log_table(log: AbstractLog, columns: ColumnMap, system: System) -> Tabl
     findings = [*log.findings, *_clock_findings(log, found, times, rows_topic)]
     rows = times[rows_topic]
     table: dict[str, NDArray[np.float64]] = {}
-    for source, hold in _holds(columns, system).items():
+    for source, hold in _max_ages(columns, system).items():
         topic, path = split_source(source)
         if path in _CLOCKS:
             table[source] = times[topic] / 1e9
@@ -143,12 +143,12 @@ def read_log_table(log: AbstractLog, columns: ColumnMap, system: System) -> Tabl
         if topic == rows_topic:
             table[source] = values
         else:
-            table[source], reported = _held(source, rows, times[topic], values, hold)
-            findings += reported
+            table[source], new_findings = _hold_newest(source, rows, times[topic], values, hold)
+            findings += new_findings
     return Table(table, tuple(findings))
 
 
-def _wanted(log: AbstractLog, columns: ColumnMap) -> dict[str, tuple[str, ...]]:
+def _fields_by_topic(log: AbstractLog, columns: ColumnMap) -> dict[str, tuple[str, ...]]:
     wanted: dict[str, list[str]] = {}
     for source in columns.sources:
         topic, path = split_source(source)
@@ -161,8 +161,8 @@ def _wanted(log: AbstractLog, columns: ColumnMap) -> dict[str, tuple[str, ...]]:
     return {topic: tuple(paths) for topic, paths in wanted.items()}
 
 
-def _holds(columns: ColumnMap, system: System) -> dict[str, float]:
-    """Every raw column with the age [s] that it may reach on a row of another topic."""
+def _max_ages(columns: ColumnMap, system: System) -> dict[str, float]:
+    """Maximum age [s] of each source column on a row of another topic."""
     holds: dict[str, float] = {}
     for target, column in columns.columns.items():
         if isinstance(column, SourceColumn):
@@ -173,12 +173,12 @@ def _holds(columns: ColumnMap, system: System) -> dict[str, float]:
 
 
 def _times(series: Series, clock: str) -> NDArray[np.int64]:
-    """ns; when each message counts: its own stamp unless the receipts were asked for, or it has none."""
+    """Time of each message, ns: its stamp, or its receipt if requested or without a stamp."""
     return series.receipt if clock == RECEIPT or series.stamp is None else series.stamp
 
 
-def _late(series: Series) -> float:
-    """s; the median time from a message's stamp to its receipt."""
+def _receipt_delay(series: Series) -> float:
+    """Median time from stamp to receipt, s; 0 without stamps."""
     return 0.0 if series.stamp is None else float(np.median(series.receipt - series.stamp)) * 1e-9
 
 
@@ -188,39 +188,39 @@ def _clock_findings(
     rows = found[rows_topic]
     if times[rows_topic] is rows.receipt or rows.stamp is None:
         return []
-    late = _late(rows)
+    delay = _receipt_delay(rows)
     for topic, series in found.items():
-        own = 0.0 if times[topic] is series.receipt else _late(series)
-        if abs(late - own) > _CLOCKS_APART:  # of the rows' own topic it is 0
+        own = 0.0 if times[topic] is series.receipt else _receipt_delay(series)
+        if abs(delay - own) > _MAX_CLOCK_OFFSET:  # 0 for the topic of the rows
             raise RunError(
-                f"{log.path}: stamps of '{rows_topic}' and times of '{topic}' are {abs(late - own):.3g} s apart:"
-                ' two clocks, or a log that was played again; wanted one clock: t = { topic = "'
+                f"{log.path}: stamps of '{rows_topic}' and times of '{topic}' are {abs(delay - own):.3g} s apart:"
+                ' two clocks, or a replayed log; wanted one clock: t = { topic = "'
                 f'{rows_topic}", clock = "receipt" }}'
             )
-    if abs(late) < 1e-4:
+    if abs(delay) < 1e-4:
         return []
-    sentence = f"times are the stamps of {rows_topic}; the recorder's clock says {late * 1000:.1f} ms later (median)"
+    sentence = f"times are the stamps of {rows_topic}; they were received {delay * 1000:.1f} ms later (median)"
     return [Finding("stamps", sentence, len(rows.receipt))]
 
 
-def _held(
+def _hold_newest(
     source: str, rows: NDArray[np.int64], times: NDArray[np.int64], values: NDArray[np.float64], hold: float
 ) -> tuple[NDArray[np.float64], list[Finding]]:
-    """The newest value at each row, NaN where it is older than ``hold`` [s] or none came yet."""
+    """Latest value at each row; NaN if it is older than ``hold`` [s] or if there is none yet."""
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
     newest = np.searchsorted(times, rows, side="right") - 1
     age = (rows - times[np.maximum(newest, 0)]) / 1e9
-    fresh = (newest >= 0) & (age <= hold)
-    taken = np.where(fresh, values[np.maximum(newest, 0)], np.nan)
+    recent = (newest >= 0) & (age <= hold)
+    taken = np.where(recent, values[np.maximum(newest, 0)], np.nan)
     topic = split_source(source)[0]
-    old = int((~fresh).sum())
+    old = int((~recent).sum())
     if not old:
         return taken, []
-    first = float(rows[int(np.flatnonzero(~fresh)[0])]) / 1e9
+    first = float(rows[int(np.flatnonzero(~recent)[0])]) / 1e9
     how = "a row" if old == 1 else f"{old} rows"
     sentence = (
-        f"{topic} said nothing for more than {hold:g} s before {how} of {len(rows)}; cut. 'hold' in the map allows more"
+        f"{topic} sent nothing for more than {hold:g} s before {how} of {len(rows)}; cut. 'hold' in the map allows more"
     )
     return taken, [Finding("stale_topic", sentence, old, first)]
 
@@ -237,6 +237,6 @@ def _check_frames(log: AbstractLog, columns: ColumnMap, found: Mapping[str, Seri
             if {one.strip("/") for one in got} != {name.strip("/")}:
                 notice = ", ".join(f"'{one}'" for one in sorted(got))
                 raise RunError(
-                    f"{log.path}: topic '{topic}': {which} is {notice}, wanted '{name}' as the map says; name a topic in "
-                    "that frame, or correct [frames]"
+                    f"{log.path}: topic '{topic}': {which} is {notice}, wanted '{name}' as the map says; name a topic "
+                    "in that frame, or correct [frames]"
                 )

@@ -1,4 +1,4 @@
-"""PX4 flight logs (``.ulg``): topics of numbers, with one clock, that of the flight controller."""
+"""Reads PX4 flight logs (``.ulg``): numeric topics, all with the clock of the flight controller."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ __all__ = ["UlogLog"]
 
 MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
-_MOST_NUMBERS = 4096
-"""Numbers of one message; the largest of PX4 has 400."""
-_MOST_TOGETHER = 100_000
-"""Numbers of all topics that are subscribed; a vehicle of PX4 has 10,000."""
-_MOST_UNKNOWN = 10_000
-"""Messages of no known kind; the library looks at each for 2 us, and a damaged log has some dozens."""
-_CURE = "is a damaged PX4 flight log; fetch it from the vehicle's card again"
-_DESCRIBED, _LOGGED = b"BIMFPQ", b"ALC"
-"""Kinds of messages in a log's first part, and those with which the second one begins."""
-_KNOWN = b"BIMFPQALCDRSO"
+_MAX_NUMBERS = 4096
+"""Limit of numbers in one message; the largest of PX4 has 400."""
+_MAX_TOTAL_NUMBERS = 100_000
+"""Limit of numbers in all subscribed topics; a PX4 vehicle has 10,000."""
+_MAX_UNKNOWN = 10_000
+"""Limit of messages of unknown kinds: pyulog needs 2 us for each, and a damaged log has a few dozen."""
+_DAMAGED = "is a damaged PX4 flight log; fetch it from the vehicle's card again"
+_DEFINITION_KINDS, _DATA_KINDS = b"BIMFPQ", b"ALC"
+"""Message kinds of the definition section, and those with which the data section begins."""
+_KNOWN_KINDS = b"BIMFPQALCDRSO"
 _FIELD = re.compile(r"([A-Za-z0-9_]+)(?:\[(\d{1,9})\])? [A-Za-z0-9_]+")
 
 
 class UlogLog(AbstractLog):
-    """A flight log of PX4. The second of several topics of one name is ``name#1``."""
+    """A PX4 flight log. Several topics of one name are called ``name``, ``name#1``, ..."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "PX4 flight log")
@@ -54,35 +54,35 @@ class UlogLog(AbstractLog):
         size = self.path.stat().st_size
         if size > limit("table_bytes"):
             raise too_much("table_bytes", f"{size} bytes", str(self.path))
-        _measure(self.path)
+        _check_sizes(self.path)
         damage: tuple[type[Exception], ...] = (
             ValueError, struct.error, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError,
             EOFError, ZeroDivisionError,
         )  # fmt: skip
         try:
-            with contextlib.redirect_stdout(io.StringIO()), self.path.open("rb") as file:  # it leaves its own one open
+            with contextlib.redirect_stdout(io.StringIO()), self.path.open("rb") as file:  # pyulog leaves its own open
                 log = ULog(file)
         except damage as error:
             raise self._damaged() from error
-        except Exception as error:  # the library's own kind, which is a plain Exception
+        except Exception as error:  # pyulog raises plain Exceptions
             if type(error).__module__.startswith("pyulog"):
                 raise self._damaged() from error
             raise
         if log.file_corruption:
-            self.findings.append(Finding("damaged", "the flight log is damaged in places; those were left out"))
+            self.findings.append(Finding("damaged", "the flight log is damaged in places, which were skipped"))
         lost = sum(item.duration for item in log.dropouts)
         if lost:
             sentence = (
-                f"the logger fell behind {len(log.dropouts)} times, {lost / 1000:.2f} s in all; nothing is there of it"
+                f"the logger fell behind {len(log.dropouts)} times, {lost / 1000:.2f} s in all; that part is missing"
             )
             self.findings.append(Finding("dropout", sentence, len(log.dropouts)))
         return log
 
     def _damaged(self) -> RunError:
-        return RunError(f"{self.path}: {_CURE}")
+        return RunError(f"{self.path}: {_DAMAGED}")
 
     def topics(self) -> Mapping[str, LoggedTopic]:
-        """Every topic, by name."""
+        """Every topic by name."""
         return self._topics
 
     @cached_property
@@ -96,11 +96,11 @@ class UlogLog(AbstractLog):
             ends = (int(stamps[0]) * 1000, int(stamps[-1]) * 1000) if len(stamps) else (0, 0)
             found[name] = LoggedTopic(name, data.name, len(stamps), *ends, fields)
         if not found:
-            raise RunError(f"{self.path}: the flight log holds no message; name another one")
+            raise RunError(f"{self.path}: the flight log contains no message; name another one")
         return dict(sorted(found.items()))
 
     def series(self, wanted: Mapping[str, tuple[str, ...]]) -> Mapping[str, Series]:
-        """Fields of topics. Raises RunError for a topic that is not there, InputError for a field that is not."""
+        """Reads fields of topics; raises RunError for a missing topic and InputError for a missing field."""
         log = {_name(data.name, data.multi_id): data.data for data in self._log.data_list}
         found = {}
         for topic, paths in wanted.items():
@@ -110,7 +110,7 @@ class UlogLog(AbstractLog):
                 if path not in known:
                     raise InputError(f"{self.path}: field '{path}' of {topic}: {did_you_mean(path, known)}")
             stamps = data["timestamp"].astype(np.int64) * 1000
-            values = {path: _yaws(data) if path == "@yaw" else data[path].astype(np.float64) for path in paths}
+            values = {path: _yaw_column(data) if path == "@yaw" else data[path].astype(np.float64) for path in paths}
             found[topic] = Series(stamps, stamps, values)
         return found
 
@@ -119,41 +119,41 @@ def _name(name: str, instance: int) -> str:
     return f"{name}#{instance}" if instance else name
 
 
-def _yaws(
+def _yaw_column(
     data: Mapping[str, np.ndarray[tuple[int], np.dtype[np.float64]]],
 ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """PX4 writes a quaternion's real part first."""
+    """Yaw of a quaternion column; PX4 stores the real part first."""
     parts = [data[f"q[{k}]"].astype(np.float64).tolist() for k in (1, 2, 3, 0)]
     return np.array([yaw_of(*one) for one in zip(*parts, strict=True)])
 
 
-def _measure(path: Path) -> None:
-    """Raises where the description of messages is damaged, or would become more numbers than a message or a log holds.
+def _check_sizes(path: Path) -> None:
+    """Raises RunError if the definition section is damaged, or if its messages would be too large.
 
-    The library goes on reading for ever where the descriptions run into the file's end, and makes a list of numbers for
-    each subscription before there is a message.
+    This protects pyulog: it loops forever if the definitions run into the end of the file, and allocates a list of
+    numbers for each subscription before any message.
     """
     formats: dict[str, list[tuple[str, int]]] = {}
-    for name, described in _formats(path):
+    for name, described in _message_formats(path):
         found = [_FIELD.fullmatch(part.strip()) for part in described.split(";") if part.strip()]
         formats[name] = [(one[1], int(one[2] or 1)) for one in found if one is not None]
         if len(formats) > limit("bag_topics"):
             raise too_much("bag_topics", len(formats), str(path))
     sizes: dict[str, int] = {}
     for name in formats:
-        if _size(name, formats, sizes, 0) > _MOST_NUMBERS:
-            raise RunError(f"{path}: messages '{readable(name, 60)}' would have more than {_MOST_NUMBERS} numbers")
-    together = 0
-    for count, name in enumerate(_subscribed(path), 1):
-        together += _size(name, formats, sizes, 0)
+        if _message_size(name, formats, sizes, 0) > _MAX_NUMBERS:
+            raise RunError(f"{path}: messages '{readable(name, 60)}' would have more than {_MAX_NUMBERS} numbers")
+    total = 0
+    for count, name in enumerate(_subscribed_messages(path), 1):
+        total += _message_size(name, formats, sizes, 0)
         if count > limit("bag_topics"):
             raise too_much("bag_topics", count, str(path))
-        if together > _MOST_TOGETHER:
-            raise RunError(f"{path}: its topics would have more than {_MOST_TOGETHER} numbers together")
+        if total > _MAX_TOTAL_NUMBERS:
+            raise RunError(f"{path}: its topics would have more than {_MAX_TOTAL_NUMBERS} numbers in total")
 
 
-def _subscribed(path: Path) -> Iterator[str]:
-    """The message of each subscription; raises RunError where nearly nothing is a message."""
+def _subscribed_messages(path: Path) -> Iterator[str]:
+    """Yields the message name of each subscription; raises RunError if nearly all messages are of unknown kinds."""
     unknown, head = 0, struct.Struct("<HB")
     with path.open("rb") as file:
         file.seek(_HEADER_BYTES)
@@ -162,36 +162,36 @@ def _subscribed(path: Path) -> Iterator[str]:
             if kind == ord("A"):
                 yield file.read(length)[3:].decode("latin-1")
                 continue
-            unknown += kind not in _KNOWN
-            if unknown > _MOST_UNKNOWN:
-                raise RunError(f"{path}: {_CURE}")
+            unknown += kind not in _KNOWN_KINDS
+            if unknown > _MAX_UNKNOWN:
+                raise RunError(f"{path}: {_DAMAGED}")
             file.seek(length, 1)
 
 
-def _formats(path: Path) -> Iterator[tuple[str, str]]:
-    """Name and fields of every message that is described, up to the first that is logged."""
+def _message_formats(path: Path) -> Iterator[tuple[str, str]]:
+    """Yields name and fields of every message definition, up to the data section."""
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise RunError(f"{path}: is no PX4 flight log; wanted a .ulg file")
         file.seek(_HEADER_BYTES)
         while len(head := file.read(3)) == 3:
             length, kind = struct.unpack("<HB", head)
-            if kind in _LOGGED:
+            if kind in _DATA_KINDS:
                 return
             content = file.read(length)
-            if kind not in _DESCRIBED or len(content) < length:
-                raise RunError(f"{path}: {_CURE}")
+            if kind not in _DEFINITION_KINDS or len(content) < length:
+                raise RunError(f"{path}: {_DAMAGED}")
             if kind == ord("F"):
                 name, _, described = content.decode("latin-1").partition(":")
                 yield name, described
-    raise RunError(f"{path}: the flight log holds no message; name another one")
+    raise RunError(f"{path}: the flight log contains no message; name another one")
 
 
-def _size(name: str, formats: Mapping[str, list[tuple[str, int]]], sizes: dict[str, int], depth: int) -> int:
+def _message_size(name: str, formats: Mapping[str, list[tuple[str, int]]], sizes: dict[str, int], depth: int) -> int:
     if name not in formats:
         return 1
     if depth > 8:
-        return _MOST_NUMBERS + 1
+        return _MAX_NUMBERS + 1
     if name not in sizes:
-        sizes[name] = sum(times * _size(kind, formats, sizes, depth + 1) for kind, times in formats[name])
+        sizes[name] = sum(times * _message_size(kind, formats, sizes, depth + 1) for kind, times in formats[name])
     return sizes[name]

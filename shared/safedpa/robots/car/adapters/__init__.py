@@ -1,1 +1,1 @@
-"""The car for other software: ROS and Gazebo."""
+"""Adapters of the car to other software: ``ros`` messages and ``gazebo`` plugin parameters."""

@@ -1,11 +1,11 @@
-"""The car for Gazebo: its Ackermann plugin, as far as that knows what was found."""
+"""Export of the car to Gazebo: parameters of the Ackermann steering plugin, and hints for effects that it lacks."""
 
 from __future__ import annotations
 
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.elsewhere import SimulatorExport
+from safedpa.dynamics.simulator_export import SimulatorExport
 
-__all__ = ["elsewhere"]
+__all__ = ["simulator_export"]
 
 _FILE = "car.gazebo.sdf"
 _INSTEAD = {
@@ -21,8 +21,8 @@ _INSTEAD = {
 _MESSAGE = ("steering_saturation",)
 
 
-def elsewhere(model: PhysicsModel) -> SimulatorExport:
-    """The plugin's parameters; every other effect by name, with what says it there."""
+def simulator_export(model: PhysicsModel) -> SimulatorExport:
+    """Returns the plugin's parameters as SDF, and for every other effect how to model it in Gazebo."""
     known = {path: setting.value for path, setting in model.settings.items()}
     lines = [f"  <wheel_base>{known['base.wheelbase']!r}</wheel_base>"]
     limit = known.get("steering_saturation.limit")
@@ -34,5 +34,5 @@ def elsewhere(model: PhysicsModel) -> SimulatorExport:
     plugin = 'filename="gz-sim-ackermann-steering-system" name="gz::sim::systems::AckermannSteering"'
     text = "\n".join([f"<plugin {plugin}>", *lines, "</plugin>", ""])
     others = [item.name for item in model.effects if item.name not in _MESSAGE]
-    without = "the plugin has no word for it; change the command or the measurement before it"
+    without = "the plugin cannot model it; change the command or the measurement outside the plugin"
     return SimulatorExport({_FILE: text}, {_FILE: {name: _INSTEAD.get(name, without) for name in others}})

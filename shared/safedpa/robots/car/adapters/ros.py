@@ -1,7 +1,7 @@
-"""The car as ROS sees it: driven by Ackermann commands or by Twist.
+"""ROS interface of the car, commanded by Ackermann messages or Twist.
 
-A Twist asks for a speed v and a yaw rate w; the steering angle is atan(wheelbase w / v), as Nav2's and Gazebo's
-Ackermann plugins take it, with |v| at least a small speed: a car that stands cannot turn.
+A Twist commands a speed v and a yaw rate w. The steering angle is atan(wheelbase w / v), as in Nav2 and in Gazebo's
+Ackermann plugin; at very low speed it is 0, because a stationary car cannot turn.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _PATHS = {
     _TWIST_STAMPED: ("twist.linear.x", "twist.angular.z"),
 }
 _SLOWEST = 0.05
-"""m/s; below it a yaw rate is no steering angle."""
+"""m/s; below this speed a yaw rate does not define a steering angle."""
 
 
 _HORIZON = 0.2
-"""s within which a throttle would reach the speed that stands for it."""
+"""s; a throttle is published as the speed that it would reach in this time."""
 
 
 class CarFace(AbstractFace):
-    """State x, y, yaw, speed; action target speed [m/s] and steering angle [rad]."""
+    """The car with a speed servo: state x, y, yaw, speed; action target speed [m/s] and steering angle [rad]."""
 
     commands = tuple(_PATHS)
 
@@ -72,10 +72,11 @@ class CarFace(AbstractFace):
 
 
 class ThrottleCarFace(CarFace):
-    """State x, y, yaw, speed; action throttle [-1, 1] and steering angle [rad].
+    """The car with a throttle: state x, y, yaw, speed; action throttle [-1, 1] and steering angle [rad].
 
-    No message of ROS holds a throttle. It is told as the speed that it would reach in 0.2 s without resistance,
-    speed + 0.2 s drive_gain throttle, and a speed is taken back in the same way, at most full throttle.
+    No standard ROS message holds a throttle. It is published as the speed that it would reach in 0.2 s without
+    resistance, speed + 0.2 s drive_gain throttle. A received speed is converted back in the same way and clipped to
+    full throttle.
     """
 
     def __init__(self, drive_gain: float = 4.48, wheelbase: float = 0.32, steer_limit: float = 0.6) -> None:
@@ -91,7 +92,10 @@ class ThrottleCarFace(CarFace):
         return super().message(command, (now + self._reach * action[0], action[1]), state)
 
     def brake(self, command: str, resting: Numbers, state: Numbers) -> tuple[Numbers, Mapping[str, Any]]:
-        """No throttle lets it roll, and would be told as the speed that it has: it is told to stand."""
+        """Returns the throttle that brakes to 0 within 0.2 s, and the message for speed 0.
+
+        Throttle 0 would let the car roll and would be published as its current speed.
+        """
         now = state[3] if len(state) > 3 else 0.0
         throttle = max(-1.0, min(1.0, -now / self._reach))
         return (throttle, resting[1]), CarFace.message(self, command, (0.0, resting[1]), ())

@@ -1,4 +1,4 @@
-"""The car's barriers around many cars at once, from arrays."""
+"""The car's barriers for a batch of cars, from arrays."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _BODY, _ROOM = (0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0)
 def barriers_of_cars(
     settings: FilterSettings, obstacles: ArrayLike, footprint: ArrayLike, field: ArrayLike | None = None
 ) -> CompiledBatchBarriers:
-    """What ``car_barriers`` are for one car, for many: ``obstacles`` (cars, m, 3), padded far away where one has fewer.
+    """Builds ``car_barriers`` for a batch: ``obstacles`` (cars, m, 3), padded with far-away ones if a car has fewer.
 
-    ``footprint`` (3,) or (cars, 3) and ``field`` (4,) or (cars, 4) may be one for all. Raises InputError for a wrong
-    shape or numbers that are none.
+    ``footprint`` (3,) or (cars, 3) and ``field`` (4,) or (cars, 4) may be shared by all cars. Raises InputError for a
+    wrong shape or values that are not finite.
     """
     table = np.asarray(obstacles, dtype=np.float64)
     if table.ndim != 3 or table.shape[2] != 3:

@@ -1,8 +1,8 @@
-"""The equations of the car's body: a capsule that the stopping distance stretches, and the room that a load claims.
+"""The equations of the car's body: a capsule extended by the stopping distance, and the space that a load may take.
 
 The body is the segment from p - rear e to p + front e, e = (cos yaw, sin yaw), thickened by a radius. Driving forwards
-stretches its front end by the stopping distance D, reversing its rear end. Braking straight ahead moves both ends
-inwards only, so that no h falls under the braking action (the docs page on safety has the proof).
+extends its front end by the stopping distance D, reversing its rear end. Straight braking only moves both ends inwards,
+so that no h decreases under the braking action (the docs page on safety has the proof).
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from safedpa.equations import Given
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.stopping import stopping_distance
 
-__all__ = ["SweptBody", "body_of", "hitch_of", "steepest", "to_segment"]
+__all__ = ["GENERATED_MODULE", "SweptBody", "body_of", "grad_bound", "hitch_of", "to_segment"]
 
+GENERATED_MODULE = "safedpa.robots.car.generated_barriers"
+"""Module that the build generates from the equations of the car's barriers."""
 _LENGTHS = 4
 
 
 class SweptBody(NamedTuple):
-    """Where the swept segment lies at a state."""
+    """The swept segment at a state."""
 
     cosine: Scalar
     sine: Scalar
@@ -31,7 +33,7 @@ class SweptBody(NamedTuple):
 
 
 def body_of(given: Given, operations: Operations) -> SweptBody:
-    """At a state (x, y, yaw, speed, ...), with the shared numbers rear, front [m], b [m/s2] and k [1/s]."""
+    """Returns the swept segment at a state (x, y, yaw, speed, ...) for shared rear, front [m], b [m/s2] and k [1/s]."""
     yaw, speed = given.state[2], given.state[3]
     rear, front, deceleration, gain = given.shared[:_LENGTHS]
     stretch = stopping_distance(speed, deceleration, gain, operations)
@@ -47,7 +49,7 @@ def body_of(given: Given, operations: Operations) -> SweptBody:
 def to_segment(
     body: SweptBody, given: Given, low: Scalar, high: Scalar, place: tuple[Scalar, Scalar], operations: Operations
 ) -> Scalar:
-    """Distance [m] of a place from the segment from ``low`` to ``high`` [m] along the heading."""
+    """Returns the distance [m] of a position from the segment from ``low`` to ``high`` [m] along the heading."""
     apart_x, apart_y = place[0] - given.state[0], place[1] - given.state[1]
     along = body.cosine * apart_x + body.sine * apart_y
     across = body.cosine * apart_y - body.sine * apart_x
@@ -55,18 +57,18 @@ def to_segment(
 
 
 def hitch_of(body: SweptBody, given: Given, operations: Operations) -> tuple[Scalar, Scalar] | None:
-    """Where the hitch is along the heading, and by how much the radius around it is larger [m]; None: nothing towed.
+    """Returns the hitch's position along the heading and the growth of the radius around it [m]; None without a load.
 
-    Seen from the hitch, a load that is pulled is drawn into line, one that is pushed is turned away from it. How far it
-    is turned is not measured; how far the robot was driven backwards is, and it bounds where the load can be. Let w be
-    the way driven backwards, net of what was driven forwards since, at the pose p0, e0 = (cos yaw0, sin yaw0). At a
-    state near it, and at the end of the stop from there if the robot is reversing (D <= 0),
+    A load that is pulled aligns with the car, one that is pushed turns away. Its angle is not measured, but the
+    distance driven backwards is, and it bounds where the load can be. Let w be this distance, net of forward motion
+    since, at the pose p0, e0 = (cos yaw0, sin yaw0). At a state near it, and at the end of the stop if the car is
+    reversing (D <= 0),
 
         w' = max(0, w - e0'(p - p0)) + max(0, -D(speed)),
         growth = most clip((w' - begin) / (end - begin), 0, 1).
 
-    Braking straight while reversing moves w - e0'p up by no more than -D comes down, so that growth does not rise under
-    the brake.
+    Straight braking while reversing increases w - e0'p by no more than -D decreases, so that growth does not increase
+    under braking.
     """
     if len(given.shared) == _LENGTHS:
         return None
@@ -76,10 +78,10 @@ def hitch_of(body: SweptBody, given: Given, operations: Operations) -> tuple[Sca
     return -given.shared[0], operations.clip((after - begin) * rate, 0.0, most)
 
 
-def steepest(given: Given, operations: Operations) -> list[Any]:
-    """What no slope of a distance to the body exceeds.
+def grad_bound(given: Given, operations: Operations) -> list[Any]:
+    """Returns upper bounds of the partial derivatives of a distance to the body.
 
-    1 over a place, the longer arm over yaw, D' = max(1/k, |v|/b) over the speed.
+    1 with respect to a position, the longer arm to yaw, D' = max(1/k, |v|/b) to the speed; larger with a load.
     """
     body = body_of(given, operations)
     _, _, deceleration, gain = given.shared[:_LENGTHS]

@@ -1,4 +1,4 @@
-"""Discs around a car that may move by themselves: passive safety, told as one h for each."""
+"""Barriers against moving obstacles and hidden areas: passive safety, with one h per disc."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
-from safedpa.robots.car.barriers.body import SweptBody, body_of, hitch_of
-from safedpa.robots.car.barriers.body import steepest as steepest_of_body
+from safedpa.robots.car.barriers.body import GENERATED_MODULE, SweptBody, body_of, hitch_of
+from safedpa.robots.car.barriers.body import grad_bound as steepest_of_body
 from safedpa.robots.car.barriers.obstacles import Footprint
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
@@ -22,48 +22,48 @@ from safedpa.safety.barriers.stopping import Braking
 __all__ = ["MovingObstacleBarrier"]
 
 _BODY = 4
-"""Shared numbers of the body, as ``body_of`` takes them."""
+"""Number of shared parameters of the body, as in ``body_of``."""
 _OWN = 11
-"""Shared numbers without those of what is towed."""
+"""Number of shared parameters without those of the load."""
 _FASTEST, _THICK = 7, 9
-"""Which say how fast the fastest disc is, behind it for how long it creeps, and how thick the car itself is."""
+"""Indices of the largest disc speed (followed by the creeping time) and of the car's own radius."""
 _RATE, _MOST = _OWN + 1, _OWN + 2
-"""Which of those of what is towed say how it grows with the way backwards, and by how much at most."""
+"""Indices of the load's growth per distance driven backwards, and of its largest growth."""
 _LOAD_AHEAD = 0.05
-"""m; so far ahead of the hitch no part of a load was that was not pushed back, by 0.05 m: tests/sensing."""
+"""m; no part of a load that was not pushed back was ever farther ahead of the hitch (tests/sensing)."""
 _AWAY = 0.5
-"""m; more than a margin of 0.1 m may widen to."""
+"""m; more than any margin can increase to, as margins are about 0.1 m."""
 _STILL = 0.01
-"""m/s backwards that a speed may be told of a car that stands."""
+"""m/s; a stationary car may report a backward speed up to this."""
 
 
 @final
 class MovingObstacleBarrier(AbstractEquationBarrier):
     """h_i = distance(c_i, S(x)) - (R_i + r + clearance + w_i a) - w_i T(v), for discs (c_i, R_i) with speeds w_i.
 
-    S(x) is the segment of ``ObstacleBarrier``, stretched by the way D(v) in which the car stands that drives against
-    its own motion, T(v) the time that it takes (``ReversalBraking``), a one period: so long no one looks again. While
-    h_i >= 0 the car can brake and stands before anything that is no faster than w_i can have reached it: passive
-    safety. Under that braking S shrinks into itself and T does not grow, so h_i does not fall.
+    S(x) is the segment of ``ObstacleBarrier``, extended by the stopping distance D(v) of ``ReversalBraking``, T(v) its
+    stopping time, and a one period, for which the surroundings are not observed again. While h_i >= 0 the car can stop
+    before anything not faster than w_i can reach it: passive safety. Under this braking S shrinks into itself and T
+    does not increase, so h_i does not decrease.
 
-    Of a disc that no one sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
-    who comes from behind has to see the car.
+    For a hidden disc (``hidden``) behind the end that the car drives away from, w_i T counts as 0: someone who
+    approaches from behind sees the car.
 
-    With something ``towed`` r is ``own_radius``, that of the car's own body, where it is known: the load has to get
-    past what is at rest, and who moves need not have room for it later, but for car and load where they are until they
-    stand. So h_i is also no more than the room to where the load may be: all that it reaches to around the hitch, and
-    as long as it was not driven backwards only what of that lies behind the hitch,
+    With a load (``towed``) r is ``own_radius``, that of the car's own body, if it is known: a load has to pass
+    stationary obstacles later, but movers only have to be clear of car and load until these have stopped. So h_i is
+    also at most the distance to where the load may be: its whole reach around the hitch, and without reversing only the
+    part of it behind the hitch,
 
-        { c : |c - hitch| <= reach } and { c : ahead of the hitch by 0.05 m + reach growth / most at most },
+        { c : |c - hitch| <= reach } and { c : ahead of the hitch by at most 0.05 m + reach growth / most },
 
-    growth as in ``hitch_of``. As the load hides what is behind it, a place behind it that no one sees counts ``_AWAY``
-    at least: it is driven away from.
+    growth as in ``hitch_of``. The load hides what is behind it, so a hidden position there has an h of at least
+    ``_AWAY`` while the car drives away from it.
 
-    A car slower than ``IS_STATIONARY`` counts as standing, and who walks into it then has met a standing car. So with
-    ``creeps`` > 0 [s] h_i of a disc that no one sees is no less than creeps (STANDS - |v|): towards a corner, or
-    backwards with a load that hides what is behind it, the car creeps on, and looks. As soon as someone is seen
-    there, he is no hidden disc any more, and the whole of h_i counts. Under braking neither of the two falls.
-    Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe vehicle navigation in dynamic urban scenarios, 2009.
+    A car slower than ``IS_STATIONARY`` counts as stationary. So with ``creeps`` > 0 [s], h_i of a hidden disc is at
+    least creeps (IS_STATIONARY - |v|): towards a corner, or backwards with a load that hides the area behind it, the
+    car may creep on and observe. As soon as someone is seen there, it is no hidden disc any more, and h_i applies in
+    full. Under braking neither of the two terms decreases. Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe
+    vehicle navigation in dynamic urban scenarios, 2009.
 
     ``discs`` (m, 4): x, y, R [m], w [m/s]. Raises InputError for a wrong shape, NaN, or a length or speed below 0.
     """
@@ -72,7 +72,7 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
     at_once = True
     reads = ("x", "y", "yaw", "speed")
     numbers = 5
-    written = "safedpa.robots.car.written_barriers"
+    generated_module = GENERATED_MODULE
 
     def __init__(
         self,
@@ -109,27 +109,28 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
 
     @property
     def thick(self) -> float:
-        """m; the radius that counts around the car itself."""
+        """Radius around the car itself [m]."""
         return self.shared[_THICK]
 
     @property
     def tows(self) -> bool:
-        """Whether something is towed."""
+        """Whether the car has a load."""
         return len(self.shared) > _OWN
 
     def seconds(self, speed: float) -> float:
-        """T(speed) [s] until the car stands."""
+        """Returns the stopping time T(speed) [s]."""
         soft, corner, hard = self.shared[_BODY:_FASTEST]
         return float(ReversalBraking.seconds(speed, (hard, soft, corner), FLOATS))
 
     def with_speed(self, fastest: float, creeps: float | None = None) -> MovingObstacleBarrier:
-        """The same for discs of which the ``fastest`` [m/s] is given, and with other ``creeps`` [s]."""
+        """Returns a copy for discs with the largest speed ``fastest`` [m/s], and optionally another ``creeps`` [s]."""
         slow = self.shared[_FASTEST + 1] if creeps is None else creeps
-        return self.sharing((*self.shared[:_FASTEST], fastest, slow, *self.shared[_FASTEST + 2 :]))
+        return self.with_shared((*self.shared[:_FASTEST], fastest, slow, *self.shared[_FASTEST + 2 :]))
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Of a disc x, y, what its distance has to exceed [m], its speed, and the one that counts behind [m/s]."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns h of a disc: x, y, required distance [m], its speed, and the speed that counts behind the car
+        [m/s]."""
         x, y, reach, fastest, fastest_behind = given.each
         rear, front, _, _, soft, corner, hard, _, creeps, _, _ = given.shared[:_OWN]
         body = body_of(_of_body(given), operations)
@@ -152,13 +153,14 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
         return (_creeping(kept, unseen, speed, creeps, operations),)
 
     @staticmethod
-    def steepest(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """As of the body, or of its own way where that is longer; and what the time until it stands changes."""
+    def grad_bound(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns the bounds of the body, or of the reversal braking if larger, plus the change of the stopping
+        time."""
         _, _, _, _, soft, corner, hard, fastest, creeps, thick, beyond = given.shared[:_OWN]
         place, _, arm, change, *rest = steepest_of_body(_of_body(given), operations)
         low, high = _ends(given, operations)
         arm = operations.maximum(arm, operations.maximum(operations.absolute(low), operations.absolute(high)))
-        way, time = ReversalBraking.steepest(given.state[3], (hard, soft, corner), operations)
+        way, time = ReversalBraking.grad_bound(given.state[3], (hard, soft, corner), operations)
         if len(given.shared) > _OWN:
             place = 1.0 + given.shared[_RATE] * (thick + beyond) / given.shared[_MOST]
             arm = operations.maximum(arm, operations.maximum(high, 0.0) + 2.0 * (thick + beyond))
@@ -170,15 +172,15 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
 def _to_load(
     given: Given, body: SweptBody, place: tuple[Scalar, Scalar], ends: tuple[Scalar, Scalar], operations: Operations
 ) -> Scalar:
-    """m from a place (along, across) the heading to where what is towed may be until it stands, less what it is
-    that the body's own radius leaves of that.
+    """Returns the distance [m] from a position (along, across) to where the load may be until the stop, plus the car's
+    own radius.
 
-    The larger of two distances that neither exceed the true one: from all that it reaches to around the hitch, and from
-    the strip as wide as that which ends where it ends ahead. The second is never the larger one behind that end.
+    It is the larger of two lower bounds of the true distance: from the disc of the load's reach around the hitch, and
+    from a strip of the same width that ends at the load's foremost point. Behind that point the second is never larger.
     """
     rear, front, *_, thick, beyond = given.shared[:_OWN]
     (along, across), (low, high) = place, ends
-    last = high - front - rear  # the hitch goes on as far as both ends do
+    last = high - front - rear  # the hitch moves by the same stopping distance as both ends
     around = operations.hypot(along - operations.clip(along, low, last), across) - beyond
     _, growth = hitch_of(body, _of_body(given), operations) or (0.0, 0.0)
     reach = thick + beyond
@@ -189,18 +191,18 @@ def _to_load(
 
 
 def _creeping(kept: Scalar, unseen: Scalar, speed: Scalar, creeps: Scalar, operations: Operations) -> Scalar:
-    """``retained`` [m], or of what no one sees (``unseen`` > 0) the room that there is to ``IS_STATIONARY``."""
+    """Returns ``kept`` [m]; for a hidden disc (``unseen`` > 0) at least the term that permits creeping."""
     slow = creeps * (IS_STATIONARY - operations.absolute(speed))
     return operations.where(creeps * unseen > 0.0, operations.maximum(kept, slow), kept)
 
 
 def _ends(given: Given, operations: Operations) -> tuple[Scalar, Scalar]:
-    """Rear and front end along the heading [m] of the segment that the way until the car stands stretches."""
+    """Returns rear and front end along the heading [m] of the segment extended by the stopping distance."""
     rear, front, _, _, soft, corner, hard, *_ = given.shared[:_OWN]
     way = ReversalBraking.distance(given.state[3], (hard, soft, corner), operations)
     return -rear + operations.minimum(way, 0.0), front + operations.maximum(way, 0.0)
 
 
 def _of_body(given: Given) -> Given:
-    """What ``body_of`` and ``steepest`` of the body are given: without the numbers of this barrier's own."""
+    """Returns the arguments for ``body_of`` and ``grad_bound`` of the body, without this barrier's own parameters."""
     return Given(given.state, (*given.shared[:_BODY], *given.shared[_OWN:]), given.each, given.form)

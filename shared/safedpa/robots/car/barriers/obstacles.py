@@ -1,7 +1,6 @@
-"""The car's barriers: obstacles and walls around a body that its stopping distance stretches, and limits of its speed.
+"""The car's barriers: obstacles and walls around a body extended by its stopping distance, and speed limits.
 
-Each is one equation; ``written_barriers.py`` holds what recording them gives, and is made again with
-``python -m safedpa.robots.car.generate_barriers``.
+Each is one equation; ``python -m safedpa.generate`` generates ``generated_barriers.py`` from them.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from safedpa.bus import StateMessage
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
-from safedpa.robots.car.barriers.body import body_of, hitch_of, steepest, to_segment
+from safedpa.robots.car.barriers.body import GENERATED_MODULE, body_of, grad_bound, hitch_of, to_segment
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
@@ -40,7 +39,6 @@ Footprint = tuple[float, float, float]
 """(rear, front, radius) [m]: the body is the segment p - rear e .. p + front e, thickened by the radius."""
 
 _STATES = ("x", "y", "yaw", "speed")
-_WRITTEN = "safedpa.robots.car.written_barriers"
 
 
 @final
@@ -50,18 +48,19 @@ class ObstacleBarrier(AbstractEquationBarrier):
     State x = (x, y, yaw, speed); e = (cos yaw, sin yaw), p = (x, y); the swept segment is
     S(x) = [p - (rear - min(D, 0)) e, p + (front + max(D, 0)) e], D = stopping distance at that speed (``Braking``).
 
-    With something ``towed`` its hitch is the rear end, whose radius grows with the way driven backwards: h_i is also no
-    more than distance(c_i, T(x)) - (R_i + r + growth + clearance), T(x) = what a reversing stop lets the rear end pass.
+    With a load (``towed``) the rear end is the hitch, where the radius grows with the distance driven backwards: h_i is
+    also at most distance(c_i, T(x)) - (R_i + r + growth + clearance), T(x) the path of the rear end in a reversing
+    stop.
 
-    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape, a number that is not finite or a negative
+    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape, a value that is not finite or a negative
     length.
     """
 
     kind = "obstacle"
     reads = _STATES
     numbers = 3
-    written = _WRITTEN
-    steepest = staticmethod(steepest)
+    generated_module = GENERATED_MODULE
+    grad_bound = staticmethod(grad_bound)
 
     def __init__(
         self,
@@ -91,8 +90,8 @@ class ObstacleBarrier(AbstractEquationBarrier):
         self.each = tuple([(x, y, size + room) for x, y, size in rows])
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Of an obstacle x, y and what its distance has to exceed [m]."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns h of an obstacle: x, y and required distance [m]."""
         x, y, reach = given.each
         body = body_of(given, operations)
         h = to_segment(body, given, body.rear, body.front, (x, y), operations) - reach
@@ -108,19 +107,19 @@ class ObstacleBarrier(AbstractEquationBarrier):
 class FieldBarrier(AbstractEquationBarrier):
     """h = b - n . end - (r + clearance), for both ends of the swept segment and each of four walls n . p <= b.
 
-    ``field`` = lowest x, highest x, lowest y, highest y [m]; state, footprint and stretched ends as in ObstacleBarrier.
-    Eight barriers; the segment lies within a half plane exactly when both of its ends do.
+    ``field`` = lowest x, highest x, lowest y, highest y [m]; state, footprint and extended ends as in ObstacleBarrier.
+    There are eight barriers, because the segment lies within a half plane exactly when both of its ends do.
 
-    With something ``towed`` the radius at the rear end is larger by its growth, all the way that a reversing stop lets
-    that end pass: the nearer end of this way counts.
-    Raises InputError when a side is not finite or the field is empty.
+    With a load (``towed``) the radius at the rear end is larger by its growth along the whole path of that end in a
+    reversing stop; the closer end of this path counts. Raises InputError when a side is not finite or the field is
+    empty.
     """
 
     kind = "field"
     reads = _STATES
     numbers = 4
-    written = _WRITTEN
-    steepest = staticmethod(steepest)
+    generated_module = GENERATED_MODULE
+    grad_bound = staticmethod(grad_bound)
     names = tuple(
         f"{wall} wall, {end} end" for end in ("front", "rear") for wall in ("left", "right", "lower", "upper")
     )
@@ -142,8 +141,8 @@ class FieldBarrier(AbstractEquationBarrier):
         self.each = ((sides[0] + room, sides[1] - room, sides[2] + room, sides[3] - room),)
 
     @staticmethod
-    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Of the four walls, less what they have to be away: how far both ends lie within each."""
+    def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Returns h of both ends for the four walls, which are already moved inwards by the required distance."""
         body = body_of(given, operations)
         h = [*_within(body.front, body, given), *_within(body.rear, body, given)]
         hitch = hitch_of(body, given, operations)
@@ -163,11 +162,10 @@ def car_barriers(
     field: Sequence[float] | None = None,
     towed: TrailerEnvelope | None = None,
 ) -> list[AbstractBarrier]:
-    """Obstacles (m, 3), field (4,) if there is one, and speed, for state (x, y, yaw, speed) and footprint (3,).
+    """Returns the barriers of obstacles (m, 3), field (4,) if given, and speed, for state (x, y, yaw, speed).
 
-    ``towed``: what hangs at the footprint's rear end, if anything.
-
-    Raises InputError for a wrong shape or a number that is not finite.
+    ``footprint`` (3,) is rear, front, radius [m]; ``towed`` the load at its rear end, if any. Raises InputError for a
+    wrong shape or a value that is not finite.
     """
     braking, clearance = braking_of(settings), settings.barrier("clearance")
     barriers: list[AbstractBarrier] = [ObstacleBarrier(obstacles, footprint, braking, clearance, towed=towed)]
@@ -177,19 +175,19 @@ def car_barriers(
 
 
 def with_towed_load(parts: Sequence[AbstractEquationBarrier], towed: TrailerEnvelope) -> list[AbstractEquationBarrier]:
-    """The same barriers of a car that tows, where its load is by now."""
+    """Returns the barriers of a car with a load, with the load's envelope updated."""
     numbers = towed.numbers
     shared = (*parts[0].shared[: -len(numbers)], *numbers)
-    return [part.sharing(shared) if isinstance(part, ObstacleBarrier | FieldBarrier) else part for part in parts]
+    return [part.with_shared(shared) if isinstance(part, ObstacleBarrier | FieldBarrier) else part for part in parts]
 
 
 def braking_of(settings: FilterSettings) -> Braking:
-    """The guaranteed braking ability."""
+    """Returns the guaranteed braking of the settings."""
     return Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
 
 
 def swept_capsule(state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:
-    """Rear and front end of the swept segment along the heading, and the radius around it [m]; None: not known."""
+    """Returns rear and front end of the swept segment along the heading, and its radius [m]; None if unknown."""
     if len(state.footprint) != 3 or len(state.values) != len(_STATES) or not all(map(isfinite, state.values)):
         return None
     rear, front, radius = state.footprint
@@ -199,7 +197,7 @@ def swept_capsule(state: StateMessage, settings: FilterSettings) -> tuple[float,
 
 
 def checked_footprint(footprint: Sequence[float]) -> Footprint:
-    """(rear, front, radius) as floats; raises InputError unless finite, radius >= 0 and rear + front >= 0."""
+    """Returns (rear, front, radius) as floats; raises InputError unless finite, radius >= 0 and rear + front >= 0."""
     if len(footprint) != 3:
         raise InputError(f"footprint: got {len(footprint)} numbers, wanted 3: rear, front, radius in m")
     rear, front, radius = (float(value) for value in footprint)
@@ -212,14 +210,14 @@ def checked_footprint(footprint: Sequence[float]) -> Footprint:
 
 
 def _within(reach: Scalar, body: Any, given: Given) -> list[Scalar]:
-    """How far the point ``reach`` ahead along the heading [m] lies within each of the four walls."""
+    """Returns the distances of the point ``reach`` [m] ahead along the heading to the four walls, positive inside."""
     low_x, high_x, low_y, high_y = given.each
     x, y = given.state[0] + reach * body.cosine, given.state[1] + reach * body.sine
     return [x - low_x, high_x - x, y - low_y, high_y - y]
 
 
 def _shared(rear: float, front: float, braking: Braking, towed: TrailerEnvelope | None) -> tuple[float, ...]:
-    """What the swept segment follows from, as ``body_of`` and ``hitch_of`` take it."""
+    """Returns the shared parameters of ``body_of`` and ``hitch_of``."""
     own = (rear, front, braking.deceleration, braking.gain)
     return own if towed is None else (*own, *towed.numbers)
 

@@ -1,25 +1,25 @@
-"""Which discs need not be looked at: how large h has to be for no action to break its condition, and where it is.
+"""Pruning of irrelevant discs: those whose h is so large that no action can violate their constraint.
 
-From where an action begins to act, ``late`` seconds after the state, it is in force for one period p. By then the speed
-is u = |v| + A (late + p) at most, in s seconds the car goes no farther than R u s, turns by no more than K u s, and its
-speed changes by no more than A s. With the bounds of the barrier's slopes at that speed, h falls in s seconds by
+An action begins to act ``late`` seconds after the state and acts for one period p. The speed is then at most u = |v| +
+A (late + p). In s seconds the car moves at most R u s, turns by at most K u s, and changes its speed by at most A s.
+With the bounds of the barrier's derivatives at that speed, h decreases in s seconds by at most
 
-    F(s) = sqrt(2) place R u s + arm K u s + change A s                                  at the most,
+    F(s) = sqrt(2) place R u s + arm K u s + change A s,
 
-and the condition h(x+) >= (1 - eta) h(x) + epsilon is kept by every action where
+and every action satisfies the constraint h(x+) >= (1 - eta) h(x) + epsilon if
 
-    h >= F(late) + (F(p) + epsilon) / eta,     or F(late) + F(p) + epsilon where all of h may be used up at once.
+    h >= F(late) + (F(p) + epsilon) / eta,     or F(late) + F(p) + epsilon for a barrier that may use up h at once.
 
-That holds for an h with such slopes all over: of a place that no one sees the h that counts who hides behind as well.
-Twice the margin is taken for epsilon: it is watched, and may widen before the decision is made.
+This needs an h with these derivative bounds everywhere, so for hidden positions the h with the speed behind the car is
+used. epsilon is doubled, because an online margin may increase before the decision.
 
-Most of what is told is left out before its h is asked for: no part of the body is farther from the car's place p than
-the longest arm L, and what moves by itself at up to w counts the more the longer the car takes to stand, T(v), so
+Most discs are dropped before their h is computed. No part of the body is farther from the car's position p than the
+longest arm L, and a mover at up to speed w can move w T(v) until the car stops, so a disc at c has
 
-    h >= |c - p| - L - reach - w T(v)            of a disc at c,
+    h >= |c - p| - L - reach - w T(v).
 
-and it is far where that is. One message is one pass over plain numbers, which also says what is no disc; it is compiled
-with the rest.
+A message is processed in a single pass over plain floats, which also validates the discs; the module is compiled by
+mypyc.
 """
 
 from __future__ import annotations
@@ -50,18 +50,18 @@ def irrelevance_distance(
     late: float,
     car: PerformanceLimits,
 ) -> float:
-    """h [m] of an item of ``barrier`` from which on no action of one period breaks its condition.
+    """Returns the value of h [m] from which on no action of one period can violate the constraint of a disc.
 
-    ``barrier``: any with the same shared numbers; of the state x, y, yaw, speed, whose slopes are bounded. ``car``: A,
-    K and R of its model.
+    ``barrier`` is any one with the same shared parameters, for the state x, y, yaw, speed, with bounded derivatives.
+    ``car`` holds A, K and R of the model.
     """
     if not isfinite(car.acceleration + car.curvature + car.reach):
         return float("inf")
     speed = abs(state.values[3]) + car.acceleration * (late + state.period)
     place, arm, change = 0.0, 0.0, 0.0
-    rows = barrier.alone(len(state.values))
+    rows = barrier.scalar_rows(len(state.values))
     for signed in (speed, -speed):
-        bounds = rows.steepest((*state.values[:3], signed))
+        bounds = rows.grad_bound((*state.values[:3], signed))
         if bounds is None:
             return float("inf")
         x, y, turned, faster = bounds
@@ -72,8 +72,10 @@ def irrelevance_distance(
 
 
 def discs_near(rows: Rows, x: float, y: float, within: float, room: float) -> tuple[list[int], list[Disc]]:
-    """Indices and (x, y, radius + ``room``) [m] of the discs ``rows`` (m, 3) that reach to within ``within`` [m] of
-    (x, y), ``room`` added to their radius. Raises InputError for rows of a wrong width, or that are no discs.
+    """Returns indices and (x, y, radius + ``room``) [m] of the discs ``rows`` (m, 3) within ``within`` [m] of (x, y).
+
+    The distance is measured to the disc enlarged by ``room``. Raises InputError for rows of a wrong width or invalid
+    discs.
     """
     kept: list[int] = []
     discs: list[Disc] = []
@@ -97,9 +99,9 @@ def discs_near(rows: Rows, x: float, y: float, within: float, room: float) -> tu
 
 
 def fastest_of(movers: Rows, hidden: Rows) -> float:
-    """The greatest speed w [m/s] of ``movers`` (m, 6) and ``hidden`` places (k, 4), whose last number it is; 0 of none.
+    """Returns the largest speed [m/s], the last column of ``movers`` (m, 6) and ``hidden`` positions (k, 4); 0 if none.
 
-    Raises InputError for rows of a wrong width, or that are no discs.
+    Raises InputError for rows of a wrong width or invalid discs.
     """
     one, other = _fastest("movers", movers, 6), _fastest("hidden", hidden, 4)
     return one if one > other else other
@@ -108,9 +110,11 @@ def fastest_of(movers: Rows, hidden: Rows) -> float:
 def moving_near(
     movers: Rows, hidden: Rows, place: Sequence[float], within: float, room: float, period: float
 ) -> tuple[list[int], list[Moving], list[Moving]]:
-    """Of movers and behind them hidden places those that may reach to within ``within`` [m] of a ``place`` (x, y, s) in
-    s seconds: their indices; x, y, radius + ``room`` + w ``period`` [m], w, and the speed that counts behind the car;
-    and of the hidden ones alone the same with w behind it as well. The rows are ones that ``fastest_of`` took.
+    """Returns the movers, followed by hidden positions, that may come within ``within`` [m] of ``place`` in s seconds.
+
+    ``place`` is (x, y, s). The result has their indices; rows x, y, radius + ``room`` + w ``period`` [m], speed w, and
+    the speed that counts behind the car; and for the hidden ones alone the rows with w behind the car as well. The rows
+    must have been validated by ``fastest_of``.
     """
     x: float = place[0]
     y: float = place[1]
@@ -166,8 +170,8 @@ def _width(name: str, width: int) -> InputError:
 
 
 def _check(name: str, rows: Rows, total: float, negative: bool) -> None:
-    """Of ``rows`` with the sum ``total``, some radius or speed of which is ``negative``."""
-    # finite numbers have an infinite sum where they are as large as a float can be
+    """Raises InputError if ``rows`` with the sum ``total`` are not finite, or any radius or speed is ``negative``."""
+    # The sum is only a quick check: finite values near the largest float can have an infinite sum.
     if total - total != 0.0 and not all(map(isfinite, [value for row in rows for value in row])):
         raise InputError(f"{name}: got NaN or infinity, wanted finite x, y, radius and speed")
     if negative:

@@ -1,4 +1,4 @@
-"""How far a robot was driven backwards, net of forwards: what its filter remembers of what it tows."""
+"""The distance that a robot with a load was driven backwards, net of forward motion; compiled by mypyc."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 __all__ = ["ReverseOdometer"]
 
 _LONGEST_GAP = 0.5
-"""s without a state, after which no one knows how the robot moved meanwhile."""
+"""s; after a longer gap between states the motion in between counts as unknown."""
 _MOST = 1.0
-"""m; no load needs a longer way backwards to stand at any angle."""
+"""m; after this distance backwards any load may be at any angle."""
 
 
 @dataclass
 class ReverseOdometer:
-    """w [m], from one state to the next: w+ = clip(w - e'(p+ - p), 0, end), e the heading and p the position before.
+    """Tracks w [m] from state to state: w+ = clip(w - e'(p+ - p), 0, end), e the heading and p the position before.
 
-    ``end`` is the way after which what is towed may stand at any angle: there is no more to remember. At the start, and
-    wherever the robot was not watched, w is unknown and taken to be the most. A robot that counts itself is believed:
-    its odometry goes on where a filter dies.
+    ``end`` is the distance after which the load may be at any angle, so that larger values do not matter. At the start,
+    and after a gap in the states, w is unknown and assumed to be ``end``. A value reported by the robot itself takes
+    precedence, because it survives a restart of the filter.
     """
 
     way: float = _MOST
@@ -34,7 +34,7 @@ class ReverseOdometer:
     _towed: tuple[float, ...] = ()
 
     def follow(self, state: StateMessage) -> None:
-        """Takes in the next state (x, y, yaw, ...); the same one twice, and one with NaN, change nothing."""
+        """Updates w with the next state (x, y, yaw, ...); a repeated state or one with NaN is ignored."""
         if (state.epoch, state.tick) == (self._epoch, self._tick) or len(state.values) < 3:
             return
         x, y, yaw = state.values[:3]
@@ -50,7 +50,7 @@ class ReverseOdometer:
         self._epoch, self._tick, self._pose, self._towed = state.epoch, state.tick, (x, y, yaw), state.towed
 
     def reach(self, state: StateMessage) -> TrailerEnvelope | None:
-        """What is towed, as the barriers need it; None without. Raises InputError for lengths that are none."""
+        """Returns the load's envelope for the barriers; None without a load. Raises InputError for invalid lengths."""
         if not state.towed:
             return None
         if len(state.towed) != 3 or len(state.footprint) != 3 or len(state.values) != 4:
@@ -61,6 +61,6 @@ class ReverseOdometer:
         if not 0.0 <= begin < end:
             raise InputError(f"towed: got the ways {begin} and {end} m, wanted 0 <= begin < end")
         if end > _MOST:
-            raise InputError(f"towed: got {end} m until it may stand at any angle, wanted at most {_MOST:g} m")
+            raise InputError(f"towed: got {end} m until the load may be at any angle, wanted at most {_MOST:g} m")
         most = max(reach - state.footprint[2], 0.0)
         return TrailerEnvelope(begin, end, most, self.way, self._pose) if most > 0.0 else None

@@ -1,4 +1,4 @@
-"""What the car's barriers take from the settings of its filter; the defaults fit the pymunk car."""
+"""The filter settings of the car's barriers; the defaults fit the simulated car."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from safedpa.barrier_setting import BarrierSetting
 __all__ = ["BARRIER_SETTINGS"]
 
 BARRIER_SETTINGS: Final = (
-    BarrierSetting("braking_deceleration", "m/s2", 2.0, "what it can brake at least, with every load", positive=True),
-    BarrierSetting("braking_gain", "1/s", 2.5, "of its speed servo at least, with every load", positive=True),
-    BarrierSetting("clearance", "m", 0.05, "kept to obstacles and walls beyond its own radius"),
+    BarrierSetting("braking_deceleration", "m/s2", 2.0, "guaranteed braking with every load", positive=True),
+    BarrierSetting("braking_gain", "1/s", 2.5, "least gain of the speed servo, with every load", positive=True),
+    BarrierSetting("clearance", "m", 0.05, "distance kept from obstacles and walls beyond the radius"),
     BarrierSetting(
-        "own_radius", "m", 0.0, "of the car's own body, of its footprint while it tows; 0: as the footprint's"
+        "own_radius", "m", 0.0, "radius of the car's own body, for movers while it tows; 0: that of the footprint"
     ),
     BarrierSetting(
-        "creeping", "s", 0.0, "m of h for each m/s below 0.1 m/s towards what no one sees: it creeps on; 0: it stands"
+        "creeping", "s", 0.0, "h in m per m/s below 0.1 m/s towards hidden areas, which lets the car creep; 0: it stops"
     ),
     BarrierSetting(
-        "speed_low", "m/s", -0.8, "a little beyond the actuator's: driving at full speed is no conflict", signed=True
+        "speed_low", "m/s", -0.8, "slightly beyond the actuator limit, so that full speed is permitted", signed=True
     ),
-    BarrierSetting("speed_high", "m/s", 2.2, "likewise", signed=True, above="speed_low"),
+    BarrierSetting("speed_high", "m/s", 2.2, "slightly beyond the actuator limit", signed=True, above="speed_low"),
 )

@@ -1,4 +1,4 @@
-"""What is towed folds up when it is pushed: the room around the hitch that it needs, by how far it was driven back."""
+"""The space that a towed load may take around the hitch, depending on the distance driven backwards."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ __all__ = ["TrailerEnvelope"]
 @final
 @dataclass(frozen=True)
 class TrailerEnvelope:
-    """What the equations of ``hitch_of`` need; all lengths [m].
+    """The parameters of the equations of ``hitch_of``; all lengths [m].
 
-    ``begin`` < ``end``: the way w driven backwards at which a load may begin to leave the footprint, and at which it
-    may stand at any angle; ``most`` is what it then needs beyond the footprint's radius; ``way`` is w at ``pose``
-    (x, y, yaw). The lengths were measured: docs/robot.md.
+    After driving backwards by ``begin`` a load may start to leave the footprint, after ``end`` > ``begin`` it may be at
+    any angle and then needs ``most`` beyond the footprint's radius. ``way`` is the distance driven backwards at
+    ``pose`` (x, y, yaw). docs/robot.md has measurements.
     """
 
     begin: float
@@ -27,7 +27,7 @@ class TrailerEnvelope:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """begin, growth over w, most, w, x, y, cos yaw, sin yaw."""
+        """begin, growth per distance, most, way, x, y, cos yaw, sin yaw."""
         x, y, yaw = self.pose
         rate = self.most / (self.end - self.begin)
         return self.begin, rate, self.most, self.way, x, y, cos(yaw), sin(yaw)

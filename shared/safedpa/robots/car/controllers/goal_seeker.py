@@ -1,27 +1,26 @@
-"""A controller that knows its goal and nothing of obstacles: whatever keeps it from hitting them is the filter.
+"""The goal seeker: drives to its goal and ignores obstacles, which are left to the safety filter; compiled by mypyc.
 
-Towards the goal it follows an arc (pure pursuit): with the goal at distance d and bearing b from the heading,
+It follows an arc to the goal (pure pursuit). With the goal at distance d and bearing b from the heading,
 
     steer = atan(2 wheelbase sin(b) / d),   target_speed = min(cruise, approach d) max(cos(b), slow)
 
-A goal inside the turning circle of its side (radius wheelbase / tan(steer limit)) would be circled for ever; there it
-first makes room, backwards with the wheels turned away; where that has led nowhere three times it passes the goal by,
-to one side and then the other. Where it makes no headway (the filter holds it back, or it stands against a wall) it
-backs off, by a way and not by a time: a robot that tows is slow in reverse. Then it heads
-past the goal's direction to one side, to the other side the next time; but where the goal lies abeam or behind, it
-turns round in several moves, always to the same side. Held back again meanwhile, it tries the next thing at once:
-backwards first with the wheels turned the other way.
+``GoalSeeker`` is a state machine with recovery behaviours:
+
+- make_room: the car would circle a goal inside its turning circle (radius wheelbase / tan(steer limit)) forever, so it
+  first reverses with the wheels turned away. After three attempts it detours past the goal instead, on alternating
+  sides.
+- back_off: without progress (the filter holds it, or a wall) it reverses by a distance, not for a time, because a car
+  with a load is slow in reverse. If it is held in reverse too, it first turns the wheels the other way.
+- detour: then it heads to one side of the goal, to the other side the next time. If the goal is abeam or behind, it
+  turns round in several moves instead, always to the same side.
+
+``InverseDynamicsGoalSeeker`` compensates a towed load, so that the loaded car behaves like the unloaded one. Let v be
+the state entry that an action entry u controls (the speed, for a target speed). The nominal model moves it to v+ under
+u. With the estimated latent z the model is v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v has the same effect
+with the load, within the bounds. ``ThrottledGoalSeeker`` inverts the model for the throttle of a car without a speed
+servo.
+
 Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
-
-The goal seeker of the car, whose nominal actions the model with the newest latent turns into what brings them about.
-
-With a speed servo it makes up for a towed load: it drives so that the loaded robot behaves as the unloaded one would.
-
-Let v be the entry of the state that an action's entry u steers directly (the speed, for a target speed). The nominal
-model, with the latent at the values of its file, would move it to v+ under the nominal action u. With the estimated latent z the
-model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same with load, as far as the bounds allow.
-
-Without a servo a speed controller in between asks the model for the throttle.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class GoalSeekerSettings:
-    """How the goal seeker drives: SI units, radians."""
+    """Settings of the goal seeker: SI units, radians."""
 
     wheelbase: float = 0.32
     steer_limit: float = 0.34
@@ -62,38 +61,39 @@ class GoalSeekerSettings:
     reverse_speed: float = -0.5
     slowest_target: float = -0.6
     fastest_target: float = 2.0
-    """Limits of the robot's speed command, within which a load may be made up for."""
+    """Limits of the speed command when a load is compensated."""
     lookahead: float = 1.2
-    """m; a goal farther away is steered for as if it were so near: turned towards at once, then straight ahead."""
+    """m; upper bound of the distance in pure pursuit, so that the car turns towards a far goal at once."""
     approach_gain: float = 1.5
     """1/s; target speed per metre to the goal."""
     slowest_share: float = 0.35
-    """Of the speed, where the goal lies abeam or behind."""
+    """Least share of the speed, when the goal is abeam or behind."""
     patience_seconds: float = 1.0
-    """Without headway for so long, it backs off."""
+    """After this time without progress the car backs off."""
     headway: float = 0.12
-    """m within the patience that count as headway."""
+    """m within the patience that count as progress."""
     reverse_headway: float = 0.04
-    """The same backwards, where what it tows is slow to move."""
+    """The same in reverse, where a load is slow to move."""
     back_off_seconds: float = 1.4
-    """At least, unless it makes no headway backwards either."""
+    """Least time of backing off, unless the car makes no progress in reverse either."""
     back_off_way: float = 0.6
-    """m from where it was held back that it makes at the first attempt, and as much more at each of the next two."""
+    """m to back off at the first attempt; twice and three times as much at the next two."""
     back_off_longest: float = 5.0
-    """s for each such way."""
+    """s; longest time for each such distance."""
     room_seconds: float = 4.0
-    """Longest time to make room; then something is behind it, and it tries a detour."""
+    """Longest time of make_room; then something is behind the car, and it tries a detour."""
     rooms: int = 3
-    """How often it makes room for one goal before it takes a detour after each: what hinders it is still there."""
+    """Number of make_room attempts per goal; after that, each is followed by a detour because the obstruction
+    persists."""
     turning_bearing: float = 1.3
-    """rad from the heading to the goal, beyond which it turns round in several moves."""
+    """rad; for a goal at a larger bearing the car turns round in several moves."""
     turning_moves: int = 6
-    """So many at most for one goal; then it tries detours."""
+    """Largest number of such moves per goal; then it tries detours."""
     reach: float = 0.2
-    """m; how near the turning circle a goal may lie and is still reached on it."""
+    """m; a goal this far inside the turning circle still counts as reachable."""
     detour_seconds: float = 1.6
     detour_bearing: float = 1.0
-    """rad to the side of the goal that a detour heads for."""
+    """rad between the direction of a detour and the goal."""
 
     def __post_init__(self) -> None:
         if not (self.steer_limit > 0.0 and self.wheelbase > 0.0 and self.cruise_speed > 0.0 > self.reverse_speed):
@@ -125,11 +125,11 @@ class GoalSeeker:
 
     @property
     def mode(self) -> str:
-        """What it is about: seek, make_room, back_off or detour."""
+        """The current behaviour: seek, make_room, back_off or detour."""
         return self._mode.value
 
     def nominal_action(self, time: float, state: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, float]:
-        """(target_speed [m/s], steer [rad]) at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
+        """Returns target speed [m/s] and steer [rad] at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
         x, y, yaw, _ = state
         if goal != self._goal:
             self._goal, self._mode, self._turned_over = goal, _Mode.SEEK, False
@@ -178,7 +178,7 @@ class GoalSeeker:
             self._enter(_Mode.SEEK, time)
 
     def _leave_room(self, time: float, *, made: bool) -> None:
-        """Towards the goal where room was ``made``, unless that has led nowhere so often that it passes the goal."""
+        """Leaves make_room: seeks the goal if room was ``made`` and attempts are left, otherwise takes a detour."""
         self._rooms += made
         if made and self._rooms <= self.settings.rooms:
             self._enter(_Mode.SEEK, time)
@@ -189,7 +189,7 @@ class GoalSeeker:
         self._enter(_Mode.DETOUR, time + self.settings.detour_seconds * (min(self._attempts, 4) if made else 1))
 
     def _choose_side(self, bearing: float) -> None:
-        """Which way the nose turns while it backs off, and whether it goes on turning afterwards."""
+        """Chooses the side to which the nose turns while backing off, and whether the car turns round."""
         self._turns_round = abs(bearing) > self.settings.turning_bearing and self._moves < self.settings.turning_moves
         if self._turns_round:
             self._moves += 1
@@ -199,7 +199,7 @@ class GoalSeeker:
         self._side = _side_of(bearing) if self._attempts == 1 else -self._side
 
     def _is_back(self, time: float, x: float, y: float) -> bool:
-        """Whether it has backed off for long enough and far enough."""
+        """Returns whether the car has backed off long and far enough."""
         way = math.hypot(x - self._held_at[0], y - self._held_at[1])
         return time >= self._earliest and way >= self.settings.back_off_way * self._persistence
 
@@ -212,7 +212,7 @@ class GoalSeeker:
         self._history.clear()
 
     def _outside_circle(self, distance: float, bearing: float) -> float:
-        """How far the goal lies outside the turning circle of its side [m]; negative inside."""
+        """Returns the distance [m] of the goal from the turning circle on its side; negative inside."""
         radius = self.settings.wheelbase / math.tan(self.settings.steer_limit)
         aside = distance * abs(math.sin(bearing))
         return math.hypot(distance * math.cos(bearing), aside - radius) - radius
@@ -237,21 +237,21 @@ def _wrapped(angle: float) -> float:
 
 
 _NUDGE = 1e-3
-"""m/s of target speed, for the slope."""
+"""m/s of target speed; step of the finite difference."""
 _WEAKEST = 1e-3
-"""Below this sensitivity d(v+)/du the action has no hold on the speed, and the nominal action stays as it is."""
+"""Below this sensitivity d(v+)/du the action does not control the speed, and the nominal action is not changed."""
 
 _GAIN: Final = 3.0
-"""1/s; of the speed controller."""
+"""1/s; gain of the speed controller."""
 _MOST: Final = 2.0
-"""m/s2 that it asks for at most."""
+"""m/s2; largest acceleration that it requests."""
 _BOUNDS: Final = (-1.0, 1.0)
-"""Of the throttle."""
+"""Bounds of the throttle."""
 
 
 @final
 class SpeedCompensation:
-    """Replaces the target speed of a nominal action by the one that has the requested effect under the latent."""
+    """Replaces the target speed of a nominal action by the one with the same effect under the estimated latent."""
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
@@ -261,13 +261,14 @@ class SpeedCompensation:
         self._target = model.system.action_names.index("target_speed")
 
     def compensated(self, state: FloatArray, nominal: FloatArray, latent: FloatArray) -> FloatArray:
-        """The nominal action (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
+        """Returns the nominal action (actions,) with compensated target speed, for state (states,), latent
+        (latents,)."""
         changed = nominal.copy()
         changed[self._target] = self.target(state.tolist(), nominal.tolist(), latent.tolist())
         return changed
 
     def target(self, state: Sequence[float], nominal: Sequence[float], latent: Sequence[float]) -> float:
-        """The target speed alone, over plain numbers."""
+        """Returns the compensated target speed [m/s], over plain floats."""
         loaded, unloaded, hold = self._speeds(state, nominal, latent)
         asked = nominal[self._target]
         return asked + (unloaded - loaded) / hold if hold > _WEAKEST else asked
@@ -275,16 +276,16 @@ class SpeedCompensation:
     def _speeds(
         self, state: Sequence[float], nominal: Sequence[float], latent: Sequence[float]
     ) -> tuple[float, float, float]:
-        """The speed after the nominal action with the load and without, and its slope over the target speed with the load.
+        """Returns the speed after the nominal action with and without load, and its derivative with load.
 
-        Three steps of the model, which are the same to the last bit on each of its roads: a run repeats itself,
-        whenever the straight line of arithmetic is ready.
+        Both code paths below, scalar and array, give bit-identical results, so that runs stay reproducible no matter
+        when the scalar step becomes available.
         """
         nudged = list(nominal)
         nudged[self._target] += _NUDGE
-        step, speed = self.model.straight(self.model.period), self._speed
+        step, speed = self.model.scalar_step(self.model.period), self._speed
         if step is not None:
-            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
+            with contextlib.suppress(ValueError, ArithmeticError):  # the array path below handles these values
                 now = self.model.clock.seconds
                 loaded = step(state, nominal, latent, now)[speed]
                 beyond = step(state, nudged, latent, now)[speed]
@@ -304,7 +305,7 @@ class SpeedCompensation:
 
 @final
 class InverseDynamicsGoalSeeker:
-    """The goal seeker, which makes up for what the robot tows as far as the latent is known."""
+    """The goal seeker with compensation of a towed load by the estimated latent."""
 
     def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings) -> None:
         self._compensation = SpeedCompensation(model)
@@ -312,11 +313,11 @@ class InverseDynamicsGoalSeeker:
         self._seeker = GoalSeeker(settings)
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Target speed [m/s] and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
+        """Returns target speed [m/s] and steer [rad], and a name with the behaviour, such as ``goal_seeker:seek``."""
         if len(state.values) != 4 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
         values = self._seeker.nominal_action(state.robot_time, state.values, state.goal)
-        if latent is not None and self._compensation.model.system.believes(state.values):
+        if latent is not None and self._compensation.model.system.is_plausible_floats(state.values):
             self._compensation.model.clock.seconds = state.robot_time
             speed = self._compensation.target(state.values, values, latent.tolist())
             values = min(max(speed, self._settings.slowest_target), self._settings.fastest_target), values[1]
@@ -325,15 +326,17 @@ class InverseDynamicsGoalSeeker:
 
 @final
 class ThrottledGoalSeeker:
-    """The goal seeker; its target speed becomes a nominal acceleration clip(3/s (target - speed), +-2 m/s2), and that,
-    by the model with the newest latent, a throttle.
+    """The goal seeker for a car with a throttle.
+
+    The target speed gives an acceleration clip(3/s (target - speed), +-2 m/s2), and the model with the newest latent is
+    inverted for the throttle.
     """
 
     def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings) -> None:
         self._model, self._seeker = model, GoalSeeker(settings)
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Throttle and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
+        """Returns throttle and steer [rad], and a name with the behaviour, such as ``goal_seeker:seek``."""
         if len(state.values) != 4 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
         target, steer = self._seeker.nominal_action(state.robot_time, state.values, state.goal)

@@ -1,17 +1,17 @@
-"""A sampling model predictive controller over any dynamics: draws drives, rolls them out, averages the best.
+"""A model predictive path integral (MPPI) controller: samples trajectories, rolls them out, averages the best.
 
-In each period n sequences of actions are drawn about the last plan, u_i = u + noise, and rolled out with the model at
-the latent that is known. The new plan is the average of all, weighted by what they cost (S_i, least S_min):
+In each period n action sequences are sampled around the last plan, u_i = u + noise, and rolled out with the model at
+the current latent. The new plan is their average, weighted by the costs S_i with minimum S_min:
 
     u <- sum w_i u_i / sum w_i,    w_i = exp(-(S_i - S_min) / temperature)
 
-A drive costs the way that is left, the room that it lacks and how it steers (``DriveCosts``).
+The cost of a trajectory consists of time to go, lack of clearance and steering effort (``DriveCosts``).
 
-Source: Williams et al., Information theoretic MPC, ICRA 2017. Ours: actions as knots, some fixed drives among the drawn
-ones, and only drives that resemble the best one enter the average, since the mean of left and right is straight on.
-What the speed does beyond the prediction is taken to go on (offset-free MPC, Pannocchia and Rawlings, AIChE J. 2003):
-a load that the model misjudges does not keep it trying what fails. Nothing that it requests is trusted: the safety filter
-stands behind it as behind every controller.
+Source: Williams et al., Information theoretic MPC, ICRA 2017. Additions: actions are spline knots; some fixed
+trajectories are among the samples; only trajectories similar to the best one are averaged, because the mean of left and
+right is straight on. The prediction error of the speed is assumed to persist (offset-free MPC, Pannocchia and Rawlings,
+AIChE J. 2003), so that a load that the model misjudges does not make the controller repeat a failing plan. Its actions
+are not trusted: the safety filter corrects them, as for every controller.
 """
 
 from __future__ import annotations
@@ -44,58 +44,58 @@ _FIXED = (
     (-1.0, -1.0),
     (0.0, 0.0),
 )
-"""Drives held over the whole horizon: share of the greatest speed (that way), share of the greatest steer."""
+"""Constant trajectories: share of the largest speed in that direction, share of the largest steer."""
 _FORWARDS, _BACKWARDS = 0, 5
-"""Which of them are straight on, at full speed."""
+"""Indices of the straight trajectories at full speed."""
 _KEPT = 0.75
-"""Share of full speed that a robot keeps on average, with corners and stops."""
+"""Average speed over full speed, accounting for corners and stops."""
 _SLOWEST = 0.02
-"""m/s; slower than this is as bad as this."""
+"""m/s; lower bound of the average speed."""
 _SPEED_STEP = 1.25
 _SPEED = 3
 _SMOOTHING = 0.1
-"""Weight of the last period's surprise: half a second is remembered."""
+"""Weight of the newest prediction error in the moving average, whose memory is half a second."""
 _MOST_PUSH = 3.0
-"""m/s2; what is more was a bump."""
+"""m/s2; larger prediction errors are clipped as bumps."""
 _ALIKE = 2.5
-"""Spreads, at every knot, within which a drive resembles the best one."""
+"""Standard deviations at every knot within which a trajectory counts as similar to the best one."""
 
 
 @final
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How the planner searches, and what it cares for: SI units. Raises InputError naming what is not positive."""
+    """Sampling and cost settings of the planner, in SI units. Raises InputError naming a value that is not positive."""
 
     samples: int = 128
-    """Drives that are tried in each period."""
+    """Trajectories per period."""
     steps: int = 15
-    """Of the horizon."""
+    """Steps of the horizon."""
     step_seconds: float = 0.1
     knots: int = 5
-    """Actions that are drawn, evenly over the horizon; in between the action goes straight from one to the next."""
+    """Sampled actions, evenly spaced over the horizon, with linear interpolation between them."""
     speed_spread: float = 0.8
-    """m/s; standard deviation of the drawn target speeds."""
+    """m/s; standard deviation of the sampled target speeds."""
     steer_spread: float = 0.2
-    """rad; likewise of the wheels."""
+    """rad; standard deviation of the sampled steers."""
     temperature: float = 0.05
-    """Of the average: drives that cost more than this above the best hardly count."""
+    """Trajectories with a cost further above the best one hardly count in the average."""
     slowest_target: float = -0.6
     fastest_target: float = 2.0
     steer_limit: float = 0.34
     braking_deceleration: float = 2.8
-    """m/s2; the room ahead is measured from where the robot would come to rest."""
+    """m/s2; clearance is measured from the stopping position."""
     braking_gain: float = 3.2
-    """1/s; of the speed servo, below braking_deceleration / braking_gain."""
+    """1/s; gain of the speed servo, which limits braking below braking_deceleration / braking_gain."""
     room: float = 0.15
-    """m of clearance that cost nothing."""
+    """m; clearance above which there is no cost."""
     room_weight: float = 8.0
     contact_weight: float = 60.0
     way_weight: float = 0.3
-    """Per second that is left on the mean of the way; one second that is left at the horizon costs 1."""
+    """Cost per second of mean time to go along the trajectory; a second of time to go at the horizon costs 1."""
     sweeps: int = 5
-    """Rounds of refining the time to go in each period, until it is settled: about 2 ms each."""
+    """Bellman sweeps of the time to go per period until it has converged; about 2 ms each."""
     effort_weight: float = 0.02
-    """Per square of the change of an action from knot to knot, over its range."""
+    """Cost of the squared change of an action from knot to knot, relative to its range."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -108,7 +108,8 @@ class PlannerSettings:
 
 @final
 class DriveCosts:
-    """The cost of drives in one scene: obstacles (m, 3) [m], field (4,), capsule footprint (rear, front, radius)."""
+    """The cost of trajectories in a scene: obstacles (m, 3) [m], field (4,), capsule footprint (rear, front,
+    radius)."""
 
     def __init__(
         self,
@@ -122,7 +123,7 @@ class DriveCosts:
         self.to_go = TimeToGo(goal, obstacles, field, footprint, settings.room)
 
     def of(self, states: FloatArray, knots: FloatArray, last_action: FloatArray) -> FloatArray:
-        """Costs (n,) of states (n, steps, 4) under actions (n, knots, 2), after ``last_action`` (2,)."""
+        """Returns the costs (n,) of states (n, steps, 4) under actions (n, knots, 2), after ``last_action`` (2,)."""
         settings = self._settings
         x, y, yaw, speed = (states[..., index] for index in range(4))
         left = self.to_go(x, y, yaw)
@@ -136,7 +137,7 @@ class DriveCosts:
         return np.asarray(way + near + effort)
 
     def _room(self, x: FloatArray, y: FloatArray, yaw: FloatArray, speed: FloatArray) -> FloatArray:
-        """Clearance (n, steps) [m] of the capsule, stretched by the stopping distance."""
+        """Returns the clearance (n, steps) [m] of the capsule extended by the stopping distance."""
         gain, size = self._settings.braking_gain, np.abs(speed)
         corner = self._settings.braking_deceleration / gain
         beyond = np.maximum(size - corner, 0.0) * (size + corner) / (2.0 * self._settings.braking_deceleration)
@@ -148,7 +149,7 @@ class DriveCosts:
 
 @final
 class Planner:
-    """The controller of one car; ``nominal`` is called once per period. The same seed and states give the same nominal actions."""
+    """The MPPI controller of one car; call ``nominal_action`` once per period. Deterministic in seed and states."""
 
     def __init__(self, model: AbstractDynamics, settings: PlannerSettings | None = None, seed: int = 0) -> None:
         self._model, self.settings = model, settings or _settings_for(model)
@@ -168,7 +169,8 @@ class Planner:
         self._last: StateMessage | None = None
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Target speed [m/s] and steer [rad] that the plan begins with. Raises MessageError for an odd state."""
+        """Returns target speed [m/s] and steer [rad] of the plan's first knot. Raises MessageError for an invalid
+        state."""
         costs = self._scene_costs(state)
         costs.to_go.relax(self.settings.sweeps)
         self._note_surprise(state, latent)
@@ -182,15 +184,15 @@ class Planner:
         return tuple(self._plan[0].tolist()), "planner"
 
     def _averaged(self, knots: FloatArray, cost: FloatArray) -> FloatArray:
-        """The weighted average (knots, 2) of those drives that go the same way as the best."""
+        """Returns the weighted average (knots, 2) of the trajectories similar to the best one."""
         best = int(cost.argmin())
         alike = (np.abs(knots - knots[best]) <= _ALIKE * self._spread).all(axis=(1, 2))
         weight = np.exp(-(cost - cost[best]) / self.settings.temperature) * alike
         average = np.tensordot(weight / weight.sum(), knots, axes=1)
-        return np.asarray(np.clip(average, self._low, self._high))  # shares that sum to 1 but for rounding
+        return np.asarray(np.clip(average, self._low, self._high))  # the weights sum to 1 only up to rounding
 
     def _note_surprise(self, state: StateMessage, latent: FloatArray | None) -> None:
-        """What the speed did beyond the model's prediction over the last period enters the push, smoothed [m/s2]."""
+        """Updates the moving average of the model's acceleration error [m/s2] with the last period."""
         last, self._last = self._last, state
         if last is None or (last.epoch, last.tick + 1) != (state.epoch, state.tick):
             return
@@ -202,7 +204,7 @@ class Planner:
             self._push += _SMOOTHING * (min(max(surprise, -_MOST_PUSH), _MOST_PUSH) - self._push)
 
     def _note_speeds(self, costs: DriveCosts, states: FloatArray) -> None:
-        """What full speed forwards and backwards come to at the horizon, for the time to go: in steps of a quarter."""
+        """Updates the attainable speeds forwards and backwards of the time to go, quantised in steps of a quarter."""
         ends = (states[1 + _FORWARDS, -1, 3], -states[1 + _BACKWARDS, -1, 3])
         speeds = tuple(_SPEED_STEP ** round(math.log(max(_KEPT * end, _SLOWEST), _SPEED_STEP)) for end in ends)
         if speeds != self._speeds:
@@ -210,7 +212,7 @@ class Planner:
             costs.to_go.drive_at(*speeds)
 
     def _drawn(self) -> FloatArray:
-        """Knots (n, knots, 2): the last plan, fixed drives, and plans drawn about the last one."""
+        """Returns knots (n, knots, 2): the last plan, fixed trajectories, and samples around the last plan."""
         chosen = self.settings
         count = max(chosen.samples - len(self._fixed) - 1, 1)
         noise = self._draw.normal(size=(count, chosen.knots, 2)) * self._spread
@@ -220,7 +222,7 @@ class Planner:
     def _rolled_out(
         self, state: FloatArray, before: FloatArray, knots: FloatArray, latent: FloatArray | None
     ) -> FloatArray:
-        """States (n, steps, 4) after each step under the knots (n, knots, 2)."""
+        """Returns states (n, steps, 4) after each step under the knots (n, knots, 2)."""
         actions = np.einsum("tk,nka->tna", self._blend, knots)
         current = np.broadcast_to(state, (len(knots), len(state)))
         memory = self._model.initial_memory(np.broadcast_to(before, (len(knots), 2)), latent)
@@ -233,13 +235,11 @@ class Planner:
             current[:, _SPEED] += push
             states[index] = current
         if not np.isfinite(states).all():
-            raise MessageError(
-                f"state: the model's drives from {state.tolist()} leave all bounds; wanted a plausible one"
-            )
+            raise MessageError(f"state: the model diverges from {state.tolist()}; wanted a plausible state")
         return states.transpose(1, 0, 2)
 
     def _scene_costs(self, state: StateMessage) -> DriveCosts:
-        """The costs of this scene and goal, kept while they stay the same."""
+        """Returns the costs for the scene and goal, cached until these change."""
         if len(state.values) != 4 or len(state.goal) != 2 or len(state.applied) != 2:
             raise MessageError(
                 f"state: got {len(state.values)} values, {len(state.applied)} actions and a goal of "
@@ -257,17 +257,18 @@ class Planner:
         return self._costs
 
     def _held(self, speed: float, steer: float) -> FloatArray:
-        """Knots (knots, 2) of one action held: shares of the greatest speed forwards or backwards, and steer."""
+        """Returns knots (knots, 2) of a constant action: shares of the largest speed forwards or backwards, and
+        steer."""
         chosen = self.settings
         target = speed * chosen.fastest_target if speed >= 0.0 else -speed * chosen.slowest_target
         return np.tile((target, steer * chosen.steer_limit), (chosen.knots, 1))
 
     def _blended(self, times: FloatArray) -> FloatArray:
-        """(times, knots): shares of the knots in the action at each time, linear between knots, the last one held."""
+        """Returns the interpolation matrix (times, knots): linear between knots, constant after the last one."""
         return np.stack([np.interp(times, self._knot_times, row) for row in np.eye(len(self._knot_times))], axis=1)
 
 
 def _settings_for(model: AbstractDynamics) -> PlannerSettings:
-    """Networks cost five times what physics costs: fewer and shorter drives keep the nominal action in time."""
+    """Returns the settings for a model; networks are five times slower than physics, so they get fewer samples."""
     learned = isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase)
     return PlannerSettings(samples=48, steps=12) if learned else PlannerSettings()

@@ -1,7 +1,7 @@
-"""What a car sees around it, as a price of driving there: how much longer a metre takes near what it has to keep from.
+"""Driving costs around perceived obstacles: how much longer a metre takes near them.
 
-Near what is at rest the price rises within a berth; near what may move by itself, or hides, the filter lets the car
-drive no faster than it can stand before that is there, so the price is the cruise over that speed.
+Near stationary obstacles the cost increases within a margin. Near moving or hidden ones the filter limits the speed
+such that the car can stop in time, so the cost is the cruise speed over this limit.
 """
 
 from __future__ import annotations
@@ -22,52 +22,52 @@ __all__ = ["ClearanceSettings", "Clearances", "VisibleObstacles", "visible_obsta
 
 
 _SPEEDS: Final[FloatArray] = np.linspace(0.0, 2.0, 41)
-"""m/s at which it is known what room they need."""
+"""m/s; speeds at which the required clearance is tabulated."""
 _WEDGE: Final = 1.0
-"""m aside for each metre behind the hitch: what hides there hides behind the load, and moves with it."""
+"""Widening of the load's shadow, m to each side per metre behind the hitch."""
 _ALONGSIDE_LOAD: Final = 0.5
-"""m that the load's own shadow is wider than what it reaches to."""
+"""m by which the shadow is wider than the load's reach at the hitch."""
 
 
 @final
 @dataclass(frozen=True)
 class ClearanceSettings:
-    """SI units; what the filter will keep, as far as a controller may count on it."""
+    """Clearances that the filter will enforce, and costs around them; SI units."""
 
     cruise: float = 1.6
     room: float = 0.18
-    """m to what is at rest: the filter's clearance and margin."""
+    """m to stationary obstacles: clearance and margin of the filter."""
     berth: float = 0.3
-    """m beyond that, in which it costs up to ``grazing`` more."""
+    """m beyond ``room`` in which the cost factor is up to ``grazing`` larger."""
     grazing: float = 1.0
     through: float = 20.0
-    """A metre where there is no room counts as so many: who got too near still knows which way leads out."""
+    """Cost factor without clearance; finite, so that a car that came too close still knows the way to leave."""
     inside: float = 30.0
-    """s/m on an arc where there is no room, and ..."""
+    """s/m on an arc without clearance, and ..."""
     deeper: float = 400.0
-    """s/m more for each metre that lacks."""
+    """s/m more per metre of missing clearance."""
     slowest: float = 0.08
-    """m/s that is reckoned with near what may move: it gives way, or shows itself, in the end."""
+    """m/s; least speed assumed near movers, because they give way or become visible eventually."""
     own_radius: float = 0.12
-    """m, of the car itself; what it tows is behind it, where no one who moves is driven into."""
+    """m; radius of the car itself, used for movers: a towed load is behind the car and cannot hit them."""
     margin: float = 0.1
-    """m to what may move: the filter's clearance and margin."""
+    """m to movers: clearance and margin of the filter."""
     late: float = 0.1
-    """s that it goes on meanwhile: one period, and until the action acts."""
+    """s until an action takes effect: one period plus the dead time."""
     braking: ReversalBraking = field(default_factory=lambda: ReversalBraking(2.0, 2.5, 0.6))
 
 
 class Clearances(NamedTuple):
-    """m to the nearest disc of each kind, from the body's surface; any one shape."""
+    """Distances [m] from the body's surface to the nearest disc of each kind; arrays of the same shape."""
 
     rest: FloatArray
     moves: FloatArray
-    """From its foremost part, in the direction that it drives in."""
+    """From the leading part of the body, in the driving direction."""
 
 
 @final
 class VisibleObstacles:
-    """Discs at rest (n, 3) and discs that may move (m, 3) at ``fastest`` [m/s]; lengths in m."""
+    """Stationary discs (n, 3) and discs (m, 3) that may move at up to ``fastest`` [m/s]; lengths in m."""
 
     def __init__(
         self, rest: FloatArray, moves: FloatArray, fastest: float, radius: float, settings: ClearanceSettings
@@ -80,15 +80,16 @@ class VisibleObstacles:
         self._needs = settings.margin + way + fastest * (time + settings.late)
 
     def to_rest(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """m from a body of the footprint's radius around places (any shape) to what is at rest."""
+        """Returns the distance [m] from a body of the footprint's radius at positions (any shape) to stationary
+        discs."""
         return self._to(self.rest, x, y) - self.radius
 
     def to_moves(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """m from a body of the car's own radius around places (any shape) to what may move."""
+        """Returns the distance [m] from a body of the car's own radius at positions (any shape) to movers."""
         return self._to(self.moves, x, y) - self.own_radius
 
     def _to(self, discs: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """100 m where there is none."""
+        """Returns the distance [m] to the nearest disc; 100 m if there is none."""
         if not len(discs):
             return np.full(np.shape(x), 100.0)
         apart_x, apart_y = x[..., np.newaxis] - discs[:, 0], y[..., np.newaxis] - discs[:, 1]
@@ -96,12 +97,12 @@ class VisibleObstacles:
         return found
 
     def fastest_alongside(self, moves: FloatArray) -> FloatArray:
-        """m/s that the filter allows with so much room to what may move."""
+        """Returns the speed [m/s] that the filter allows at the distances ``moves`` [m] to movers."""
         found: FloatArray = np.interp(moves, self._needs, _SPEEDS)
         return found
 
     def price(self, room: Clearances) -> FloatArray:
-        """What a second of cruise counts there, 1 or more."""
+        """Returns the cost factor (>= 1) of a second at cruise speed."""
         own = self.settings
         spare = room.rest - own.room
         still = np.where(spare < 0.0, own.through, 1.0 + own.grazing * np.clip(1.0 - spare / own.berth, 0.0, 1.0))
@@ -109,8 +110,8 @@ class VisibleObstacles:
         return np.asarray(np.maximum(still, own.cruise / speed))
 
     def seconds_each_metre(self, room: Clearances, speed: float) -> FloatArray:
-        """On an arc that is driven at ``speed`` [m/s] where nothing is in the way: the deeper in what is at rest, the
-        longer, so that what leads out is found."""
+        """Returns the cost [s/m] on an arc with free speed ``speed`` [m/s]. Inside a stationary obstacle it increases
+        with depth, so that arcs that lead out are preferred."""
         own = self.settings
         spare = room.rest - own.room
         still = own.grazing / own.cruise * np.clip(1.0 - spare / own.berth, 0.0, 1.0)
@@ -118,7 +119,7 @@ class VisibleObstacles:
         return np.asarray(1.0 / np.clip(self.fastest_alongside(room.moves), min(own.slowest, speed), speed) + still)
 
     def near(self, x: float, y: float, reach: float) -> VisibleObstacles:
-        """What of it begins within ``reach`` [m] of a place."""
+        """Returns the discs that begin within ``reach`` [m] of a position."""
         return self._with(
             *(
                 discs[np.hypot(discs[:, 0] - x, discs[:, 1] - y) - discs[:, 2] < reach]
@@ -127,7 +128,7 @@ class VisibleObstacles:
         )
 
     def blocked(self, discs: Sequence[tuple[float, float, float]]) -> VisibleObstacles:
-        """With more of what is at rest."""
+        """Returns a copy with additional stationary discs."""
         return self._with(np.vstack([self.rest, np.array(discs, dtype=np.float64).reshape(-1, 3)]), self.moves)
 
     def _with(self, rest: FloatArray, moves: FloatArray) -> VisibleObstacles:
@@ -139,9 +140,10 @@ class VisibleObstacles:
 def visible_obstacles(
     state: StateMessage, seen: SurroundingsMessage, settings: ClearanceSettings
 ) -> tuple[VisibleObstacles, bool]:
-    """What is around a car at ``state``, and whether it sees what is behind it: not behind a load that hides it.
+    """Returns the obstacles around a car at ``state``, and whether it sees the area behind it.
 
-    What hides in the load's shadow follows the load, and stands in no way.
+    A load can hide what is behind it. Hidden discs in the load's shadow are left out of the obstacles, because the
+    shadow moves along with the load.
     """
     rest = np.array(seen.points, dtype=np.float64).reshape(-1, 3)
     movers = np.array(seen.movers, dtype=np.float64).reshape(-1, 6)
@@ -158,11 +160,11 @@ def visible_obstacles(
     return VisibleObstacles(rest, moves, fastest, state.footprint[2], settings), sees_behind
 
 
-def _in_shadow(state: StateMessage, places: FloatArray) -> NDArray[np.bool_]:
-    """Which ``places`` (n, ...) lie behind the hitch in the wedge that the load may hide."""
+def _in_shadow(state: StateMessage, positions: FloatArray) -> NDArray[np.bool_]:
+    """Returns which ``positions`` (n, ...) are behind the hitch, in the wedge that the load may hide."""
     x, y, yaw = state.values[:3]
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    along = cosine * (places[:, 0] - x) + sine * (places[:, 1] - y) + state.footprint[0]
-    across = cosine * (places[:, 1] - y) - sine * (places[:, 0] - x)
+    along = cosine * (positions[:, 0] - x) + sine * (positions[:, 1] - y) + state.footprint[0]
+    across = cosine * (positions[:, 1] - y) - sine * (positions[:, 0] - x)
     shadow: NDArray[np.bool_] = (along < 0.0) & (np.abs(across) < _ALONGSIDE_LOAD + state.towed[2] - _WEDGE * along)
     return shadow

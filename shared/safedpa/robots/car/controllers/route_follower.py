@@ -1,15 +1,16 @@
-"""A controller that looks where it goes: the quickest way to its goal among what perception tells.
+"""The route follower: drives along the fastest route to the goal through the perceived surroundings.
 
-It hears the same surroundings as the filter. T(pose), the time that is left to the goal, turning circle and reversing
-included, is kept on a map (``TimeToGoMap``), where a metre costs more next to what is at rest, and as much more as the
-filter will slow the car down next to what may move or hide. In each period arcs of several curvatures are tried, each to
-several lengths, and the one with the least
+It receives the same surroundings as the filter. A map (``TimeToGoMap``) holds T(pose), the remaining time to the goal
+with turning circle and reversing. A metre costs more near stationary obstacles, and near moving or hidden ones as much
+more as the filter will slow the car down. In each period arcs of several curvatures and lengths are evaluated, and the
+arc with the least
 
-    sum of the seconds on the arc, priced + T(its end) + what turning over costs
+    cost-weighted seconds on the arc + T(its end) + penalty for a change of direction
 
-is requested. So the car keeps away from corners that hide someone and from ways out of which it would have to
-reverse: with a load that hides what is behind it the filter lets no one reverse, and the map knows it. Where it makes
-no headway all the same, the way that it tried counts as closed for a while. Nothing that it requests is trusted.
+is chosen. So the car avoids corners that may hide someone, and dead ends from which it would have to reverse: with a
+load that hides the area behind it, the filter prevents reversing, and the map accounts for this. If the car makes no
+progress anyway, the attempted route counts as blocked for a while. Its actions are not trusted: the safety filter
+corrects them.
 """
 
 from __future__ import annotations
@@ -34,47 +35,48 @@ __all__ = ["RouteFollower", "RouteFollowerSettings"]
 
 
 _STEP: Final = 0.15
-"""m from one looked-at place on an arc to the next."""
+"""m between evaluated positions on an arc."""
 _FEWEST: Final = 3
 """Steps of the shortest arc."""
 _NEAR: Final = 3.0
-"""m; what is farther does not matter to an arc."""
+"""m; obstacles farther away are ignored for arcs."""
 
 
 @final
 @dataclass(frozen=True)
 class RouteFollowerSettings:
-    """How it drives: SI units, radians."""
+    """Settings of the route follower: SI units, radians."""
 
     seen: ClearanceSettings = field(default_factory=ClearanceSettings)
     wheelbase: float = 0.32
     steer_limit: float = 0.34
     arcs: int = 11
     steps: int = 8
-    """Of an arc forwards; half as many backwards."""
+    """Steps of a forward arc; half as many for a reverse arc."""
     reverse_speed: float = 0.5
     reckoned_reverse_speed: float = 0.15
-    """m/s that is reckoned with instead: every change of direction takes its time."""
+    """m/s assumed in planning instead, because each change of direction takes time."""
     blind_reverse_speed: float = 0.08
-    """m/s that is reckoned with where no one sees what is behind."""
+    """m/s assumed in planning when the area behind the car is not visible."""
     over: float = 1.6
-    """Of the speed that it reckons with next to what may move, asked for: the filter knows better what is safe."""
+    """Requested speed over the planned speed limit near movers; the filter knows the actual limit better."""
     turning_over: float = 1.5
-    """s that it costs to drive the other way than before."""
+    """s; penalty for a change of driving direction."""
     commits: float = 2.0
-    """s after which it costs no more than that; at first three times as much, so that it does not dither."""
+    """s; after a change of direction the penalty decreases from three times to its value over this time, so that the
+    car does not dither."""
     map_seconds: float = 0.1
-    """From taking up what is at rest to taking up what may move, and so on."""
+    """s between map updates, which alternate between stationary obstacles and movers."""
     patience_seconds: float = 2.5
     headway: float = 0.08
-    """m in the patience; with less its way counts as closed ..."""
+    """m; with less progress within the patience the route counts as blocked ..."""
     closed_seconds: float = 5.0
     closed_radius: float = 0.2
 
 
 @final
 class RouteFollower:
-    """The controller of one car; without surroundings it knows of nothing in the way."""
+    """The controller of one car; without surroundings it assumes free space."""
 
     def __init__(self, model: PhysicsModel, settings: RouteFollowerSettings | None = None) -> None:
         self.settings = own = settings or RouteFollowerSettings()
@@ -93,11 +95,11 @@ class RouteFollower:
         self._steers = steers
 
     def look(self, seen: SurroundingsMessage | None) -> None:
-        """What is around the car at the moment of the state that follows; None: no one knows."""
+        """Sets the surroundings for the next state; None keeps the last ones."""
         self._seen = seen if seen is not None else self._seen
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Target speed [m/s] and steer [rad]. Raises MessageError for an odd state."""
+        """Returns target speed [m/s] and steer [rad]. Raises MessageError for an invalid state."""
         if len(state.values) != 4 or len(state.goal) != 2 or len(state.footprint) != 3:
             raise MessageError(
                 f"state: got {len(state.values)} values, a goal of {len(state.goal)} and a footprint of "
@@ -126,11 +128,11 @@ class RouteFollower:
 
     def _mapped(self, state: StateMessage, room: VisibleObstacles, sees_behind: bool) -> TimeToGoMap:
         own, now = self.settings, state.robot_time
-        place, goal = (state.values[0], state.values[1]), (state.goal[0], state.goal[1])
+        position, goal = (state.values[0], state.values[1]), (state.goal[0], state.goal[1])
         speeds = own.seen.cruise, own.reckoned_reverse_speed if sees_behind else own.blind_reverse_speed
-        if self._map is None or not self._map.holds(place, goal):
+        if self._map is None or not self._map.holds(position, goal):
             rear, front, radius = state.footprint
-            self._map, self._taken = TimeToGoMap(place, goal, (rear, front, radius), room, speeds), now
+            self._map, self._taken = TimeToGoMap(position, goal, (rear, front, radius), room, speeds), now
             return self._map
         if speeds != self._map.speeds:
             self._map.drive_at(*speeds)
@@ -141,7 +143,7 @@ class RouteFollower:
         return self._map
 
     def _chosen(self, state: StateMessage, room: VisibleObstacles, way: TimeToGoMap) -> tuple[float, float]:
-        """The speed [m/s] and steer [rad] of the best arc."""
+        """Returns speed [m/s] and steer [rad] of the best arc."""
         own, near = self.settings, room.near(state.values[0], state.values[1], _NEAR)
         ahead, allowed = self._seconds(state, near, way, self._ahead, own.seen.cruise)
         back, _ = self._seconds(state, near, way, self._back, way.speeds[1])
@@ -158,8 +160,8 @@ class RouteFollower:
     def _seconds(
         self, state: StateMessage, room: VisibleObstacles, way: TimeToGoMap, arcs: FloatArray, speed: float
     ) -> tuple[FloatArray, FloatArray]:
-        """The least seconds to the goal by each of the ``arcs`` (n, steps, 3), and the speed [m/s] that its beginning
-        allows, (n,)."""
+        """Returns the least time [s] to the goal along each of the ``arcs`` (n, steps, 3), and the speed [m/s] allowed
+        at its beginning, (n,)."""
         x0, y0, yaw0, _ = state.values
         x = x0 + cos(yaw0) * arcs[..., 0] - sin(yaw0) * arcs[..., 1]
         y = y0 + sin(yaw0) * arcs[..., 0] + cos(yaw0) * arcs[..., 1]
@@ -175,7 +177,7 @@ class RouteFollower:
         return total[:, _FEWEST - 1 :].min(axis=1), np.maximum(room.fastest_alongside(moves)[:, 0], 0.3)
 
     def _watch(self, state: StateMessage, speed: float) -> None:
-        """Closes the way that is tried where there was no headway for some time."""
+        """Marks the area ahead as blocked when there was no progress for some time."""
         own, now = self.settings, state.robot_time
         x, y, yaw, _ = state.values
         if self._history and not now >= self._history[-1][0]:
@@ -193,7 +195,7 @@ class RouteFollower:
 
 
 def _arcs(curvatures: FloatArray, steps: int, sign: float) -> FloatArray:
-    """(n, steps, 3): x, y [m], yaw [rad] after each step along arcs of ``curvatures`` (n,) [1/m], from 0."""
+    """Returns x, y [m], yaw [rad] after each step along arcs of ``curvatures`` (n,) [1/m], (n, steps, 3), from 0."""
     way = sign * _STEP * np.arange(1, steps + 1)
     turned = curvatures[:, np.newaxis] * way
     tight = np.where(np.abs(curvatures) < 1e-6, 1e-6, curvatures)[:, np.newaxis]

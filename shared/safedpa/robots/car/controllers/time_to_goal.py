@@ -1,11 +1,11 @@
-"""How long it still takes to the goal from any pose, turning circle and reversing included.
+"""The time to go to the goal from any pose, with turning circle and reversing: a value function on a grid.
 
-A planner that looks one or two seconds ahead must know what comes after. T(x, y, yaw) solves Bellman's equation
+A planner with a horizon of one or two seconds needs a terminal cost. T(x, y, yaw) solves Bellman's equation
 
     T(pose) = min over manoeuvres m of  seconds(m) w(pose) + T(pose after m),     T = 0 at the goal,
 
-on a grid of poses, for arcs of one heading's width to the left, straight and to the right, forwards and backwards.
-Among what a car sees it is kept on a map from tick to tick, while what it sees changes (``TimeToGoMap``).
+on a grid of poses, for arcs of one heading step to the left, straight and to the right, forwards and backwards.
+``TimeToGoMap`` updates T from tick to tick as the perceived surroundings change.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _DIAGONAL = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 class PlanningGrid:
-    """Places x (nx,), y (ny,) at most ``cell`` apart, edge to edge of a field (low x, high x, low y, high y) [m]."""
+    """Grid lines x (nx,), y (ny,) at most ``cell`` apart over a field (low x, high x, low y, high y) [m]."""
 
     def __init__(self, field: Sequence[float], cell: float) -> None:
         west, east, south, north = field
@@ -36,19 +36,18 @@ class PlanningGrid:
         self.y: FloatArray = np.linspace(south, north, rows)
         self.cell: FloatArray = np.array((self.x[1] - self.x[0], self.y[1] - self.y[0]))
 
-    def shares(self, place: FloatArray, axis: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """Index of the grid line below each place (any shape) and the share of the next one, held at the edges."""
+    def shares(self, position: FloatArray, axis: int) -> tuple[NDArray[np.intp], FloatArray]:
+        """Returns the index of the grid line below each coordinate (any shape) and the weight of the next, clipped."""
         lines = self.x if axis == 0 else self.y
-        at = np.clip((place - lines[0]) / self.cell[axis], 0.0, len(lines) - 1 - 1e-9)
+        at = np.clip((position - lines[0]) / self.cell[axis], 0.0, len(lines) - 1 - 1e-9)
         low = at.astype(np.intp)
         return low, at - low
 
 
 def grid_distances(grid: PlanningGrid, goal: Sequence[float], weight: FloatArray) -> FloatArray:
-    """D (nx, ny): the least D with D(c) <= D(n) + |c - n| w(c) for all eight neighbours n; the distance at the goal.
+    """Returns D (nx, ny), the weighted shortest distance to the goal over the eight neighbours of each cell.
 
-    ``weight`` (nx, ny) >= 1 is what a metre counts. Relaxed for all cells at a time until nothing changes (Bellman and
-    Ford).
+    ``weight`` (nx, ny) >= 1 is the cost per metre. All cells are relaxed at once until nothing changes (Bellman-Ford).
     """
     distance = np.hypot(grid.x[:, None] - goal[0], grid.y[None, :] - goal[1])
     framed = np.full((weight.shape[0] + 2, weight.shape[1] + 2), np.inf)
@@ -70,27 +69,27 @@ def grid_distances(grid: PlanningGrid, goal: Sequence[float], weight: FloatArray
 
 
 HEADINGS = 16
-"""Of the grid of poses, evenly, the first along x."""
+"""Number of headings of the pose grid, evenly spaced, the first along x."""
 ANGLES: FloatArray = np.arange(HEADINGS, dtype=np.float64) * (2.0 * np.pi / HEADINGS)
 """rad."""
 _THROUGH = 8.0
-"""A second within something solid counts as so many: a planner that got too near still knows which way leads out."""
+"""Cost factor inside obstacles; finite, so that a planner that came too close still knows the way to leave."""
 _GRAZING = 1.0
-"""A second next to something solid counts as so many more, falling to none at ``_BERTH``."""
+"""Additional cost factor at contact with an obstacle, decreasing to 0 at ``_BERTH``."""
 _BERTH = 0.3
 """m"""
 _SPEEDS = (1.5, 0.4)
-"""m/s forwards and backwards, until something else is known."""
+"""m/s forwards and backwards, until ``drive_at`` is called."""
 _SETTLED = 0.02
-"""s of change in a round below which T is as good as solved."""
+"""s; T has converged when a sweep changes it by less."""
 
 
 @final
 class TimeToGo:
-    """T [s], begun with the way of a disc and refined by ``relax``; multilinear between the grid's poses.
+    """T [s], initialised with the distance of a disc and refined by ``relax``; multilinear between grid poses.
 
     The capsule ``footprint`` (rear, front, radius) must keep ``room`` to obstacles (m, 3) and to the field's edges, all
-    in m; ``turning`` is the radius of the tightest arc [m]. How fast it goes is the model's business: ``drive_at``.
+    in m; ``turning`` is the radius of the tightest arc [m]. The speeds are set by ``drive_at``.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class TimeToGo:
 
     @classmethod
     def weighed(cls, grid: PlanningGrid, goal: Sequence[float], weight: FloatArray, turning: float = 0.92) -> TimeToGo:
-        """T where a second at the poses of ``grid`` counts ``weight`` (HEADINGS, nx, ny) >= 1, from whatever source."""
+        """Returns T with the given cost factors ``weight`` (HEADINGS, nx, ny) >= 1 at the poses of ``grid``."""
         made = cls.__new__(cls)
         made._begin(grid, goal, weight, turning, float(grid.cell.max()))
         return made
@@ -134,19 +133,19 @@ class TimeToGo:
         self._along = shifts(grid, 1, along * np.sin(angles) + across * np.cos(angles)).swapaxes(-1, -2)
 
     def reweigh(self, weight: FloatArray) -> None:
-        """Goes on from the T of before with another ``weight`` (HEADINGS, nx, ny): ``relax`` makes it true."""
+        """Sets other cost factors ``weight`` (HEADINGS, nx, ny) and keeps T as the initial value for ``relax``."""
         self._weight = weight.astype(np.float32)
         self.drive_at(*self._speeds)
 
     def drive_at(self, forwards: float, backwards: float) -> None:
-        """What the robot makes of its speeds from now on, > 0 [m/s]: a load may leave little of the reverse gear."""
+        """Sets the attainable speeds, > 0 [m/s]; a load may reduce the reverse speed considerably."""
         self._speeds = forwards, backwards
         speeds = np.where(self._lengths > 0.0, forwards, -backwards)
         self._seconds = (self._lengths / speeds).astype(np.float32)[:, None, None, None] * self._weight
         self.settled = False
 
     def relax(self, sweeps: int) -> None:
-        """Some rounds of Bellman's equation for all poses at once; T goes towards the solution."""
+        """Runs Bellman sweeps over all poses at once, unless T has converged."""
         for _ in range(0 if self.settled else sweeps):
             after = self._across @ self._times[self._turned] @ self._along  # (manoeuvres, headings, nx, ny)
             after += self._seconds
@@ -156,7 +155,7 @@ class TimeToGo:
             self._times = better
 
     def __call__(self, x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
-        """T at poses of any one shape; outside of the field that of the nearest place inside."""
+        """Returns T at poses of any one shape; outside the field that of the nearest position inside."""
         i, s = self._grid.shares(x, 0)
         j, t = self._grid.shares(y, 1)
         turn = np.mod(yaw * (HEADINGS / (2.0 * np.pi)), HEADINGS)
@@ -176,9 +175,9 @@ def clearance(
     obstacles: FloatArray,
     field: Sequence[float],
 ) -> FloatArray:
-    """From the segment p + t e, t between the two ends, to the nearest obstacle or wall [m], negative beyond it.
+    """Returns the distance [m] from the segment p + t e, t between ``ends``, to the nearest obstacle or wall.
 
-    Pose (x, y, yaw) of any one shape, e = (cos yaw, sin yaw), obstacles (m, 3), field as everywhere.
+    Negative beyond it. Pose (x, y, yaw) of any one shape, e = (cos yaw, sin yaw), obstacles (m, 3), field (4,).
     """
     x, y, yaw = pose
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -196,7 +195,8 @@ def clearance(
 
 
 def shifts(grid: PlanningGrid, axis: int, distance: FloatArray) -> NDArray[np.float32]:
-    """Matrices (..., n, n) that read a table along an axis some distance (...) [m] further on, linear in between."""
+    """Returns matrices (..., n, n) that shift a table along an axis by a distance (...) [m], with linear
+    interpolation."""
     lines = grid.x if axis == 0 else grid.y
     low, share = grid.shares(lines + distance[..., None], axis)
     matrix = np.zeros((*low.shape, len(lines)), np.float32)
@@ -206,7 +206,7 @@ def shifts(grid: PlanningGrid, axis: int, distance: FloatArray) -> NDArray[np.fl
 
 
 def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
-    """(along [m], across [m], headings turned, signed length [m]) of six arcs, a heading wide where tightest."""
+    """Returns (along [m], across [m], heading steps, signed length [m]) of the six arcs."""
     angle = 2.0 * np.pi / HEADINGS
     length = turning * angle
     found: list[tuple[float, float, int, float]] = []
@@ -220,33 +220,33 @@ def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
 _CELL = 0.2
 """m"""
 _BEYOND = 2.0
-"""m around robot and goal."""
+"""m; margin of the map around robot and goal."""
 _INSIDE = 0.6
-"""m from the edge, where a new map is made."""
+"""m; closer to the edge a new map is created."""
 _FARTHEST = 7.0
-"""m; of a goal farther away the way there counts."""
+"""m; a goal farther away is replaced by a point at this distance towards it."""
 _AT_FIRST = 12
-"""Rounds of refining a new map, ..."""
+"""Sweeps of a new map."""
 _SWEEPS = 4
-"""and one that was looked at before."""
+"""Sweeps of an existing map per tick."""
 
 
 @final
 class TimeToGoMap:
-    """T [s] (``TimeToGo``) on a field of its own around the car at ``place`` and its ``goal``, both (x, y) [m]."""
+    """T [s] (``TimeToGo``) on a map around the car at ``position`` and its ``goal``, both (x, y) [m]."""
 
     def __init__(
         self,
-        place: tuple[float, float],
+        position: tuple[float, float],
         goal: tuple[float, float],
         footprint: tuple[float, float, float],
         room: VisibleObstacles,
         speeds: tuple[float, float],
     ) -> None:
         self.goal = goal
-        apart = np.array(goal) - place
-        towards = np.array(place) + apart * min(1.0, _FARTHEST / max(float(np.hypot(*apart)), 1e-6))
-        low, high = np.minimum(place, towards) - _BEYOND, np.maximum(place, towards) + _BEYOND
+        apart = np.array(goal) - position
+        towards = np.array(position) + apart * min(1.0, _FARTHEST / max(float(np.hypot(*apart)), 1e-6))
+        low, high = np.minimum(position, towards) - _BEYOND, np.maximum(position, towards) + _BEYOND
         self._low, self._high = np.array([floor(value) for value in low]), np.array([ceil(value) for value in high])
         grid = self._grid = PlanningGrid((self._low[0], self._high[0], self._low[1], self._high[1]), _CELL)
         rear, front, _ = footprint
@@ -260,18 +260,18 @@ class TimeToGoMap:
         self.drive_at(*speeds)
         self.time.relax(_AT_FIRST)
 
-    def holds(self, place: tuple[float, float], goal: tuple[float, float]) -> bool:
-        """Whether it is a map to ``goal`` around ``place``."""
-        inside = (np.array(place) > self._low + _INSIDE).all() and (np.array(place) < self._high - _INSIDE).all()
+    def holds(self, position: tuple[float, float], goal: tuple[float, float]) -> bool:
+        """Returns whether the map is for ``goal`` and contains ``position``."""
+        inside = (np.array(position) > self._low + _INSIDE).all() and (np.array(position) < self._high - _INSIDE).all()
         return goal == self.goal and bool(inside)
 
     def drive_at(self, forwards: float, backwards: float) -> None:
-        """m/s, above 0."""
+        """Sets the attainable speeds, > 0 [m/s]."""
         self.speeds = forwards, backwards
         self.time.drive_at(forwards, backwards)
 
     def take(self, room: VisibleObstacles, *, moves: bool) -> None:
-        """Takes up what is at rest, or else what ``moves``; in turn, so that no tick takes long."""
+        """Updates stationary obstacles, or else those that may move; alternating bounds the time per tick."""
         if moves:
             self._moves = room.to_moves(self._x, self._y)
         else:
@@ -279,11 +279,12 @@ class TimeToGoMap:
         self.time.reweigh(self._prices(room))
 
     def refine(self) -> None:
-        """Some rounds more."""
+        """Runs a few more sweeps."""
         self.time.relax(_SWEEPS)
 
     def _prices(self, room: VisibleObstacles) -> FloatArray:
-        """(headings, nx, ny), of the body at the grid's poses: by its rear end, middle and front end."""
+        """Returns cost factors (headings, nx, ny) of the body at the grid poses, by its rear end, centre and front
+        end."""
         rest = (self._across @ self._rest @ self._along).min(axis=0)
         moves = (self._across[1:] @ self._moves @ self._along[1:]).min(axis=0)
         return room.price(Clearances(rest, moves))

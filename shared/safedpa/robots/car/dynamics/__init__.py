@@ -1,1 +1,1 @@
-"""Base models of the car and its limits."""
+"""Models of the car: ``kinematic_bicycle`` (base model), ``limits`` (performance, braking) and ``throttle``."""

@@ -1,4 +1,4 @@
-"""The kinematic bicycle, driven by a speed servo or by throttle."""
+"""The kinematic bicycle model with a speed servo or a throttle."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ _WHEELBASE = Parameter("wheelbase", "m", 0.01, 10.0, 0.32, neutral=None, meaning
 _SPEED_GAIN = Parameter("speed_gain", "1/s", 0.05, 50.0, 3.0, neutral=None, meaning="gain of the speed servo")
 _LIMIT = Parameter("acceleration_limit", "m/s2", 0.1, 50.0, 6.0, neutral=None, meaning="limit of the servo")
 _DRIVE_GAIN = Parameter("drive_gain", "m/s2", 0.01, 100.0, 5.0, neutral=None, meaning="at full throttle")
-_TRACKED_POINT = Parameter("tracked_point", "m", -10.0, 10.0, 0.15, meaning="of the position, ahead of the rear axle")
+_TRACKED_POINT = Parameter(
+    "tracked_point", "m", -10.0, 10.0, 0.15, meaning="position of the state, ahead of the rear axle"
+)
 
 
 @final
 class KinematicBicycle(AbstractBase):
-    """A car whose wheels roll without slip; position and speed are those of a point on its middle line.
+    """A car whose wheels roll without slip; position and speed are those of a point on its centre line.
 
-    beta = atan(tracked_point / wheelbase tan(steer)), the angle between that point's motion and the car's heading,
+    With beta = atan(tracked_point / wheelbase tan(steer)), the angle between that point's velocity and the heading,
 
     d(x)/dt = speed cos(yaw + beta), d(y)/dt = speed sin(yaw + beta), d(yaw)/dt = speed cos(beta) tan(steer) / wheelbase
 
     - speed_servo: d(speed)/dt = clip(speed_gain (target_speed - speed), +-acceleration_limit);
     - throttle: d(speed)/dt = drive_gain throttle.
 
-    The point lies ``tracked_point`` metres ahead of the rear axle: 0, the rear axle itself, unless given (beta = 0).
+    The point is ``tracked_point`` metres ahead of the rear axle; the default 0 is the rear axle itself (beta = 0).
 
     Source: Rajamani, Vehicle Dynamics and Control, 2nd ed., section 2.2. Valid while tyres do not slip.
     """
@@ -56,7 +58,7 @@ class KinematicBicycle(AbstractBase):
         speed, course = state["speed"], state["yaw"]
         turning = speed * operations.tan(action["steer"]) / parameters["wheelbase"]
         point = parameters["tracked_point"]
-        if not (isinstance(point, float) and point == 0.0):  # the rear axle moves along the heading: nothing to compute
+        if not (isinstance(point, float) and point == 0.0):  # for the rear axle beta = 0; skips the computation
             slope = point / parameters["wheelbase"] * operations.tan(action["steer"])
             course = course + operations.atan(slope)
             turning = turning / operations.sqrt(1.0 + slope * slope)  # cos(atan(slope))

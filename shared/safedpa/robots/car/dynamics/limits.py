@@ -1,9 +1,8 @@
-"""How quick a model of a car is: its largest acceleration, its tightest arc, and how far it goes for its speed.
+"""Performance limits of a car model, and braking by commanding the opposite speed.
 
-How soon a car stands that drives against its own motion to brake, and the action that does it.
-
-A speed servo that is told 0 lets the car run out: the slower it is, the less it brakes. Told a speed the other way
-round it brakes as hard as it can almost to the end. Among things that move by themselves, seconds count.
+``performance_limits`` bounds acceleration, curvature and travel per period of a model. ``ReversalBraking`` is a harder
+brake: a speed servo at target 0 brakes less the slower the car is, while with an opposite target it brakes at its limit
+almost to standstill. Among moving obstacles these seconds matter.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ __all__ = [
 
 _SPEEDS = 9
 _MARGIN, _MARGIN_OF_REACH = 1.25, 1.05
-"""Between the states that are looked at there are others."""
+"""Safety factors on the bounds, because they are evaluated on a grid of states only."""
 
 
 @dataclass(frozen=True)
 class PerformanceLimits:
-    """Bounds of what one period does, of a car of speed v and with u = |v| + A p.
+    """Bounds of the change of the state in one period p at speed v, with u = |v| + A p.
 
-    |v+ - v| <= A p; |yaw+ - yaw| <= K u p; |x+ - x|, |y+ - y| <= R u p. The least that is assumed lies above
-    the car's equations with every load: 6.0 m/s2, and of its arcs the tightest, tan(0.34) / 0.32 m, is 1.1.
+    |v+ - v| <= A p; |yaw+ - yaw| <= K u p; |x+ - x|, |y+ - y| <= R u p. The defaults exceed the values of the car's
+    equations with every load: 6.0 m/s2, and tan(0.34) / 0.32 m = 1.1 / m for the tightest arc.
     """
 
     acceleration: float = 9.0
@@ -51,14 +50,14 @@ class PerformanceLimits:
 
 
 ORDINARY: Final = PerformanceLimits()
-"""The least that is assumed."""
+"""The smallest bounds that are assumed for any model."""
 
 
 def performance_limits(model: AbstractDynamics, settings: FilterSettings) -> PerformanceLimits:
-    """Of a model of x, y, yaw, speed: over speeds, the corners of its actions, of those before, and of its latents.
+    """Computes the limits of a model with state x, y, yaw, speed.
 
-    The bounds that are found are widened by a quarter, and never less than the least that is assumed. Infinite where
-    the model gives what is no number.
+    The maxima are taken over a grid of speeds and the corners of actions, previous actions and latents, increased by a
+    quarter, and never below ``ORDINARY``. Infinite when the model returns non-finite values.
     """
     speeds = np.linspace(settings.barrier("speed_low"), settings.barrier("speed_high"), _SPEEDS)
     state = np.zeros((_SPEEDS, 1, 1, 1, 4))
@@ -79,7 +78,7 @@ def performance_limits(model: AbstractDynamics, settings: FilterSettings) -> Per
 
 
 def _latents(model: AbstractDynamics) -> NDArray[np.float64] | None:
-    """(corners, 1, latents): what it has by itself, and the corners of what an adaptation may find."""
+    """Returns (corners, 1, latents): the model's own latent and the corners of the latent's range."""
     if not isinstance(model, PhysicsModel) or not model.latent_names:
         return None
     ranges = [model.parameters[name] for name in model.latent_names]
@@ -87,28 +86,28 @@ def _latents(model: AbstractDynamics) -> NDArray[np.float64] | None:
 
 
 IS_STATIONARY: Final = 0.1
-"""m/s; slower than that a car counts as standing."""
+"""m/s; a slower car counts as stationary."""
 _LAG: Final = 0.05
-"""s until the motor brakes as it is told."""
+"""s; delay until the motor brakes as commanded."""
 _SHARE: Final = 3.0
-"""Of the speed that is commanded the other way round: more drives a car backwards before it stands."""
+"""The opposite speed command over the current speed; a larger factor would drive the car backwards before it stops."""
 _PERIOD: Final = 0.05
-"""s; of a robot that is commanded more rarely it is less, for the same reason."""
+"""s; with a longer period the factor is reduced in proportion, for the same reason."""
 
 
 @final
 @dataclass(frozen=True)
 class ReversalBraking:
-    """Guaranteed braking of a speed servo that is told the speed -u: d|v|/dt = -min(k (|v| + u), b), after a lag l.
+    """Guaranteed braking of a speed servo with target -u: d|v|/dt = -min(k (|v| + u), b), after a lag l.
 
-    ``deceleration`` b [m/s2] and ``gain`` k [1/s] are those of ``Braking``, ``against`` u [m/s] the largest speed
-    command the other way round. With s = ``IS_STATIONARY``, c = max(b / k - u, s) and q = min(k (s + u), b) <= that braking,
+    ``deceleration`` b [m/s2] and ``gain`` k [1/s] are those of ``Braking``, ``against`` u [m/s] is the largest opposite
+    speed command. With s = ``IS_STATIONARY``, c = max(b / k - u, s) and q = min(k (s + u), b) <= that braking,
 
         T(v) = l min(|v|, s) / s + clip(|v| - s, 0, c - s) / q + max(|v| - c, 0) / b    until |v| <= s
         D(v) = sign(v) (l |v| + min(|v|, c)^2 / (2 q) + (max(|v|, c)^2 - c^2) / (2 b))  until v = 0
 
-    Neither grows under this braking, and D'(v) >= |v| T'(v): the promise is measured on docs/robot.md.
-    Raises InputError unless b and k are positive and u is not below 0.
+    Neither increases under this braking, and D'(v) >= |v| T'(v); docs/robot.md has measurements. Raises InputError
+    unless b and k are positive and u is not negative.
     """
 
     deceleration: float
@@ -122,17 +121,17 @@ class ReversalBraking:
             ("against", self.against, "of 0 or more"),
         ):
             if not (isfinite(value) and (value > 0.0 or (value == 0.0 and name == "against"))):
-                raise InputError(f"counter braking {name}: got {value}, wanted a finite number {least}")
+                raise InputError(f"reversal braking, {name}: got {value}, wanted a finite number {least}")
 
     @property
     def numbers(self) -> tuple[float, float, float]:
-        """b [m/s2], q [m/s2], c [m/s], for ``seconds`` and ``distance`` in an equation."""
+        """b [m/s2], q [m/s2], c [m/s]: the arguments of ``seconds`` and ``distance``."""
         corner = max(self.deceleration / self.gain - self.against, IS_STATIONARY)
         return self.deceleration, min(self.gain * (IS_STATIONARY + self.against), self.deceleration), corner
 
     @staticmethod
     def seconds(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> Scalar:
-        """T(speed) [s]."""
+        """Returns T(speed) [s]."""
         hard, soft, corner = numbers
         size = operations.absolute(speed)
         late = operations.minimum(size, IS_STATIONARY) * (_LAG / IS_STATIONARY)
@@ -141,7 +140,7 @@ class ReversalBraking:
 
     @staticmethod
     def distance(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> Scalar:
-        """D(speed) [m], with the sign of ``speed``."""
+        """Returns D(speed) [m], with the sign of ``speed``."""
         hard, soft, corner = numbers
         size = operations.absolute(speed)
         slow, fast = operations.minimum(size, corner), operations.maximum(size, corner)
@@ -149,14 +148,16 @@ class ReversalBraking:
         return operations.where(speed > 0.0, way, -way)
 
     @staticmethod
-    def steepest(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> tuple[Scalar, float]:
-        """What neither D'(speed) [s] nor |T'| [s2/m] exceeds."""
+    def grad_bound(
+        speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations
+    ) -> tuple[Scalar, float]:
+        """Returns upper bounds of D'(speed) [s] and |T'| [s2/m]."""
         hard, soft, _ = numbers
         most = operations.maximum(1.0 / hard, 1.0 / soft)
         return _LAG + operations.absolute(speed) * most, operations.maximum(_LAG / IS_STATIONARY, most)
 
     def action(self, state: NDArray[np.float64] | None, period: float) -> NDArray[np.float64]:
-        """(2,) speed command [m/s] and steer [rad] at ``state`` (4,); of a state that is not known, rest."""
+        """Returns speed command [m/s] and steer [rad], (2,), at ``state`` (4,); zeros for an unknown state."""
         if state is None or len(state) < 4 or not isfinite(state[3]):
             return np.zeros(2)
         share = _SHARE * min(1.0, _PERIOD / period)

@@ -1,4 +1,4 @@
-"""From a nominal change of the speed to the throttle that brings it about, by the model: for a car without a servo."""
+"""Inversion of the model for the throttle of a car without a speed servo, and its backup controller."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["BrakingByThrottle", "throttle_for"]
 
 
 _SPEED: Final = 3
-"""Of the state x, y, yaw, speed."""
+"""Index of the speed in the state x, y, yaw, speed."""
 _HALVINGS: Final = 12
-"""To 0.0005 of the throttle's range: finer than any motor's."""
+"""Bisection steps: a resolution of 0.0005 of the throttle's range, finer than any motor's."""
 
 
 def throttle_for(
@@ -30,11 +30,11 @@ def throttle_for(
     bounds: tuple[float, float],
     latent: FloatArray | None = None,
 ) -> float:
-    """The throttle within ``bounds`` for which the model's speed changes by ``acceleration`` [m/s2], or comes nearest.
+    """Returns the throttle within ``bounds`` whose acceleration in the model is closest to ``acceleration`` [m/s2].
 
-    By halving: the acceleration grows with the throttle, with a kink at a dead zone, and actuators count as settled, so
-    that a lag asks for no more than what holds in the end. ``state`` (4,), ``latent`` (latents,). Raises InputError
-    where the model has no number.
+    Found by bisection, because the acceleration increases monotonically with the throttle, with a kink at a dead zone.
+    Actuators are taken as settled; otherwise a lag would require too large a throttle. ``state`` (4,), ``latent``
+    (latents,). Raises InputError when the model's speed is not finite.
     """
     low, high = bounds
 
@@ -57,24 +57,25 @@ def throttle_for(
 
 @final
 class BrakingByThrottle:
-    """The backup of a car with a throttle, which 0 would let roll: it brakes as the barriers count on, wheels straight.
+    """The backup controller of a car with a throttle: brakes with the guaranteed deceleration, wheels straight.
 
-    d|v|/dt = -min(gain |v|, deceleration), the guaranteed ability to brake. Where a state tells no speed, the last one
-    that was told counts, less what was braked since: so a car whose sensor fails is stopped, and not driven backwards.
+    d|v|/dt = -min(gain |v|, deceleration), as the barriers assume; throttle 0 would let the car roll. When a state has
+    no valid speed, the last speed minus the braking since then is used, so that a car whose sensor fails is stopped and
+    not driven backwards.
     """
 
     def __init__(self, model: AbstractDynamics, braking: Braking, bounds: tuple[float, float]) -> None:
         self._model, self._braking, self._bounds = model, braking, bounds
         self._latent: FloatArray | None = None
         self._state: FloatArray | None = None
-        """The newest that was told, with the speed that is believed now."""
+        """The newest valid state, with the currently assumed speed."""
 
     def learn(self, latent: FloatArray | None) -> None:
-        """The latent (latents,) that was used last; None: that of the model's file."""
+        """Sets the latent (latents,) to use; None for the value in the model file."""
         self._latent = latent
 
     def follow(self, values: Sequence[float], period: float) -> None:
-        """The state of a tick; one that cannot be lets what is believed of the speed fall as braking does."""
+        """Updates the state of a tick; if it is implausible, the assumed speed decreases as under braking."""
         reported = np.array(values, dtype=np.float64)
         if len(reported) == len(self._model.system.state) and self._model.system.is_plausible(reported):
             self._state = reported
@@ -84,11 +85,11 @@ class BrakingByThrottle:
             self._state[_SPEED] = copysign(left, speed)
 
     def remember(self, former: BrakingByThrottle) -> None:
-        """Takes over what the one before it knew of the speed."""
+        """Takes over the assumed state from its predecessor."""
         self._state = former._state
 
     def __call__(self, state: FloatArray | None) -> FloatArray:
-        """The backup action (2,) at ``state`` (4,), or at the last one that was told."""
+        """Returns the backup action (2,) at ``state`` (4,), or at the newest valid state."""
         at = self._state if state is None else state
         if at is None or at[_SPEED] == 0.0:
             return np.zeros(2)

@@ -1,1 +1,1 @@
-"""Effects of the car, one a file."""
+"""Effects of the car: a table of those on commands (``channels``), a module for each other."""

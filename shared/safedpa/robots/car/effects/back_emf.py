@@ -12,9 +12,10 @@ __all__ = ["BackEmf"]
 
 @final
 class BackEmf(RateEffect):
-    """d(speed)/dt is lowered by coefficient |throttle| speed: the motor's own voltage counts against the
-    battery's for the share of time in which the chopper connects them. Unlike drag it is gone when the throttle is
-    released.
+    """d(speed)/dt is lowered by coefficient |throttle| speed.
+
+    The motor's own voltage opposes the battery's for the share of time in which the chopper connects them. Unlike drag,
+    the effect vanishes when the throttle is released.
     """
 
     name = "back_emf"

@@ -14,7 +14,7 @@ __all__ = ["BatterySag"]
 class BatterySag(RateEffect):
     """Drive acceleration = that with a full battery times exp(-rate time), time since the start of the run.
 
-    Works for a throttle and for a speed servo: either delivers less of what it is told.
+    It applies to a throttle and to a speed servo: both deliver less than commanded.
     """
 
     name = "battery_sag"

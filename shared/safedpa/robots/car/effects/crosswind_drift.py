@@ -12,7 +12,7 @@ __all__ = ["CrosswindDrift"]
 
 @final
 class CrosswindDrift(RateEffect):
-    """d(x)/dt grows by vx, d(y)/dt by vy, whatever the car does."""
+    """d(x)/dt grows by vx, d(y)/dt by vy, independent of the car's motion."""
 
     name = "crosswind_drift"
     robot = "car"

@@ -16,7 +16,7 @@ class TowedLoad(RateEffect):
     """A load of mass_ratio times the car's mass, which alone would slide to rest at ``deceleration``.
 
     (1 + mass_ratio) d(speed)/dt = drive and resistance of the car - mass_ratio deceleration sign(speed),
-    the sign rounded off near rest. The hitch is taken as stiff and in line with the car.
+    the sign rounded off near rest. The hitch is assumed stiff and in line with the car.
     """
 
     name = "towed_load"

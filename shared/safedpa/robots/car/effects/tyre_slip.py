@@ -14,7 +14,7 @@ __all__ = ["TyreSlip"]
 class TyreSlip(RateEffect):
     """Direction of travel = yaw - atan(compliance lateral acceleration), lateral acceleration = speed d(yaw)/dt.
 
-    The rear tyres need a slip angle for their side force. The heading is not touched (see understeer).
+    The rear tyres need a slip angle for their side force. The heading is not changed (see understeer).
     """
 
     name = "tyre_slip"

@@ -14,8 +14,8 @@ __all__ = ["Understeer"]
 class Understeer(RateEffect):
     """yaw rate = speed tan(steer) / (wheelbase + gradient speed^2).
 
-    A negative gradient is oversteer. Where the denominator would fall below a quarter of the wheelbase the steady-state
-    formula means nothing (the car would spin), and it stays at that quarter.
+    A negative gradient is oversteer. The denominator is at least a quarter of the wheelbase: below that the
+    steady-state formula is not valid (the car would spin).
     """
 
     name = "understeer"

@@ -12,8 +12,9 @@ __all__ = ["ViscousDrag"]
 
 @final
 class ViscousDrag(RateEffect):
-    """d(speed)/dt is lowered by coefficient speed: bearings, drive train, and the part of rolling resistance that grows
-    with the speed.
+    """d(speed)/dt is lowered by coefficient speed.
+
+    Causes: bearings, drive train, and the part of rolling resistance that grows with the speed.
     """
 
     name = "viscous_drag"

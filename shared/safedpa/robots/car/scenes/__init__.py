@@ -1,1 +1,4 @@
-"""Scenes of the car: obstacles that are given, perceived and sensed."""
+"""The car's scenes: ``perceived`` builds barriers from each state message, ``sensed`` from perceived surroundings.
+
+``calibration`` draws random barriers for calibrating margins from logs.
+"""

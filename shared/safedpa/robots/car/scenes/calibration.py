@@ -1,4 +1,4 @@
-"""Barriers drawn around a recorded state of a car, for a margin from logs without a scene."""
+"""Random barriers around a recorded state of a car, to calibrate a margin from logs without a scene."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["SMALL_CAR", "barriers_around"]
 
 
 SMALL_CAR = (0.08, 0.40, 0.12)
-"""m; how far the body of the 1:10 car reaches behind and ahead of its rear axle, and the radius around that line."""
+"""m; footprint of the 1:10 car: extent behind and ahead of the rear axle, and radius."""
 _AROUND = (0.5, 2.5)
-"""m from the car at which obstacles are drawn."""
+"""m; range of the obstacles' distances."""
 _RADII = (0.2, 0.35)
 """m"""
 _OBSTACLES = 3
 _ROOM = 4.0
-"""m from the car to the farthest walls."""
+"""m; largest distance of a wall."""
 
 
 def barriers_around(
     state: FloatArray, settings: FilterSettings, footprint: tuple[float, ...], draw: np.random.Generator
 ) -> list[AbstractBarrier]:
-    """Some obstacles, four walls; ``footprint`` (3,) or empty for the small car's."""
+    """Draws obstacles and four walls around a state; ``footprint`` (3,) or empty for ``SMALL_CAR``."""
     assert len(state) == len(CAR.state)
     distance, angle = draw.uniform(*_AROUND, _OBSTACLES), draw.uniform(-np.pi, np.pi, _OBSTACLES)
     x, y = state[0] + distance * np.cos(angle), state[1] + distance * np.sin(angle)

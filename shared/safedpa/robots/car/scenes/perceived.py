@@ -1,4 +1,4 @@
-"""The barriers of what a car perceives: obstacles, field and speed limits, and what it tows in reverse."""
+"""The car's scene: barriers from each state message, from known obstacles or from perceived surroundings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-import safedpa.robots.car.written_barriers  # noqa: F401  now: it takes as long as a tick, and would be the first one's
 from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.equations.generated import generated
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
+from safedpa.robots.car.barriers.body import GENERATED_MODULE
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import car_barriers, with_towed_load
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
@@ -26,18 +27,18 @@ from safedpa.safety.settings import FilterSettings
 
 __all__ = ["CarScene"]
 
+generated(GENERATED_MODULE)  # imported now, because the import takes a tick and would delay the first decision
 _PATIENCE = 0.2
-"""s longer than braking takes from full speed."""
+"""s; the harder brake may act this much longer than braking from full speed takes."""
 
 
 @final
 class CarScene(AbstractScene):
-    """Keeps the barriers while the scene stays as it is.
+    """The barriers of a car; they are cached while the scene does not change.
 
-    Of a car that tows something the barriers are others with every state: ``way`` tells how far it was driven
-    backwards. ``braking``: the backup of a car that does not brake by itself; None: the resting action brakes it, and
-    among what its sensors see a speed command the other way round (``CounterBraking``). ``quick``: how quick its model
-    is.
+    With a towed load the barriers depend on the state, because ``way`` tracks how far the car was driven backwards.
+    ``braking`` is the backup controller of a car with a throttle. With None, the backup is the resting action, or, in
+    perceived surroundings, ``ReversalBraking``. ``quick`` holds the performance limits of the car's model.
     """
 
     quick = True
@@ -55,24 +56,25 @@ class CarScene(AbstractScene):
         self._seen = (-1, -1)
         self._scene: tuple[object, ...] = ()
         self._load: tuple[object, ...] = ()
-        """What the barriers are made for: all that stays, and where the load is."""
+        """Cache keys of the barriers: the scene, and the position of the load."""
         self._barriers: AbstractBarrierSet = Barriers(())
         self._stack: AbstractBarrierSet = self._barriers
 
     def _brake(self, state: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """The resting action, and among what sensors see, where someone may come, the harder one.
+        """Returns the resting action; in perceived surroundings, where movers are possible, the harder brake.
 
-        Not for longer than braking takes: a car whose speed is told wrongly would be driven backwards.
+        The harder brake is limited to the time that braking takes; otherwise a car with a faulty speed sensor would be
+        driven backwards.
         """
         if not self._sensed or self._against > self._longest:
             return self._settings.resting_action
         return self._counter.action(state, self._sensed)
 
     def _watch(self, state: StateMessage) -> None:
-        """For how long it has been commanded against the motion that is told, or no one knows how it was.
+        """Updates ``_against``: how long the car has been commanded against its reported motion.
 
-        Only a car that is told to move as it was commanded is known to be told truly, so nothing else ends the count. A
-        slow one is driven the other way half as fast at most, and comes to rest late: its seconds count half.
+        Only motion in the commanded direction shows that the reported speed is right, so nothing else resets the time.
+        Below ``IS_STATIONARY`` the command is weaker and braking takes longer, so this time counts half.
         """
         self._sensed = state.period if state.sources else 0.0
         epoch, tick = self._seen
@@ -123,7 +125,7 @@ class CarScene(AbstractScene):
     ) -> AbstractBarrierSet | str:
         self.follow(state)
         if state.obstacles or state.corridor:
-            return "surroundings (obstacles or a corridor are told next to sources; wanted one or the other)"
+            return "surroundings (obstacles or a corridor are reported next to sensor sources; wanted one of them)"
         try:
             towed = self.way.reach(state)
             found = sensed_barriers(self._settings, self._counter, state, seen, towed, epsilon, late, self._quick)
@@ -133,18 +135,15 @@ class CarScene(AbstractScene):
             return f"surroundings ({error})"
 
     def remember(self, former: AbstractScene) -> None:
-        """How far it was driven backwards, which decides where the load may stand, how fast it was, and for how long
-        it has been commanded against that."""
+        """Takes over the reverse odometer, which determines where the load may be, and the state of the brakes."""
         if isinstance(former, CarScene):
             self.way, self._seen, self._against = former.way, former._seen, former._against
             if self._braking is not None and former._braking is not None:
                 self._braking.remember(former._braking)
 
     def _built(self, state: StateMessage) -> AbstractBarrierSet:
-        if state.corridor:  # a car must not get rid of its obstacles by naming a corridor
-            raise InputError(
-                "corridor: got one of a robot that drives between obstacles; wanted these, and no corridor"
-            )
+        if state.corridor:  # a message must not disable the obstacles by reporting a corridor
+            raise InputError("corridor: got one from a robot with obstacles; wanted obstacles and no corridor")
         if len(state.obstacles) > MOST_OBSTACLES:
             raise InputError(
                 f"obstacles: got {len(state.obstacles)}, wanted at most {MOST_OBSTACLES}; send the nearest"
@@ -153,7 +152,8 @@ class CarScene(AbstractScene):
         return make_barrier_set(car_barriers(self._settings, state.footprint, state.obstacles, state.field, towed))
 
     def _moved(self, state: StateMessage) -> AbstractBarrierSet:
-        """Those of the last tick, with the load where it is now: the lengths stay, so that it is there or it is not."""
+        """Returns the last tick's barriers with the current position of the load; hitching changes the scene
+        instead."""
         towed, stack = self.way.reach(state), self._stack
         if towed is None or not isinstance(stack, CompiledBarrierSet):
             return stack

@@ -1,4 +1,4 @@
-"""The barriers of what a car's sensors see: the discs that can matter now, and the speed limits."""
+"""The barriers of perceived surroundings: the discs that can be relevant in this tick, and the speed limits."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from safedpa.safety.settings import FilterSettings
 __all__ = ["MOST_ROWS", "SensedBarriers", "reversal_braking", "sensed_barriers"]
 
 Far: TypeAlias = Callable[[AbstractEquationBarrier], float]
-"""h from which on an item of a barrier need not be looked at."""
+"""Returns the value of h above which a disc of a barrier is irrelevant."""
 
 MOST_ROWS: Final = 64
-"""Discs of each kind, at rest and not, that a decision looks at: those with the least h."""
+"""Largest number of stationary discs, and of moving ones, in a decision; those with the least h are used."""
 _NUMBERS: Final = (
     "braking_deceleration",
     "braking_gain",
@@ -43,23 +43,23 @@ _NUMBERS: Final = (
     "speed_high",
 )
 _ROUNDING: Final = 1e-6
-"""m by which rounding misses a distance at most, and far more."""
+"""m; tolerance far above the rounding errors of distances."""
 
 
 @final
 @dataclass(frozen=True)
 class SensedBarriers:
-    """The barriers of one tick, and what is to be said of them."""
+    """The barriers of one tick, with remarks for the verdict."""
 
     barriers: AbstractBarrierSet
     yields_to: str
-    """Who may be at the car before it stands, in words; empty where there is no one."""
+    """The mover that may reach the car before it stops, as text; empty if none."""
     left_out: str
-    """What was not looked at though it is near, in words; empty where everything was."""
+    """The relevant discs that were left out, as text; empty if none."""
 
 
 def reversal_braking(settings: FilterSettings, *, servo: bool = True) -> ReversalBraking:
-    """The braking that is guaranteed to a car that may be told a speed the other way round: one with a ``servo``."""
+    """Returns the guaranteed braking with opposite speed commands, which only a car with a speed ``servo`` accepts."""
     against = max(-settings.action_low[0], 0.0) if servo else 0.0
     return ReversalBraking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"), against)
 
@@ -74,10 +74,10 @@ def sensed_barriers(
     late: float = 0.0,
     quick: PerformanceLimits = ORDINARY,
 ) -> SensedBarriers:
-    """Of what is around a car at the moment of ``state``. Raises InputError for rows of a wrong width.
+    """Builds the barriers of the surroundings at ``state``. Raises InputError for rows of a wrong width.
 
-    ``epsilon`` by kind are the margins in force, else those of the settings; an action acts ``late`` [s] after the
-    state. ``quick``: how quick the model of the car is.
+    ``epsilon`` holds the active margins by kind, by default those of the settings. An action acts ``late`` [s] after
+    the state. ``quick`` holds the performance limits of the car's model.
     """
     body = checked_footprint(state.footprint)
     still, able, limits = _nothing_seen(tuple([settings.barrier(name) for name in _NUMBERS]), counter, body, towed)
@@ -105,7 +105,7 @@ def sensed_barriers(
 def _nothing_seen(
     numbers: tuple[float, ...], counter: ReversalBraking, body: Footprint, towed: TrailerEnvelope | None
 ) -> tuple[ObstacleBarrier, MovingObstacleBarrier, SpeedBarrier]:
-    """The barriers of what is at rest, of what is not, and of the speed, with nothing in sight."""
+    """Returns the barriers for stationary discs, for movers and for the speed, all without discs."""
     deceleration, gain, clearance, creeps, own_radius, low, high = numbers
     braking = Braking(deceleration, gain)
     still = ObstacleBarrier((), body, braking, clearance, (), towed)
@@ -122,20 +122,20 @@ def _resting(
     far: Far,
     towed: TrailerEnvelope | None,
 ) -> tuple[ObstacleBarrier, int]:
-    """The points that can matter in this tick, and how many there were if not all were taken."""
+    """Returns the barrier with the relevant points, and the number of relevant points if some were left out, else 0."""
     values, limit, within = state.values, inf, inf
     known = len(values) == len(MovingObstacleBarrier.reads)
     if known and seen.points:
-        limit, arm = far(still), still.alone(len(values)).steepest(values)[2]
+        limit, arm = far(still), still.scalar_rows(len(values)).grad_bound(values)[2]
         within = limit + arm + (0.0 if towed is None else towed.most) + _ROUNDING
     x, y = values[:2] if known else (0.0, 0.0)
     rows, discs = discs_near(seen.points, x, y, within, room)
     near = list(range(len(rows)))
     if known:
-        near = below(still.holding(discs, ()).alone(len(values)).heights(values), limit)
+        near = below(still.with_items(discs, ()).scalar_rows(len(values)).h_floats(values), limit)
     taken = _of_least_h(still, discs, near, state, speeds) if known and len(near) > MOST_ROWS else near
     names = tuple([f"point {rows[place]}" for place in taken])
-    return still.holding([discs[place] for place in taken], names), len(near) if len(taken) < len(near) else 0
+    return still.with_items([discs[place] for place in taken], names), len(near) if len(taken) < len(near) else 0
 
 
 def _moving(
@@ -146,22 +146,22 @@ def _moving(
     speeds: Sequence[float],
     far: Far,
 ) -> tuple[MovingObstacleBarrier, int, str]:
-    """What can matter of what may move, how much there was if not all was taken, and who may touch the car.
+    """Returns the barrier with the relevant movers, their number if some were left out (else 0), and who may touch it.
 
-    What is far is told by the numbers that hold everywhere, where others hold behind the car alone: a little turn
-    brings a place before it, and h falls there all at once.
+    Relevance is decided with the speeds that apply everywhere, not with those behind the car: after a small turn a
+    hidden position may be ahead, and its h drops discontinuously.
     """
     if not (seen.movers or seen.hidden):
         return able, 0, ""
     values, fastest = state.values, fastest_of(seen.movers, seen.hidden)
     known = len(values) == len(MovingObstacleBarrier.reads)
-    # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
+    # Without creeping: while the car creeps, h of near discs is raised, but not any more once it drives.
     swiftest = able.with_speed(fastest, creeps=0.0)
     limit, within, place = inf, inf, (0.0, 0.0, 0.0)
     if known:
         limit, place = far(swiftest), (values[0], values[1], able.seconds(values[3]))
-        if not able.tows:  # of what is towed more than the body counts
-            within = limit + swiftest.alone(len(values)).steepest(values)[2] + _ROUNDING
+        if not able.tows:  # with a load the bound below, which is for the body only, does not hold
+            within = limit + swiftest.scalar_rows(len(values)).grad_bound(values)[2] + _ROUNDING
     room = able.thick + clearance
     rows, discs, everywhere = moving_near(seen.movers, seen.hidden, place, within, room, state.period)
     taken, near, who = list(range(len(discs))), 0, ""
@@ -171,7 +171,7 @@ def _moving(
         return f"mover {row}" if row < len(seen.movers) else f"hidden {row - len(seen.movers)}"
 
     if known and discs:
-        heights = swiftest.holding([*discs, *everywhere], ()).alone(len(values)).heights(values)
+        heights = swiftest.with_items([*discs, *everywhere], ()).scalar_rows(len(values)).h_floats(values)
         movers = len(discs) - len(everywhere)
         taken = below([*heights[:movers], *heights[len(discs) :]], limit)
         if len(taken) > MOST_ROWS:
@@ -179,7 +179,7 @@ def _moving(
         who = _who_may_touch(heights[: movers if abs(values[3]) <= IS_STATIONARY else len(discs)], named)
     kept = [discs[place] for place in taken]
     chosen = able.with_speed(max([disc[3] for disc in kept], default=0.0))
-    return chosen.holding(kept, tuple(map(named, taken))), near, who
+    return chosen.with_items(kept, tuple(map(named, taken))), near, who
 
 
 def _of_least_h(
@@ -189,20 +189,21 @@ def _of_least_h(
     state: StateMessage,
     speeds: Sequence[float],
 ) -> list[int]:
-    """``MOST_ROWS`` of the places ``near`` in ``discs``, those with the least h at the state or at either end of the
-    ``speeds``: what moves by itself matters to a car that drives off, though it may be far while the car stands."""
+    """Returns the ``MOST_ROWS`` indices among ``near`` with the least h at the state or at either end of ``speeds``: a
+    mover that is irrelevant while the car is stationary may matter when it drives off."""
     at = np.array([[state.values[3]], *([speed] for speed in speeds)])
     items = tuple(np.array([discs[place] for place in near]).T)
-    least: FloatArray = np.asarray(barrier.h(Given((*state.values[:3], at), barrier.shared, items), NUMPY)[0]).min(
-        axis=0
-    )
+    least: FloatArray = np.asarray(
+        barrier.equation(Given((*state.values[:3], at), barrier.shared, items), NUMPY)[0]
+    ).min(axis=0)
     return sorted([near[place] for place in np.argpartition(least, MOST_ROWS)[:MOST_ROWS].tolist()])
 
 
 def _who_may_touch(h: Sequence[float], named: Callable[[int], str]) -> str:
-    """Of movers and, behind them, hidden places: who may be at the car before it stands."""
+    """Returns which of the movers, followed by the hidden positions, may reach the car before it stops; empty if
+    none."""
     least = min(h, default=0.0)
     if least >= 0.0:
         return ""
     who = named(h.index(least))
-    return f"{who if who.startswith('mover') else 'someone whom no one sees'} may be at the robot before it stands"
+    return f"{who if who.startswith('mover') else 'an unseen person'} may reach the robot before it stops"

@@ -1,1 +1,1 @@
-"""Effects of the differential drive, one a file."""
+"""Effects of the differential drive: a table of those on commands (``channels``), a module for each other."""

@@ -12,8 +12,9 @@ __all__ = ["Payload"]
 
 @final
 class Payload(RateEffect):
-    """(1 + mass_ratio) d(speed)/dt = that of the empty robot, d(turn_rate)/dt likewise: the load stands in the middle
-    and is spread as the robot's own mass is.
+    """(1 + mass_ratio) d(speed, turn_rate)/dt = acceleration of the empty robot.
+
+    The load is assumed to be distributed like the robot's own mass.
     """
 
     name = "payload"

@@ -20,7 +20,7 @@ class RollingResistance(RateEffect):
     stage = Stage.WEIGHT
     equation = "d(speed)/dt -= deceleration sign(speed)"
     parameters = (Parameter("deceleration", "m/s2", 0.0, 10.0, 0.3),)
-    signature = "one deceleration at every speed, none at rest: it stays below the speed that it is told"
+    signature = "one deceleration at every speed, none at rest: it stays below the commanded speed"
     source = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102

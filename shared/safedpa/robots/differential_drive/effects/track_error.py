@@ -1,4 +1,4 @@
-"""Wheels that stand farther apart than the driver believes."""
+"""A true track that differs from the one that the driver assumes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class TrackError(CommandEffect):
     robot = "differential_drive"
     stage = Stage.COMMAND_SCALE
     equation = "target_turn_rate_felt = target_turn_rate / ratio"
-    parameters = (Parameter("ratio", "1", 0.3, 3.0, 1.1, neutral=1.0, meaning="true track over that of the driver"),)
+    parameters = (Parameter("ratio", "1", 0.3, 3.0, 1.1, neutral=1.0, meaning="true track over assumed track"),)
     signature = "turn rates off by one factor, speeds not"
     source = "Borenstein, Feng, Measurement and Correction of Systematic Odometry Errors, IEEE T-RA 12(6), 1996 (E_b)"
 

@@ -1,4 +1,4 @@
-"""One wheel larger than the other, or its tyre softer."""
+"""Unequal wheel radii, for example because of a soft tyre."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class UnequalWheels(CommandEffect):
         Parameter("pull", "rad/m", -5.0, 5.0, 0.2, meaning="difference of the radii over their mean, over the track"),
     )
     mirrored = ("pull",)
-    signature = "it drives curves where it is told to drive straight, the faster the more"
+    signature = "it drives a curve at command straight ahead, more at higher speed"
     source = "Borenstein, Feng, Measurement and Correction of Systematic Odometry Errors, IEEE T-RA 12(6), 1996 (E_d)"
 
     def transform(  # noqa: D102

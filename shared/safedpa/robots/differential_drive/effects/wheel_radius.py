@@ -1,4 +1,4 @@
-"""Wheels that are larger or smaller than the driver believes: worn, soft, or of another make."""
+"""A true wheel radius that differs from the one that the driver assumes: worn, soft or replaced tyres."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class WheelRadius(CommandEffect):
     robot = "differential_drive"
     stage = Stage.COMMAND_SCALE
     equation = "action_felt = ratio action"
-    parameters = (Parameter("ratio", "1", 0.3, 3.0, 0.9, neutral=1.0, meaning="true radius over that of the driver"),)
+    parameters = (Parameter("ratio", "1", 0.3, 3.0, 0.9, neutral=1.0, meaning="true radius over assumed radius"),)
     signature = "speeds and turn rates off by the same factor"
     source = "Borenstein, Feng, Measurement and Correction of Systematic Odometry Errors, IEEE T-RA 12(6), 1996"
 

@@ -1,4 +1,4 @@
-"""Wheels that slide outwards in a curve."""
+"""Wheels that slip outwards in curves."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ __all__ = ["WheelSlip"]
 
 @final
 class WheelSlip(RateEffect):
-    """It moves sideways, outwards, by compliance speed turn_rate:
-
-    d(x)/dt += s sin(yaw), d(y)/dt -= s cos(yaw), s = compliance speed turn_rate.
-    """
+    """The robot moves outwards with s = compliance speed turn_rate: d(x)/dt += s sin(yaw), d(y)/dt -= s cos(yaw)."""
 
     name = "wheel_slip"
     robot = "differential_drive"

@@ -1,1 +1,1 @@
-"""Effects of the pendulum, one a file."""
+"""Effects of the pendulum: a table of those on commands (``channels``), a module for each other."""

@@ -25,7 +25,7 @@ class Spring(RateEffect):
         Parameter("stiffness", "N m/rad", 0.0, 100.0, 0.5),
         Parameter("rest_angle", "rad", -6.3, 6.3, 0.0, neutral=None, meaning="where it does not pull"),
     )
-    signature = "rate residual in proportion to the angle from one place, whatever the rate"
+    signature = "rate residual in proportion to the angle from one position, whatever the rate"
     source = "Meriam and Kraige, Engineering Mechanics: Dynamics, 6th ed., ch. 8"
     mirrored = ("rest_angle",)
 

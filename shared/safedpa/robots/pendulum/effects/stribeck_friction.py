@@ -15,8 +15,8 @@ __all__ = ["StribeckFriction"]
 class StribeckFriction(RateEffect):
     """mass length^2 d(rate)/dt is lowered by torque exp(-(rate / fading_rate)^2) sign(rate).
 
-    The sign is rounded off near rest. Next to coulomb_friction it is the difference between breakaway and sliding
-    friction.
+    The sign is rounded off near rest. Together with coulomb_friction, it is the difference between breakaway and
+    sliding friction.
     """
 
     name = "stribeck_friction"

@@ -10,17 +10,15 @@ from safedpa.effects.parameter import Parameter
 __all__ = ["Wind"]
 
 _CALM = 1e-12
-"""m2/s2; keeps the slope of the square root finite where the tip runs exactly with the wind."""
+"""m2/s2; keeps the derivative of the square root finite when the tip moves exactly with the wind."""
 
 
 @final
 class Wind(RateEffect):
     """torque = length (cos(angle) F_x + sin(angle) F_y), F = drag |R| R, R = wind - velocity of the tip.
 
-    x points to where positive angles lean, y down, so the tip moves with length rate (cos(angle), sin(angle)), and the
-    wind is (speed, -upward).
-
-    The original's further term, a friction in proportion to the rate, is viscous_friction here.
+    x points towards positive angles, y down, so the tip moves with length rate (cos(angle), sin(angle)), and the wind
+    is (speed, -upward). The viscous friction of the original model is the effect viscous_friction here.
     """
 
     name = "wind"

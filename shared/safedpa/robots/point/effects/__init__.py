@@ -1,1 +1,1 @@
-"""Effects of the point robot, one a file."""
+"""Effects of the point robot: a table of those on commands (``channels``), a module for each other."""

@@ -10,7 +10,7 @@ from safedpa.effects.parameter import Parameter
 __all__ = ["QuadraticDrag"]
 
 _REST = 1e-12
-"""m2/s2 under the root, so that its slope is defined at rest."""
+"""m2/s2 added under the root, so that its derivative is defined at rest."""
 
 
 @final

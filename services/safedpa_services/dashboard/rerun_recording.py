@@ -1,0 +1,304 @@
+"""Draws frames with Rerun, and arranges the panes of each robot. The only module that imports Rerun."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.encodings import TimeRange
+
+from safedpa.errors import InputError
+from safedpa.systems import Variable
+from safedpa_services.dashboard.curves import legend_names
+from safedpa_services.dashboard.display_settings import DisplaySettings
+from safedpa_services.dashboard.fleet_view import Scene
+from safedpa_services.dashboard.now_page import waiting_page
+from safedpa_services.dashboard.shapes import (
+    Bands,
+    Curves,
+    Discs,
+    Lines,
+    MarkdownPage,
+    Note,
+    Rings,
+    Shape,
+    States,
+    StateSet,
+    TimelineEntry,
+    TimelineFrame,
+)
+
+__all__ = ["RerunRecording", "meaning"]
+
+
+def meaning(display: DisplaySettings) -> str:
+    """Returns the Markdown page that explains the panes."""
+    world = ((display.system.name, _PENDULUM), *_ANGLE) if display.is_pendulum else _WORLD
+    return "\n\n".join(f"**{name}**: {text}" for name, text in (*world, *_PANES))
+
+
+_WORLD = (
+    (
+        "world from above",
+        "robot white, load pink, goal yellow, obstacles grey. Orange: the area that it needs to stop, and the rings "
+        "which the centre line of that area must not cross. The trail has the colour of the verdict.",
+    ),
+    (
+        "what its sensors see",
+        "static objects grey, possibly moving ones red, pink rings where someone may be hidden; lines point to the "
+        "objects that limit the action.",
+    ),
+)
+_PENDULUM = "green: allowed angles, red: forbidden ones; the arrow is the estimated wind, its ring 5 m/s."
+_ANGLE = (("angle and its rate", "inside the orange edge the filter can keep it in the corridor."),)
+_PANES = (
+    (
+        "h",
+        "the smallest barrier value, now and predicted for the next tick. Above 0: safe. The filter keeps "
+        "it above the margin. A gap: the filter could not compute it.",
+    ),
+    ("action", "the policy's nominal action and the filtered action, between the actuator limits."),
+    (
+        "verdict",
+        "filter: passed, corrected, relaxed (less than the margin), violated (outside), fallback (no decision), "
+        "disabled, stopped. in_force: whose action the robot executes. diagnosis and model: stage, and number.",
+    ),
+    ("estimate", "the latent, estimated by the adaptation; the band is one standard deviation."),
+    ("residual", "measured minus predicted state, one tick ahead. Near 0: the model is accurate."),
+    ("error", "of predictions over 1 s. If it stays above its band, the diagnosis raises a finding."),
+    ("time of a step", "computing time of each service for its last tick."),
+    ("services", "ready, running, failing, or silent: no heartbeat for a second."),
+)
+
+APPLICATION = "safedpa"
+SERVER_MEMORY = "256MB"
+_FLUSH_SECONDS = 1.0
+_BATCH_SECONDS = 0.4
+"""Rows of one path are collected for this time [s], which halves the file's size."""
+
+
+class RerunRecording:
+    """A Rerun recording that goes to a file, to viewers, or to both.
+
+    Raises InputError if the file cannot be written or the port is taken.
+    """
+
+    def __init__(
+        self,
+        display: DisplaySettings,
+        fleet: str,
+        *,
+        save: Path | None,
+        bind: str,
+        grpc_port: int | None,
+        memory: str = SERVER_MEMORY,
+    ) -> None:
+        self._display = display
+        batches = rr.ChunkBatcherConfig.DEFAULT()
+        batches.flush_tick = _BATCH_SECONDS
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=batches)
+        self.server_uri = ""
+        sinks: list[Any] = []
+        try:
+            if grpc_port is not None:
+                server = rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True)
+                self.server_uri = str(server.uri)
+                sinks.append(server)
+            if save is not None:
+                sinks.append(
+                    rr.FileSink(save, write_footer=False)
+                )  # without a footer the file is complete even after a loss of power
+            self._stream.set_sinks(*sinks)
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"recording {save}, port {grpc_port}: {error}; choose another --save or port") from error
+        self._log(TimelineEntry(("waiting",), waiting_page(fleet, {}), static=True))
+        self._log(TimelineEntry(("meaning",), MarkdownPage(meaning(display)), static=True))
+        self.arrange({})
+
+    def arrange(self, fields: dict[str, Scene]) -> None:
+        """Shows one tab per robot; replaces the arrangement made by the viewer's user."""
+        for name in fields:
+            # the viewer's y axis points downwards, so the view is mirrored; the logged coordinates are the true ones
+            for plane in ("world", "phase"):
+                self._stream.log(["robots", name, plane], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+        self._stream.send_blueprint(_blueprint_of(fields, self._display))
+
+    def draw(self, frames: list[TimelineFrame]) -> None:
+        """Sends the frames to the viewers and the file without waiting for them."""
+        for frame in frames:
+            self._stream.set_time(_TIME_LINE, duration=frame.at)
+            for entry in frame.entries:
+                self._log(entry, frame.at)
+
+    def close(self) -> None:
+        """Writes pending data, for at most one second."""
+        with suppress(RuntimeError):  # a viewer that does not read in time misses the last data
+            self._stream.flush(timeout_sec=_FLUSH_SECONDS)
+        self._stream.disconnect()
+
+    def _log(self, entry: TimelineEntry, at: float = 0.0) -> None:
+        self._stream.log(list(entry.path), _archetype(entry.shape, at, static=entry.static), static=entry.static)
+
+
+def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR0911 - one line for each kind of shape
+    match shape:
+        case Discs(centres, radii, colour):
+            return rr.Points2D(_points(centres), radii=radii, colors=_colours((colour,)))
+        case Rings(centres, radii, colour, width):
+            sizes = np.repeat(np.array(radii, dtype=np.float32).reshape(-1, 1), 2, axis=1)
+            return rr.Ellipses2D(
+                centers=_points(centres), half_sizes=sizes, colors=_colours((colour,)), line_radii=[width]
+            )
+        case Lines(strips, colours, width, on_top):
+            points, order = [_points(strip) for strip in strips], _OVER_DISCS if on_top else None
+            return rr.LineStrips2D(points, colors=_colours(colours), radii=[width], draw_order=order)
+        case Curves(values, names, colours, widths):
+            if static:
+                return rr.SeriesLines(names=list(names), colors=_colours(colours), widths=list(widths))
+            return rr.Scalars(list(values))
+        case Bands(value, deviation, name, unit, colour):
+            if static:
+                units = [unit] if unit not in ("", "1") else None
+                colours = _colours((colour,))
+                return rr.Measurements.from_fields(names=[name], units=units, colors=colours, widths=[2.0])
+            return rr.Measurements([value], variances=[deviation**2])
+        case States(state):
+            return rr.StateChange(state=state)
+        case StateSet(colours):
+            return rr.StateConfiguration(values=list(colours), colors=_colours(tuple(colours.values())))
+        case Note(text, colour, level):
+            return rr.TextLog(f"{at:.1f} s  {text}", level=level, color=colour)
+        case MarkdownPage(text):
+            return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def _colours(colours: tuple[int, ...]) -> Any:
+    return np.array(colours, dtype=np.uint32)  # as an array: Rerun would read four plain numbers as one RGBA colour
+
+
+def _points(points: tuple[tuple[float, float], ...]) -> Any:
+    return np.array(points, dtype=np.float32).reshape(-1, 2)
+
+
+_TIME_LINE = "t"
+_OVER_DISCS = 35.0
+"""Draw order; Rerun's default is 20 for lines and 30 for points."""
+_MOST_TABS = 8
+"""Robots with a tab; further ones are recorded, and the user can add panes for them."""
+
+_SHOWN_SECONDS = 20.0
+_PANE_POINTS, _LETTER_POINTS, _FRAME_POINTS = 370.0, 6.8, 46.0
+"""Widths in a window of 1400 points: of a plot, of a letter of its legend, and of the legend's frame."""
+_BACKGROUND = [24, 26, 30]
+_LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
+
+
+def _blueprint_of(fields: dict[str, Scene], display: DisplaySettings) -> rrb.Blueprint:
+    """Returns one tab for each of the first robots, or the waiting page if there is none."""
+    tabs = [_tab(name, scene, display) for name, scene in list(fields.items())[:_MOST_TABS]]
+    waiting = rrb.TextDocumentView(origin="/waiting", name="waiting for a robot")
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs) if tabs else waiting,
+        rrb.TopPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=_TIME_LINE, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _tab(name: str, scene: Scene, display: DisplaySettings) -> Any:
+    origin = str(rr.new_entity_path(["robots", name]))
+    text_tabs = rrb.Tabs(
+        rrb.TextDocumentView(origin=f"{origin}/now", name="now"),
+        rrb.TextLogView(origin=f"{origin}/log", name="log", columns=_LOG_COLUMNS),
+        rrb.TextDocumentView(origin="/meaning", name="help"),
+        active_tab=0,
+    )
+    planes = _planes(origin, scene, display)
+    left = rrb.Vertical(*planes, text_tabs, row_shares=[2.0, 1.7, 1.3] if display.is_pendulum else [3.4, 1.5])
+    middle = rrb.Vertical(
+        _curves(f"{origin}/barrier", f"h{_bracketed(display.h_unit)}: above the margin", 11),
+        *[_action(origin, variable) for variable in display.system.action],
+        _lanes(f"{origin}/verdict", "verdict, diagnosis, model"),
+        row_shares=[1.2, *(1.2 for _ in display.system.action), 1.6],
+    )
+    right = rrb.Vertical(
+        _curves(f"{origin}/latent", "estimate, one sigma", max(map(len, legend_names(display)), default=0)),
+        _curves(
+            f"{origin}/residual",
+            "measured - predicted",
+            max(len(v.name) + len(v.unit) + 3 for v in display.system.state),
+        ),
+        _curves(f"{origin}/diagnosis/error", "error over 1 s [relative to usual change]", 15),
+        _curves(f"{origin}/steps", "time of a step [ms]", 13),
+        _lanes(f"{origin}/services", "services"),
+        row_shares=[0.75, 1.2, 0.7, 1.2, 1.6],
+    )
+    return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit.strip()}]" if unit else ""
+
+
+def _action(origin: str, variable: Variable) -> Any:
+    return _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: nominal and filtered", 8)
+
+
+def _planes(origin: str, scene: Scene, display: DisplaySettings) -> list[Any]:
+    if not display.is_pendulum:
+        return [_plane(origin, "world", "world from above [m]", scene)]
+    seconds = f"{display.corridor_seconds:g} s"
+    return [
+        _plane(origin, "world", "pendulum and estimated wind (ring: 5 m/s)", (-1.4, 1.4, -1.25, 1.4)),
+        _plane(origin, "phase", f"x: angle, y: change of angle in {seconds} [rad]; safe set orange", scene),
+    ]
+
+
+def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
+    low_x, high_x, low_y, high_y = scene
+    edge = 0.04 * max(high_x - low_x, high_y - low_y)
+    history = rrb.VisibleTimeRanges([_last_seconds()])
+    return rrb.Spatial2DView(
+        origin=origin,
+        contents=[f"{origin}/{part}/**"],
+        name=title,
+        background=_BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[low_x - edge, high_x + edge], y_range=[-high_y - edge, -low_y + edge]
+        ),
+        overrides={f"{origin}/{part}/trail": [history]},
+    )
+
+
+def _curves(origin: str, name: str, letters: int) -> Any:
+    """Returns a plot whose curves end before the right edge, so that a legend of ``letters`` does not cover them."""
+    share = min((_LETTER_POINTS * letters + _FRAME_POINTS) / _PANE_POINTS, 0.6)
+    seconds = rrb.TimeRangeBoundary.cursor_relative
+    shown = TimeRange(
+        start=seconds(seconds=-_SHOWN_SECONDS), end=seconds(seconds=_SHOWN_SECONDS * share / (1.0 - share))
+    )
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        time_ranges=[_last_seconds()],
+        axis_x=rrb.archetypes.TimeAxis(view_range=shown),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+
+
+def _lanes(origin: str, name: str) -> Any:
+    return rrb.StateTimelineView(origin=origin, name=name, time_ranges=[_last_seconds()])
+
+
+def _last_seconds() -> Any:
+    return rrb.VisibleTimeRange(
+        _TIME_LINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_SHOWN_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )

@@ -1,0 +1,94 @@
+"""What the ``__main__`` modules of all services share: command-line options and the service loop."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+
+from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
+from safedpa.bus.service.process import (
+    StopSignal,
+    add_bus_options,
+    freeze_garbage_collector,
+    log_lifetime,
+    transport_settings_from_options,
+)
+from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
+from safedpa.bus.service.scheduler import Scheduler
+from safedpa.bus.service.service_log import ServiceLog
+from safedpa.bus.transport.memory import JointTransport
+from safedpa.systems.robots import DEFAULT_ROBOT
+from safedpa_services.service_factories import PreparedService
+
+__all__ = ["serve", "service_parser"]
+
+_SWITCH_SECONDS = 0.0005
+"""Thread switch interval. With Python's default of 5 ms, a step would delay the network thread, which stamps
+arrivals."""
+
+
+def service_parser(program: str) -> argparse.ArgumentParser:
+    """Returns a parser with the options of every service: the bus, the model, the robot."""
+    parser = argparse.ArgumentParser(prog=program)
+    add_bus_options(parser)
+    parser.add_argument("--model", default=DEFAULT_ROBOT, help="model file, or the name of one that ships")
+    parser.add_argument("--robot", default="*", help="serve only this robot")
+    return parser
+
+
+def serve(
+    services: Sequence[PreparedService],
+    options: argparse.Namespace,
+    stop: StopSignal,
+    serves: Callable[[str], bool] | None = None,
+) -> int:
+    """Runs services on the bus until ``stop``; returns exit code 0.
+
+    Several services are given in the order of their data flow. Messages of robots for which ``serves(robot)`` is false
+    are ignored; None: all robots are served.
+    """
+    sys.setswitchinterval(_SWITCH_SECONDS)
+    _run_model_trials_in_a_process(services, options)
+    transport: AbstractTransport = ZenohTransport(transport_settings_from_options(options))
+    if len(services) > 1:
+        inside = frozenset(topic.name for service in services for topic in service.node.outputs) & frozenset(
+            topic.name for service in services for topic in service.node.inputs
+        )
+        transport = JointTransport(transport, inside)
+    with Bus(transport, options.fleet) as bus, ExitStack() as lifetimes:
+        for service in services:
+            service.joined(bus)
+        freeze_garbage_collector()
+        for service in services:
+            bus.announce(NO_ROBOT, service.node.name, service.setup.instance)
+            lifetimes.enter_context(log_lifetime(service.node.name, stop))
+        Scheduler([_loop(service, Bus(transport, options.fleet, serves=serves), options) for service in services]).run(
+            stop
+        )
+    return 0
+
+
+def _run_model_trials_in_a_process(services: Sequence[PreparedService], options: argparse.Namespace) -> None:
+    """Starts the process in which models offered over the bus are tried before this process reads them.
+
+    Called before the bus is opened: the process must not inherit its links and threads.
+    """
+    nodes = [service.node for service in services if MODEL in service.node.listens]
+    if nodes:
+        trials = JobProcess("safedpa_services.model_trial:run_model_trial")
+        for node in nodes:
+            node.use_sandbox(partial(_submit_trial, trials, node, options))
+
+
+def _submit_trial(
+    trials: JobProcess, node: AbstractNode, options: argparse.Namespace, robot: str, offer: ModelMessage
+) -> AbstractJobHandle:
+    return trials.submit((node.name, options, robot, offer, node.newest(robot), node.agreed(robot)))
+
+
+def _loop(service: PreparedService, bus: Bus, options: argparse.Namespace) -> ServiceLoop:
+    """Each loop has a ``Bus`` of its own, because each batches its outputs separately."""
+    return ServiceLoop(service.node, bus, options.robot, setup=service.setup, service_log=ServiceLog(service.node.name))

@@ -1,1 +1,0 @@
-"""The experiments of ``safedpa experiment``, one a file, each with a click command named ``command``."""

@@ -1,0 +1,116 @@
+"""Recordings of real robots from public repositories, found by their file names in a folder of the user's."""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.comparison.comparison import with_distinct_names
+from safedpa.comparison.windows import Windows
+from safedpa.diagnosis.coverage import within_coverage
+from safedpa.diagnosis.report_schema import CoveredRange
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import RunError
+from safedpa.records import load_column_map, load_run
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.quality.quality import run_of_rows
+from safedpa.records.run import RawRows, Run
+
+__all__ = [
+    "BALLS",
+    "CAR",
+    "OTHER_DAY",
+    "PENDULUM",
+    "VARIABLES",
+    "ball_runs",
+    "mapped_runs",
+    "paths_of",
+    "reported_windows",
+    "uncovered",
+]
+
+CAR = "car_1_Datarecording_09_16_2024_*.csv"
+"""Lorenzo-Lyons/DART, System_identification/Data/91_free_driving_16_sept_2024."""
+OTHER_DAY = "car_1_Datarecording_09_27_2024_*.csv"
+"""The same repository, ROS_packages/racecar_pkg/src/Data: the same car in circles eleven days later."""
+PENDULUM = "data_measured.csv"
+"""dfki-ric-underactuated-lab/torque_limited_simple_pendulum, results."""
+BALLS = "ball_drops.csv"
+"""briandesilva/discovery-of-physics-from-data."""
+
+
+def paths_of(folder: Path, pattern: str) -> list[Path]:
+    """Files of that name anywhere under ``folder``, in order."""
+    return sorted(path for path in folder.rglob(pattern) if path.is_file())
+
+
+def mapped_runs(paths: Sequence[Path], model: PhysicsModel, columns: str) -> list[Run]:
+    """The recordings through a column map that ships, with distinct names."""
+    mapping = load_column_map(columns)
+    if not paths:
+        return []
+    return with_distinct_names([load_run(path, model.system, mapping) for path in paths], paths)
+
+
+def ball_runs(path: Path, model: PhysicsModel) -> dict[str, list[Run]]:
+    """The drops of each ball, out of a table with the columns drop, t [s], height [m], velocity [m/s], ball.
+
+    Raises RunError when a line is something else.
+    """
+    drops: dict[str, dict[str, list[list[float]]]] = defaultdict(lambda: defaultdict(list))
+    with path.open(encoding="utf-8", newline="") as file:
+        for line, cells in enumerate(list(csv.reader(file))[1:], start=2):
+            try:
+                number, t, height, velocity, ball = cells
+                drops[ball.strip()][number].append([float(t), float(height), float(velocity)])
+            except ValueError as error:
+                raise RunError(
+                    f"{path}: line {line}: got {cells}, wanted drop, time, height, velocity and ball"
+                ) from error
+    return {ball: [_drop(path, model, number, rows) for number, rows in own.items()] for ball, own in drops.items()}
+
+
+def _drop(path: Path, model: PhysicsModel, number: str, rows: list[list[float]]) -> Run:
+    table = np.array(rows)
+    measured = RawRows(table[:, 0], table[:, 1:], np.empty((len(table), 0)))
+    return run_of_rows(path.with_name(f"drop_{number}.csv"), model.system, native_map(model.system), measured, ())
+
+
+VARIABLES = ("speed", "throttle")
+"""What drives: laws of drive and drag that agree at some pairs of these differ at others."""
+_NEAR = 0.05
+"""Of each variable's range over all rows (2 to 98 %): rows closer than that, in every variable, are alike."""
+_STAYS = 0.9
+_LEAST = 1.0
+"""s of driving without which a row counts as not covered."""
+
+
+def uncovered(seen: Sequence[Run], unseen: Run) -> float:
+    """Share of the rows of ``unseen`` about which the logs in ``seen`` hold less than a second of driving."""
+    from scipy.spatial import cKDTree
+
+    own, others = _rows(unseen), np.concatenate([_rows(run) for run in seen])
+    low, high = np.quantile(np.concatenate([own, others]), (0.02, 0.98), axis=0)
+    near = np.maximum(_NEAR * (high - low), 1e-9)
+    found = cKDTree(others / near).query_ball_point(own / near, 1.0, p=np.inf, return_length=True)
+    period = float(np.median([run.period for run in seen]))
+    return float((found * period < _LEAST).mean())
+
+
+def reported_windows(coverage: Sequence[CoveredRange], windows: Windows) -> NDArray[np.bool_]:
+    """Windows (windows,) that begin, end and for nine tenths of their rows stay where a report says that it holds."""
+    good = within_coverage(coverage, windows.system, windows.states, windows.actions)
+    spans = zip(windows.start.tolist(), windows.end.tolist(), strict=True)
+    return np.array([good[begin] and good[end] and good[begin : end + 1].mean() >= _STAYS for begin, end in spans])
+
+
+def _rows(run: Run) -> NDArray[np.float64]:
+    """(rows, variables)"""
+    names = (*run.system.state_names, *run.system.action_names)
+    table = np.concatenate([np.column_stack([states, actions]) for _, states, actions in run.parts()])
+    return np.asarray(table[:, [names.index(name) for name in VARIABLES]], dtype=np.float64)

@@ -1,0 +1,134 @@
+"""Drives with and without the filter: safety, controllers, hidden effects, delays, and the constants of the theory.
+
+``safety`` is the simplest: random scenes with every load, with the filter and without. Read it first.
+"""
+
+from __future__ import annotations
+
+import click
+
+from safedpa_lab.experiments.record import (
+    FILE_OUT,
+    MODEL,
+    PROCESSES,
+    SETTINGS,
+    Experiment,
+    Parameter,
+    integer,
+    number,
+    path,
+    repeated,
+    text,
+)
+from safedpa_services.command_line.names import complete_models
+
+__all__ = ["EXPERIMENTS"]
+
+EXPERIMENTS = (
+    Experiment(
+        name="controllers",
+        help="""Goals reached, collisions and computing time of the controllers.
+
+    Random scenes with every load, behind the filter, for each controller.""",
+        run=f"{__name__}.controllers:run",
+        parameters=(
+            repeated("--controller", "controllers", "controller; repeatable; default: all available ones"),
+            integer("--seeds", 20, "scenes per load", positive=True),
+            integer("--first-seed", 200),
+            number("--seconds", 20.0, "simulated time per scene", positive=True),
+            MODEL,
+            SETTINGS,
+            path("--out", "also write the result to this JSON file, after each scene", writes="json"),
+        ),
+        report=f"{__name__}.controllers:report",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1", "--controller", "goal_seeker"),
+    ),
+    Experiment(
+        name="differential-drive",
+        help="""Collisions of the differential drive in four worlds, with the filter and, every fourth time, without.
+
+    plain; loaded: 40 % of its mass on board, on carpet; worn: wheels smaller and unlike, farther apart; slippery:
+    little grip and slow motors. One policy heads straight for its goal, the other drives around obstacles.""",
+        run=f"{__name__}.differential_drive:run",
+        parameters=(
+            integer("--drives", 50, "scenes per world and policy", positive=True),
+            integer("--first-seed", 0, "first of the evaluation seeds"),
+            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.differential_drive:report",
+        extras=("sim",),
+        small=("--drives", "1", "--seconds", "1"),
+    ),
+    Experiment(
+        name="safety",
+        help="""Collisions with the filter and without.
+
+    Random scenes with every load, each driven both ways.""",
+        run=f"{__name__}.safety:run",
+        parameters=(
+            integer("--seeds", 100, "scenes per load", positive=True),
+            integer("--first-seed", 0),
+            number("--seconds", 20.0, "simulated time per episode", positive=True),
+            MODEL,
+            SETTINGS,
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.safety:report",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1"),
+    ),
+    Experiment(
+        name="safety-pays",
+        help="""What a model with the missing effect gains.
+
+    The pymunk car with a bent linkage, a slow link or a chair that the model lacks. The filter uses the
+    incomplete model, the one that the diagnosis completed, and the true one.""",
+        run=f"{__name__}.safety_pays:run",
+        parameters=(
+            repeated(
+                "--hidden",
+                "hidden",
+                "only this hidden effect; repeatable",
+                known="safedpa_lab.experiments.driving.hidden_car:HIDDEN",
+            ),
+            integer("--seeds", 40, "scenes per hidden effect", positive=True),
+            integer("--first-seed", 0),
+            number("--seconds", 20.0, "simulated time per episode", positive=True),
+            integer("--drives", 4, "training drives given to the diagnosis", positive=True),
+            number("--drive-seconds", 30.0, positive=True),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.safety_pays:report",
+        extras=("sim", "diagnosis"),
+        small=("--seeds", "1", "--seconds", "1", "--drives", "2"),
+    ),
+    Experiment(
+        name="theory",
+        help="""Constants of the theoretical bound of a learned MODEL, compared with the measured error.
+
+    Both are evaluated on unseen states of the training simulator.""",
+        run=f"{__name__}.theory:run",
+        parameters=(
+            click.Argument(["model"], shell_complete=complete_models),
+            text("--simulator", "car", "training configuration: a file or a name"),
+            Parameter(
+                "--states",
+                type=click.IntRange(1, None),
+                default=4000,
+                show_default=True,
+                help="states at which the constants are measured",
+            ),
+            Parameter("--coverage", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), default=0.99),
+            Parameter("--seed", type=click.IntRange(0, None), default=0, show_default=True),
+            FILE_OUT,
+        ),
+        report=f"{__name__}.theory:report",
+        extras=("train",),
+        small=("--states", "2000"),
+    ),
+)

@@ -1,0 +1,164 @@
+"""Drives of a car whose commands arrive late: does the filter that knows the delay, or does not, keep it safe?
+
+Each drive is the pymunk car in lockstep with the real nodes of adaptation, policy and safety filter, in a scene drawn
+from its seed. Where the services' model has the delay, the margin is calibrated for it, on drives of other seeds.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import LATENT, LatentMessage, ReceivedMessage
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
+from safedpa.effects import effect
+from safedpa.errors import InputError
+from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.error_clipping import ErrorClip
+from safedpa_lab.experiments.record import ReportProgress, silent
+from safedpa_sim.closed_loop import Tick, drive
+from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
+from safedpa_sim.robots.car.scene import Scene
+
+__all__ = ["CHANNELS", "DelayedDrives", "Lateness", "delayed_drives", "margin_with_delay", "model_with_delay"]
+
+CHANNELS = ("both", "drive", "steer")
+"""Which commands arrive late."""
+_EFFECTS = {"both": "actuator_delay", "drive": "drive_delay", "steer": "steering_delay"}
+_PERIOD = 0.05
+"""s"""
+_COVERAGE = 0.99
+_CALIBRATION_SEED = 5_000_000
+"""Far from the seeds of the drives that are counted."""
+_LOADS = ("none", "box", "chair", "large_chair")
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Delay of the commands, and which part knows it. Raises InputError for an invalid one."""
+
+    seconds: float
+    channel: str = "both"
+    reported: str = "model"
+    """``model``: an effect of the services' model; ``clock``: the robot measures it and says so with every state, as
+    the time until its action acts; ``none``."""
+
+    def __post_init__(self) -> None:
+        if self.channel not in CHANNELS:
+            raise InputError(f"channel: got {self.channel!r}, wanted one of {', '.join(CHANNELS)}")
+        if self.reported not in ("model", "clock", "none"):
+            raise InputError(f"reported: got {self.reported!r}, wanted one of model, clock, none")
+        if self.reported == "clock" and self.channel != "both":
+            raise InputError(f"channel: got {self.channel!r}, wanted both: the clock's delay holds for all commands")
+
+    def robot(self, seed: int, load: str) -> CarRobot:
+        """The car, its commands late."""
+        drive_seconds, steer_seconds = (self.seconds if self.channel in ("both", one) else 0.0 for one in CHANNELS[1:])
+        reported = self.seconds if self.reported == "clock" else 0.0
+        late = DelayedCommands(drive_seconds, steer_seconds)
+        return CarRobot(Scene.random(seed, load), _PERIOD, late=late, until_action=reported)
+
+    def model(self, name: str) -> PhysicsModel:
+        """The services' model."""
+        known = self.reported == "model" and self.seconds > 0.0
+        return model_with_delay(load_model(name), self.seconds, self.channel) if known else load_model(name)
+
+
+@dataclass
+class DelayedDrives:
+    """What became of some drives under one delay."""
+
+    lateness: Lateness
+    drives: int = 0
+    collided: int = 0
+    """Drives with a collision."""
+    collisions: int = 0
+    goals: int = 0
+    least_h: float = float("inf")
+    """Smallest barrier value that was measured, m."""
+    statuses: Counter[str] = field(default_factory=Counter)
+    """Verdicts by status."""
+
+
+def model_with_delay(model: PhysicsModel, seconds: float, channel: str = "both") -> PhysicsModel:
+    """The model with the delay among its effects, known exactly."""
+    return model.with_effect(effect("car", _EFFECTS[channel]), {"seconds": Setting(seconds)})
+
+
+def margin_with_delay(
+    lateness: Lateness, drives: int = 16, seconds: float = 12.0, *, model: str = "car"
+) -> MarginCalibration:
+    """The margin of a filter that knows the delay, from drives behind that filter with the margin of its settings.
+
+    Steps are taken for exchangeable; a kind of barrier that too few of them came near keeps the settings' margin.
+    Raises InputError when that is so of every kind.
+    """
+    known, settings, found = lateness.model(model), settings_named("car"), dict[str, list[Any]]()
+    for index in range(drives):
+        heard: dict[int, LatentMessage] = {}
+        robot = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)])
+        states = [tick.state for tick in _driven(known, None, robot, seconds, heard)]
+        ticks = [DriveTick(state, heard.get(state.tick)) for state in states]
+        for kind, heights in barrier_residuals(known, settings, ticks).items():
+            found.setdefault(kind, []).append(ErrorClip.of_settings(settings).errors(kind, heights))
+    joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
+    near = {kind: errors for kind, errors in joined.items() if len(errors) >= smallest_sample(_COVERAGE)}
+    made = calibration_from_errors(near, _COVERAGE, "simulated", fingerprint(known))
+    made.epsilon.update({kind: settings.epsilon[kind] for kind in joined if kind not in near})
+    return made
+
+
+def delayed_drives(
+    lateness: Lateness,
+    drives: int,
+    seed: int,
+    seconds: float = 12.0,
+    *,
+    margin: MarginCalibration | None = None,
+    loads: Sequence[str] = _LOADS,
+    model: str = "car",
+    on_drive: ReportProgress = silent,
+) -> DelayedDrives:
+    """Drives scene ``seed``, ``seed`` + 1, ... for ``seconds`` each, with ``loads`` in turn, one after the other.
+
+    ``margin``: that of the model, by default the one that ships for it, or that of the settings. The same arguments
+    give the same outcome, bit for bit.
+    """
+    known, found = lateness.model(model), DelayedDrives(lateness)
+    for index in range(drives):
+        robot = lateness.robot(seed + index, loads[index % len(loads)])
+        for tick in _driven(known, margin, robot, seconds, {}):
+            found.statuses[tick.verdict.status] += 1
+            found.least_h = min(found.least_h, tick.verdict.h_now)
+        found.drives += 1
+        found.collided += bool(robot.collisions)
+        found.collisions += len(robot.collisions)
+        found.goals += robot.goals_reached
+        on_drive(index + 1, drives)
+    return found
+
+
+def _driven(
+    model: PhysicsModel,
+    margin: MarginCalibration | None,
+    robot: CarRobot,
+    seconds: float,
+    heard: dict[int, LatentMessage],
+) -> Iterator[Tick]:
+    def hear(item: ReceivedMessage) -> None:
+        if item.topic is LATENT and isinstance(item.message, LatentMessage):
+            heard[item.message.tick] = item.message
+
+    chosen = margin_for(model) if margin is None else margin
+    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), chosen)]
+    return drive(robot, nodes, round(seconds / _PERIOD), hear=hear)

@@ -1,0 +1,128 @@
+"""Does the car get on for minutes? Random scenes, every load, the shipped loop; stands and goals are counted.
+
+A drive is 120 s long: a car that is caught between the filter and its policy after half a minute shows only there.
+Stands are counted twice: as the verdicts tell them, and as the positions show them, whatever the verdicts say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import Any
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.dynamics import load_model
+from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.deadlock.detector import Stand, record_deadlock
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa_lab.experiments.margins.drives import DRIVERS
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+
+__all__ = ["LONG", "LongDrive", "LongOutcome", "long_summary", "run_long_drive"]
+
+LONG = 10.0
+"""s; the longest accepted stop."""
+_PERIOD = 0.05
+_STILL = 0.02
+"""m; a car that moves less is standing."""
+_CRAWL, _CRAWLED = 20.0, 1.0
+"""s, and m: a car that moves less in that time crawls."""
+
+
+@dataclass(frozen=True)
+class LongDrive:
+    """One drive: scene by load and seed."""
+
+    load: str
+    seed: int
+    seconds: float = 120.0
+    model: str = "car"
+    controller: str | None = None
+    until_action: float = 0.0
+    """s from the measured state until its action acts, as reported by the robot."""
+    driver: str = ""
+    """Of ``DRIVERS``, for another robot than the car: its model, settings and robot of this seed."""
+
+
+@dataclass(frozen=True)
+class LongOutcome:
+    """What became of a drive."""
+
+    load: str
+    seed: int
+    seconds: float
+    collisions: int
+    goals: int
+    standstills: tuple[Stand, ...]
+    """As reported in the verdicts."""
+    longest_stand: float
+    """s within 2 cm of one place, measured."""
+    statuses: dict[str, int]
+    least_way: float = math.inf
+    """m driven in the slowest 20 s; infinity for a shorter drive."""
+
+
+def run_long_drive(long: LongDrive) -> LongOutcome:
+    """Drives once; the same drive gives the same outcome, bit for bit."""
+    driver = DRIVERS[long.driver or "car"]
+    model = load_model(driver.model if long.driver else long.model)
+    policy = PolicyNode(model, controller=driver.controller if long.driver else long.controller)
+    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named(driver.settings), margin_for(model))]
+    robot: Any = driver.robot(long.seed) if long.driver else _car(long)
+    statuses: Counter[str] = Counter()
+    reported: list[Stand] = []
+    places = [robot.values[:2]]
+    longest, since, place = 0.0, 0.0, robot.values[:2]
+    for tick in drive(robot, nodes, round(long.seconds / model.period)):
+        statuses[tick.verdict.status] += 1
+        record_deadlock(reported, tick.verdict)
+        x, y = tick.state.values[:2]
+        places.append((x, y))
+        if math.hypot(x - place[0], y - place[1]) > _STILL:
+            since, place = tick.state.robot_time, (x, y)
+        longest = max(longest, tick.state.robot_time - since)
+    return LongOutcome(
+        long.load,
+        long.seed,
+        long.seconds,
+        len(robot.collisions),
+        robot.goals_reached,
+        tuple(reported),
+        longest,
+        dict(statuses),
+        _least_way(places, model.period),
+    )
+
+
+def _car(long: LongDrive) -> CarRobot:
+    return CarRobot(Scene.random(long.seed, long.load), _PERIOD, until_action=long.until_action)
+
+
+def _least_way(places: Sequence[Sequence[float]], period: float) -> float:
+    gone = list(accumulate((math.dist(one, other) for one, other in pairwise(places)), initial=0.0))
+    return min(
+        (later - now for now, later in zip(gone, gone[round(_CRAWL / period) :], strict=False)), default=math.inf
+    )
+
+
+def long_summary(outcomes: Iterable[LongOutcome]) -> dict[str, Any]:
+    """Drives, collisions, goals a minute (mean over drives), drives with a long stop, unreported ones, and crawls."""
+    drives = list(outcomes)
+    long = [item for item in drives if item.longest_stand >= LONG]
+    return {
+        "drives": len(drives),
+        "collisions": sum(item.collisions for item in drives),
+        "goals_a_minute": round(sum(60.0 * item.goals / item.seconds for item in drives) / max(len(drives), 1), 2),
+        "stands": len(long),
+        "crawls": sum(item.least_way < _CRAWLED for item in drives),
+        "untold": sum(not item.standstills for item in long),
+        "standstills": [
+            {"load": item.load, "seed": item.seed, **stand} for item in drives for stand in item.standstills
+        ],
+    }

@@ -1,0 +1,193 @@
+"""The gain of a complete model: one filter, three models, the same scenes with a hidden effect.
+
+The filter gets the incomplete model, the one that diagnosis made of it from training drives, and an oracle that knows
+the hidden effect. Each has a margin of its own, calibrated on the same drives at the same coverage.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.calibration.from_runs import calibration_from_runs
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.dynamics import PhysicsModel, parse_model, write_model
+from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety import FilterSettings
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa_lab.experiments.common.seeds import seeds_of
+from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.common.workers import each_result
+from safedpa_lab.experiments.driving.hidden_car import (
+    HIDDEN,
+    PERIOD,
+    hidden_robot,
+    incomplete_model,
+    oracle_model,
+    training_runs,
+)
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.report import markdown_table
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.car.scene import Scene
+
+__all__ = ["MODELS", "SafetyPays", "report", "run", "safety_pays"]
+
+MODELS = ("incomplete", "diagnosed", "oracle")
+_TRAINING_SEED = 7000
+_DATE = "2024-01-01"
+"""Date of calibrations that are not kept."""
+
+
+@dataclass(frozen=True)
+class SafetyPays:
+    """The experiment: what is hidden, which scenes, how much training data."""
+
+    hidden: tuple[str, ...] = tuple(HIDDEN)
+    seeds: tuple[int, ...] = tuple(range(40))
+    seconds: float = 20.0
+    """Of driving in each episode."""
+    drives: int = 4
+    drive_seconds: float = 30.0
+    coverage: float = 0.99
+    processes: int = 2
+
+
+@dataclass(frozen=True)
+class _Episode:
+    hidden: str
+    name: str
+    seed: int
+    seconds: float
+    model: str
+    """As TOML."""
+    calibration: str
+    """As TOML."""
+
+
+def safety_pays(experiment: SafetyPays, report_progress: ReportProgress = silent) -> dict[str, Any]:
+    """One row for each hidden effect and model: safe episodes with 95 % interval, margin, interventions, goals."""
+    settings = settings_named("car")
+    everything = len(experiment.hidden) * (1 + len(MODELS) * len(experiment.seeds))
+    done, prepared = 0, {}
+    for hidden in experiment.hidden:
+        prepared[hidden] = _models(hidden, experiment, settings)
+        done += 1
+        report_progress(done, everything)
+    episodes = [
+        _Episode(hidden, name, seed, experiment.seconds, write_model(model), margin.write())
+        for hidden, models in prepared.items()
+        for name, (model, margin) in models.items()
+        for seed in experiment.seeds
+    ]
+    outcomes = each_result(
+        _run, episodes, experiment.processes, lambda driven, _: report_progress(done + driven, everything)
+    )
+    rows = [
+        _row(
+            hidden, name, *prepared[hidden][name], [o for o in outcomes if (o["hidden"], o["model"]) == (hidden, name)]
+        )
+        for hidden in experiment.hidden
+        for name in MODELS
+    ]
+    return {**dataclasses.asdict(experiment), "rows": rows}
+
+
+def _models(
+    name: str, experiment: SafetyPays, settings: FilterSettings
+) -> dict[str, tuple[PhysicsModel, MarginCalibration]]:
+    """The three models with their margins, all from the same drives."""
+    hidden = HIDDEN[name]
+    runs = training_runs(hidden, _TRAINING_SEED, experiment.drives, experiment.drive_seconds)
+    incomplete = incomplete_model()
+    models = {
+        "incomplete": incomplete,
+        "diagnosed": diagnose(incomplete, runs).models[-1],
+        "oracle": oracle_model(hidden),
+    }
+    return {
+        key: (model, calibration_from_runs(model, settings, runs, experiment.coverage, _DATE))
+        for key, model in models.items()
+    }
+
+
+def _run(episode: _Episode) -> dict[str, Any]:
+    """Drives one episode; the same episode gives the same outcome."""
+    hidden, model = HIDDEN[episode.hidden], parse_model(episode.model)
+    calibration = MarginCalibration.parse(episode.calibration)
+    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), calibration)]
+    robot = hidden_robot(hidden, Scene.random(episode.seed, hidden.load))
+    changed, first, least, ticks = 0, None, float("inf"), round(episode.seconds / PERIOD)
+    for number, tick in enumerate(drive(robot, nodes, ticks)):
+        changed += tick.verdict.status != "passed"
+        least = min(least, tick.verdict.h_now)
+        if first is None and robot.goals_reached:
+            first = (number + 1) * PERIOD
+    return {
+        "hidden": episode.hidden,
+        "model": episode.name,
+        "seed": episode.seed,
+        "collisions": len(robot.collisions),
+        "goals": robot.goals_reached,
+        "first_goal": first,
+        "changed": changed / ticks,
+        "least_h": least,
+    }
+
+
+def _row(
+    hidden: str, name: str, model: PhysicsModel, margin: MarginCalibration, outcomes: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    safe = sum(item["collisions"] == 0 for item in outcomes)
+    times = [item["first_goal"] for item in outcomes if item["first_goal"] is not None]
+    return {
+        "hidden": hidden,
+        "model": name,
+        "effects": [item.name for item in model.effects],
+        "episodes": len(outcomes),
+        "safe_episodes": safe,
+        "safe_share_95": [round(bound, 4) for bound in wilson_interval(safe, len(outcomes))],
+        "collisions": sum(item["collisions"] for item in outcomes),
+        "below_zero": sum(item["least_h"] < 0.0 for item in outcomes),
+        "epsilon": {kind: round(value, 5) for kind, value in margin.epsilon.items()},
+        "intervention_share": round(float(np.mean([item["changed"] for item in outcomes])), 4),
+        "goals": sum(item["goals"] for item in outcomes),
+        "first_goal_median": None if not times else round(float(np.median(times)), 2),
+        "first_goal_reached": len(times),
+    }
+
+
+def run(options: Options, report_progress: ReportProgress) -> Result:
+    """Runs ``safedpa experiment safety-pays``."""
+    experiment = SafetyPays(
+        hidden=options["hidden"] or tuple(HIDDEN),
+        seeds=tuple(seeds_of(options)),
+        **{name: options[name] for name in ("seconds", "drives", "drive_seconds", "processes")},
+    )
+    return {"experiment": "safety-pays", **safety_pays(experiment, report_progress)}
+
+
+def report(result: Result) -> str:
+    """One row per hidden effect and model."""
+
+    def row(one: dict[str, Any]) -> str:
+        low, high = one["safe_share_95"]
+        first = "" if one["first_goal_median"] is None else f"{one['first_goal_median']:.1f}"
+        return (
+            f"{one['hidden']} | {one['model']} | {one['safe_episodes']}/{one['episodes']} "
+            f"| {100 * low:.0f}-{100 * high:.0f} | {one['below_zero']} | {one['epsilon']['obstacle']:.3f} "
+            f"| {100 * one['intervention_share']:.0f} % | {one['goals']} | {first}"
+        )
+
+    return markdown_table(
+        "hidden | model | safe | 95 % | h below 0 | margin m | changed actions | goals | first goal s",
+        map(row, result["rows"]),
+        above=f"{len(result['seeds'])} scenes of {result['seconds']:g} s each.",
+    )

@@ -1,0 +1,83 @@
+"""The theory's bound with measured constants next to what measuring the error itself gives, both on fresh drives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from safedpa.dynamics import LearnedBase, load_model
+from safedpa.errors import InputError
+from safedpa.networks import LearnedNetworks, Weights
+from safedpa.safety.margins.conformal import split_conformal_margin
+from safedpa_lab.experiments.driving.theory_branches import simulated_branches
+from safedpa_lab.experiments.record import Options, ReportProgress, Result
+from safedpa_lab.theory.measure import error_constants, lipschitz_constants, measured_errors
+from safedpa_sim.training.configuration import Configuration, load_configuration
+
+__all__ = ["report", "run", "theory_experiment"]
+
+_ACTIONS = 8
+"""From each state: three would tell F* and G*, the others tell what is not affine."""
+
+
+def theory_experiment(
+    weights: Weights, configuration: Configuration, count: int, coverage: float, seed: int
+) -> dict[str, Any]:
+    """Constants on ``count`` states of the training simulator, and coverage on as many fresh ones.
+
+    ``bound`` is the error of a step at |u|_1 = its number of actions that the constants allow (scaled, sup norm), by
+    quantiles at the coverage and by the largest values seen; ``conformal`` the quantile of the error itself.
+    ``covered`` are shares of fresh steps, at their own |u|_1. Without a history encoder eps_z is 0. Raises InputError
+    for weights without mu, and for too few states.
+    """
+    networks = LearnedNetworks(weights)
+    branches, fresh = (simulated_branches(networks, configuration, count, _ACTIONS, seed + each) for each in (0, 1))
+    errors, later = measured_errors(networks, branches), measured_errors(networks, fresh)
+    lipschitz = lipschitz_constants(networks, branches)
+    at_coverage, largest = (error_constants(errors, lipschitz, share) for share in (coverage, None))
+    direct = split_conformal_margin(errors["step"][:, 0], coverage)
+    effort = float(len(weights["action_scale"]))
+    allowed = at_coverage.of_step(later["effort"])
+    return {
+        "experiment": "theory",
+        "states": count,
+        "coverage": coverage,
+        "seed": seed,
+        "history_encoder": weights.has("phi"),
+        "constants": {
+            name: {"at_coverage": getattr(at_coverage, name), "largest": getattr(largest, name)}
+            for name in ("f", "g", "remainder", "latent")
+        },
+        "lipschitz": {name: {"bound": pair[0], "largest_slope": pair[1]} for name, pair in lipschitz.items()},
+        "bound": {"at_coverage": at_coverage.of_step(effort), "largest": largest.of_step(effort)},
+        "conformal": direct,
+        "covered": {
+            "bound": float((later["step"] <= allowed).mean()),
+            "conformal": float((later["step"][:, 0] <= direct).mean()),
+        },
+        "times_the_conformal": float(at_coverage.of_step(effort) / direct),
+        "median_use_of_the_bound": float(np.median(later["step"] / allowed)),
+    }
+
+
+def run(options: Options, report_progress: ReportProgress) -> Result:
+    """Runs ``safedpa experiment theory``. Raises InputError for a model without networks."""
+    del report_progress
+    base = load_model(options["model"]).base
+    if not isinstance(base, LearnedBase):
+        raise InputError(f"model '{options['model']}': it has no networks, wanted a learned one, such as car_simulated")
+    configuration = load_configuration(options["simulator"])
+    return theory_experiment(base.weights, configuration, options["states"], options["coverage"], options["seed"])
+
+
+def report(result: Result) -> str:
+    """The constants, the bound that follows, and the conformal margin."""
+    lines = [f"{result['states']} states and as many unseen ones, coverage {result['coverage']:g}, scaled:", ""]
+    for name, pair in result["constants"].items():
+        lines.append(f"- epsilon_{name} {pair['at_coverage']:.4f}, largest seen {pair['largest']:.4f}")
+    for name, pair in result["lipschitz"].items():
+        lines.append(f"- lipschitz_{name} {pair['bound']:.4f}, largest slope seen {pair['largest_slope']:.4f}")
+    for name, value in (("bound", result["bound"]["at_coverage"]), ("conformal", result["conformal"])):
+        lines.append(f"- {name} {value:.4f} covers {100 * result['covered'][name]:.2f} % of unseen steps")
+    return "\n".join(lines)

@@ -1,0 +1,216 @@
+"""A simulated ROS 2 car, driven by a policy of its own that looks at its goal alone, through the gateway and without.
+
+The car is a process that imports the simulator alone and speaks by another implementation of the wire; router, gateway,
+adaptation and filter are processes too. Everything in real time. Sense to act is measured by the car: from sending an
+odometry to the arrival of the command that was made of it; next to it a bare chain of as many hops in the same run.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.errors import InputError, SafedpaError, did_you_mean
+from safedpa_lab.benchmarks.latency import bare_times
+from safedpa_lab.experiments.common.seeds import seeds_for
+from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.ros.faults import FAULTS, run_fault
+from safedpa_lab.ros.side import Loop, Side, robot_file, services, side
+
+__all__ = ["filtered_drive", "page_of", "ros_experiment", "run", "unfiltered_drives"]
+
+_TOGETHER = 3
+"""Drives without a filter side by side: nothing of them is timed."""
+_CHAIN_EVERY, _CHAIN_SECONDS, _RATE = 5, 2.0, 20.0
+_MOST_TRIES = 3
+"""Of a drive during which the whole machine was stationary."""
+_STALLED = 1.0
+
+
+def ros_experiment(
+    seeds: Sequence[int],
+    seconds: float,
+    faults: Sequence[str] = tuple(FAULTS),
+    report_progress: ReportProgress = silent,
+) -> dict[str, Any]:
+    """A drive with the filter and one without for each seed, the bare chain between them, then each fault once."""
+    count = 2 * len(seeds) + len(faults)
+    driven: list[dict[str, Any]] = []
+    chain: list[float] = []
+    with tempfile.TemporaryDirectory() as name, services(Path(name)) as loop:
+        for index, seed in enumerate(seeds):
+            if index % _CHAIN_EVERY == 0:
+                chain += bare_times(_CHAIN_SECONDS, _RATE)
+            driven.append(_undisturbed(loop, Path(name), seed, seconds))
+            report_progress(len(driven), count)
+    blind = unfiltered_drives(seeds, seconds, lambda done: report_progress(len(driven) + done, count))
+    broken = []
+    for position, fault in enumerate(faults):
+        broken.append(run_fault(fault, seeds[position % len(seeds)]))
+        report_progress(2 * len(seeds) + len(broken), count)
+    return {
+        "seeds": [seeds[0], seeds[-1]],
+        "seconds": seconds,
+        "date": time.strftime("%Y-%m-%d"),
+        "with_filter": _row(driven, seconds),
+        "without_filter": _row(blind, seconds),
+        "sense_to_act_ms": _latency([pair for one in driven for pair in one["sense_to_act"]], chain),
+        "faults": broken,
+    }
+
+
+def _undisturbed(loop: Loop, folder: Path, seed: int, seconds: float) -> dict[str, Any]:
+    """A drive, repeated if the car's own clock shows that the machine was stopped meanwhile."""
+    for _ in range(_MOST_TRIES):
+        found = filtered_drive(loop, folder, seed, seconds)
+        if found["stalled"] < _STALLED:
+            return found
+    raise SafedpaError(f"seed {seed}: the machine was stationary in {_MOST_TRIES} drives; run it on one that does not")
+
+
+def filtered_drive(loop: Loop, folder: Path, seed: int, seconds: float) -> dict[str, Any]:
+    """What the car says of its drive through gateway and filter."""
+    with side(folder) as robot:
+        car = robot.car(seconds, seed)
+        loop.start("ros_gateway", str(robot_file(folder / "robot.toml", robot.endpoint, seed)))
+        try:
+            loop.wait_for("ros_gateway", "robot is on the bus")
+            car.send("go")
+            found = car.reported(seconds + 60.0)
+        finally:
+            loop.stop("ros_gateway")
+    return {"seed": seed, **found}
+
+
+def unfiltered_drives(
+    seeds: Sequence[int], seconds: float, report_progress: Callable[[int], None] = lambda _done: None
+) -> list[dict[str, Any]]:
+    """The same policy straight on the driver's topic, a few cars at a time."""
+    found: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as name:
+        for first in range(0, len(seeds), _TOGETHER):
+            with ExitStack() as stack:
+                cars = []
+                for seed in seeds[first : first + _TOGETHER]:
+                    robot: Side = stack.enter_context(side(Path(name)))
+                    cars.append((seed, robot.car(seconds, seed, "--straight")))
+                for _, car in cars:
+                    car.send("go")
+                found += [{"seed": seed, **car.reported(seconds + 60.0)} for seed, car in cars]
+            report_progress(len(found))
+    return found
+
+
+def _row(drives: Sequence[dict[str, Any]], seconds: float) -> dict[str, Any]:
+    hit = [one for one in drives if one["collisions"]]
+    return {
+        "drives": len(drives),
+        "drives_with_a_collision": len(hit),
+        "share_95": wilson_interval(len(hit), len(drives)),
+        "collisions": sum(one["collisions"] for one in drives),
+        "which": [one["seed"] for one in hit],
+        "goals": sum(one["reached"] for one in drives),
+        "metres_a_minute": 60.0 * sum(one["moved"] for one in drives) / (seconds * len(drives)),
+        "commands": sum(one["commands"] for one in drives),
+        "periods_braked_by_the_gateway": sum(one["gateway_brakes"] for one in drives),
+        "periods_braked_by_the_driver": sum(one["driver_brakes"] for one in drives),
+    }
+
+
+def _latency(pairs: Sequence[Sequence[float]], chain: Sequence[float]) -> dict[str, Any]:
+    """Milliseconds. Turn: until the gateway's next period, which a chain without a period does not have."""
+    if not pairs or not chain:
+        raise SafedpaError("sense to act: got no command of the filter; look whether the car drives at all")
+    whole = np.array([one[0] for one in pairs])
+    turn = np.array([one[1] for one in pairs])
+    rows = {
+        "through_the_gateway": 1e3 * (whole - turn),
+        "waiting_for_its_turn": 1e3 * turn,
+        "both": 1e3 * whole,
+        "bare_chain": 1e-3 * np.array(chain),
+    }
+    return {
+        name: {
+            "samples": len(values),
+            **{f"p{share:g}": round(float(np.percentile(values, share)), 3) for share in (50, 99)},
+        }
+        for name, values in rows.items()
+    }
+
+
+def run(options: Options, report_progress: ReportProgress) -> Result:
+    """Runs ``safedpa experiment ros``. Raises InputError for an unknown fault."""
+    faults = tuple(one for one in options["faults"] or FAULTS if one != "none")
+    for fault in faults:
+        if fault not in FAULTS:
+            raise InputError(f"--fault '{fault}': {did_you_mean(fault, FAULTS)}")
+    seeds = seeds_for("evaluation", options["drives"], options["first_seed"])
+    asked = f"safedpa experiment ros --drives {options['drives']} --seconds {options['seconds']:g}"
+    asked += f" --first-seed {options['first_seed']}" if options["first_seed"] else ""
+    found = ros_experiment(seeds, options["seconds"], faults, report_progress)
+    return {"experiment": "ros", "command": asked, **found}
+
+
+_NAMES = {
+    "through_the_gateway": "odometry sent to command arrived, without waiting for its turn",
+    "waiting_for_its_turn": "until the gateway's next period (20 Hz), which takes the newest odometry (50 Hz)",
+    "both": "together",
+    "bare_chain": "bare Zenoh chain: four hops through three processes, nothing computed",
+}
+
+
+def page_of(result: Mapping[str, Any]) -> str:
+    """Markdown."""
+    first, last = result["seeds"]
+    with_filter, without = result["with_filter"], result["without_filter"]
+    lines = [
+        "# A ROS 2 car through the gateway, measured",
+        "",
+        f"`{result['command']}`, {result['date']}, scenes of the seeds {first} to {last}.",
+        "Everything in real time, each part a process: the car (pymunk behind zenoh-ros2-sdk, another implementation",
+        "of the wire; no ROS), its Zenoh router, a policy that heads for its goal at 1.5 m/s and looks at nothing,",
+        "gateway, adaptation and filter.",
+        "`rmw_zenoh_cpp` itself was not there: [what was not tried](../ros.md#what-it-does-not-do).",
+        "",
+        "| | with the filter | without |",
+        "|---|---|---|",
+    ]
+    for key, name in (
+        ("drives", f"drives of {result['seconds']:g} s"),
+        ("drives_with_a_collision", "drives with a collision"),
+        ("collisions", "collisions"),
+        ("goals", "goals reached"),
+        ("metres_a_minute", "m a minute"),
+        ("periods_braked_by_the_gateway", "periods in which the gateway braked by itself (50 ms)"),
+        ("periods_braked_by_the_driver", "periods in which the driver did, before the first command too (20 ms)"),
+    ):
+        lines.append(f"| {name} | {_number(with_filter[key])} | {_number(without[key])} |")
+    share = 100.0 * with_filter["share_95"][1]
+    lines += ["", f"At 95 %: at most {share:.1f} % of such drives collide with the filter.", "", "## Sense to act", ""]
+    lines += ["Measured by the car's own clock; in ms.", "", "| | p50 | p99 | samples |", "|---|---|---|---|"]
+    for key, name in _NAMES.items():
+        row = result["sense_to_act_ms"][key]
+        lines.append(f"| {name} | {row['p50']:.1f} | {row['p99']:.1f} | {row['samples']} |")
+    if result["faults"]:
+        lines += ["", "## Faults", "", "Each in a drive of its own, while the car drives.", ""]
+        lines += ["| fault | speed, m/s | stands after, s | m | reported | collisions |", "|---|---|---|---|---|---|"]
+        lines += [_fault(one) for one in result["faults"]]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.0f}"
+
+
+def _fault(one: Mapping[str, Any]) -> str:
+    stood = "" if one["stood_after"] is None else f"{one['stood_after']:.2f}"
+    way = "" if one["stopping_way"] is None else f"{one['stopping_way']:.2f}"
+    reported = one["reported"] or "nothing; it drives on"
+    return f"| {one['fault']} | {one['speed_before']:.2f} | {stood} | {way} | {reported} | {one['collisions']} |"

@@ -1,0 +1,141 @@
+"""Drives with a laser as the only sensor: among people, several cars, harder conditions, and margins of perception.
+
+``experiment`` drives the scenes of ``scenes`` behind every guard. Read it first.
+"""
+
+from __future__ import annotations
+
+from safedpa_lab.experiments.record import (
+    FILE_OUT,
+    PAGE_OUT,
+    PROCESSES,
+    RECORD,
+    Experiment,
+    integer,
+    number,
+    path,
+    repeated,
+    switch,
+    text,
+)
+
+__all__ = ["EXPERIMENTS"]
+
+EXPERIMENTS = (
+    Experiment(
+        name="meeting",
+        help="Several cars that see each other by their lasers: collisions while moving, and goals reached.",
+        run=f"{__name__}.meeting:run",
+        parameters=(
+            repeated("--robots", "robots", "number of cars, 2 to 8; repeatable  [default: 2, 4, 8]", type=int),
+            integer("--seeds", 5, "drives per number of cars", positive=True),
+            integer("--first-seed", 1000),
+            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            number("--fastest", 2.0, "assumed speed of moving and hidden objects [m/s]"),
+            repeated(
+                "--guard",
+                "guards",
+                "safedpa, reported or nothing; repeatable  [default: all]",
+                known="safedpa_lab.experiments.sensing.meeting:GUARDS",
+            ),
+            repeated(
+                "--load",
+                "loads",
+                "what every car tows; repeatable  [none]",
+                known="safedpa_lab.experiments.sensing.experiment:LOADS",
+            ),
+            PROCESSES,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.meeting:page_of",
+        extras=("sim",),
+        small=("--robots", "2", "--seeds", "1", "--seconds", "1"),
+    ),
+    Experiment(
+        name="sensing",
+        help="Drives with a laser as the only sensor: among pillars and people, through doors, past a hidden person.",
+        run=f"{__name__}.experiment:run",
+        parameters=(
+            integer("--seeds", 8, "drives per kind of scene", positive=True),
+            integer("--first-seed", 1000),
+            number("--seconds", 30.0, "simulated time per drive", positive=True),
+            number("--coming", 1.5, "assumed speed of hidden people [m/s]"),
+            switch(
+                "--peers/--no-peers",
+                "also drive with other projects' collision monitors, and without any",
+                default=True,
+            ),
+            switch("--told/--not-told", "also drive with perfect knowledge, for comparison", default=True),
+            switch("--hiding/--no-hiding", "also drive with perfect knowledge of all visible objects", default=False),
+            repeated(
+                "--scene",
+                "scenes",
+                "kind of scene; repeatable  [default: all]",
+                known="safedpa_lab.experiments.sensing.experiment:SCENES",
+            ),
+            repeated(
+                "--load",
+                "loads",
+                "what is towed; repeatable, each with every seed  [none]",
+                known="safedpa_lab.experiments.sensing.experiment:LOADS",
+            ),
+            text(
+                "--policy",
+                "way_seeker",
+                "the controller; goal_seeker ignores the sensors",
+                known="safedpa_lab.experiments.sensing.experiment:POLICIES",
+            ),
+            PROCESSES,
+            RECORD,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.experiment:page_of",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1", "--scene", "pillars"),
+    ),
+    Experiment(
+        name="sensing-curves",
+        help="A laser among people, made harder: faster people, noisier, older and narrower scans.",
+        run=f"{__name__}.curves:run",
+        parameters=(
+            integer("--seeds", 12, "drives per value", positive=True),
+            integer("--first-seed", 1000),
+            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            PROCESSES,
+            RECORD,
+            FILE_OUT,
+            PAGE_OUT,
+            path("--picture", "also draw the curves into this PNG file", writes="figure"),
+        ),
+        report=f"{__name__}.curves:curves_page",
+        figures=f"{__name__}.curves:draw_curves",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1"),
+    ),
+    Experiment(
+        name="sensing-margins",
+        help="Calibrate the margin of laser perception (noise, age, lost rays, odometry), and count its coverage.",
+        run=f"{__name__}.margins:run",
+        parameters=(
+            integer("--drives", 100, "calibration drives; at least 99 for 99 %", positive=True),
+            integer("--fresh", 100, "unseen drives", positive=True),
+            number("--seconds", 8.0, "simulated time per drive", positive=True),
+            number("--coverage", 0.99, "share of steps, and of drives"),
+            repeated(
+                "--scene",
+                "scenes",
+                "kind of scene; repeatable  [people, rooms, steps-out]",
+                known="safedpa_lab.experiments.sensing.scenes:SCENES",
+            ),
+            PROCESSES,
+            RECORD,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.margins:margins_page",
+        extras=("sim",),
+        small=("--drives", "2", "--fresh", "1", "--seconds", "1", "--coverage", "0.6"),
+    ),
+)

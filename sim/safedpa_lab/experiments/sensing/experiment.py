@@ -1,0 +1,303 @@
+"""Drives with a laser as the only sensor, compared with the same drives with perfect knowledge.
+
+A collision counts as the car's if the car moved (``IS_STATIONARY`` or faster). Contacts with a standing car are counted
+separately.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import AbstractNode
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.errors import InputError
+from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.policy import PolicyNode
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa_lab.experiments.common.seeds import seeds_of
+from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval
+from safedpa_lab.experiments.common.workers import driven
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.sensing.peers import CollisionMonitor, NoFilter, TimeToCollision
+from safedpa_lab.experiments.sensing.perfect_sensing import ReportsAllButWhoHides, ReportsEverything
+from safedpa_lab.experiments.sensing.scenes import SCENES, scene_and_people
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.car.loads import LOADS as TOWED
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
+
+__all__ = [
+    "GUARDS",
+    "LOADS",
+    "POLICIES",
+    "SCENES",
+    "Drive",
+    "page_of",
+    "row_of",
+    "run",
+    "run_drive",
+    "sensing_experiment",
+]
+
+GUARDS = ("safedpa", "reported", "reported-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
+"""The guard between policy and car: the filter with the laser; the filter with perfect knowledge; with
+everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with
+more time; the F1TENTH course's brake; no one. The last four hear the same scans."""
+LOADS = ("none", *TOWED)
+POLICIES = ("way_seeker", "goal_seeker")
+"""One that gets the same surroundings as the filter, and one that ignores them."""
+_PERIOD = 0.05
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive; speeds in m/s."""
+
+    scene: str
+    seed: int
+    seconds: float
+    coming: float
+    """Speed that perception assumes for hidden objects."""
+    guard: str = GUARDS[0]
+    load: str = LOADS[0]
+    policy: str = POLICIES[1]
+    walking: float = 1.5
+    """Speed of the people, at most."""
+    noise: float = 0.02
+    """m; of each range."""
+    latency: float = 0.05
+    """s from a scan until it is published."""
+    field_of_view: float = 2.0 * pi
+    """rad"""
+
+
+def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
+    """In the order of the data flow."""
+    policy = PolicyNode(model, wanted.policy)
+    peers: dict[str, Callable[[], AbstractNode]] = {
+        "monitor": CollisionMonitor,
+        "monitor-2s": lambda: CollisionMonitor(2.0, 3),
+        "time-to-collision": TimeToCollision,
+        "nothing": NoFilter,
+    }
+    settings = PerceptionSettings(coming=wanted.coming)
+    if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
+        looks = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
+        return [AdaptationNode(model), *looks, policy, peers[wanted.guard]()]
+    reported: dict[str, Callable[[], AbstractNode]] = {
+        "reported": lambda: ReportsEverything(scene, people),
+        "reported-but-hiding": lambda: ReportsAllButWhoHides(scene, people, settings),
+    }
+    return [
+        AdaptationNode(model),
+        reported[wanted.guard]() if wanted.guard in reported else PerceptionNode(settings),
+        policy,
+        SafetyFilterNode(model, settings_named("car"), margin_for(model)),
+    ]
+
+
+def run_drive(wanted: Drive) -> dict[str, Any]:
+    """Drives it; the same drive gives the same numbers."""
+    model = load_model("car")
+    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking)
+    laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser, wanted.seed),), people))
+    nodes = _nodes(wanted, model, scene, people)
+    way, microseconds, nominal_way, retained = 0.0, [], 0.0, 0.0
+    for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
+        if tick.verdict.nominal:
+            nominal_way += abs(tick.verdict.nominal[0])
+            retained += min(
+                max(tick.verdict.action[0] * np.sign(tick.verdict.nominal[0]), 0.0), abs(tick.verdict.nominal[0])
+            )
+        way += abs(tick.state.values[3]) * _PERIOD
+        microseconds.append(tick.verdict.microseconds)
+    moving = [hit for hit in robot.collisions if hit.speed >= IS_STATIONARY]
+    return {
+        **asdict(wanted),
+        "moving": [str(hit) for hit in moving],
+        "run_into": sum(hit.towards < IS_STATIONARY for hit in moving),
+        "standing": len(robot.collisions) - len(moving),
+        "stepped_out": any(isinstance(person, StepsOut) and person.stepped for person in people),
+        "goals": robot.goals_reached,
+        "way": way,
+        "retained": retained / max(nominal_way, 1e-9),
+        "microseconds": float(np.median(microseconds)),
+        "trajectory": robot.trajectory_hash,
+    }
+
+
+def sensing_experiment(
+    seeds: Sequence[int],
+    seconds: float,
+    coming: float,
+    processes: int = 2,
+    guards: Sequence[str] = GUARDS,
+    on_drive: ReportProgress = silent,
+    scenes: Sequence[str] = SCENES,
+    loads: Sequence[str] = LOADS[:1],
+    policy: str = POLICIES[0],
+    record: Path | None = None,
+) -> dict[str, Any]:
+    """Every scene with every seed and load behind each guard; one row for each scene and guard.
+
+    Drives that ``record`` holds are not driven again, and those that are driven are added to it, a line each. Raises
+    InputError where it holds something else, or drives by other code.
+    """
+    kinds = [(scene, guard) for scene in scenes for guard in guards]
+    wanted = [
+        Drive(scene, seed, seconds, coming, guard, load, policy)
+        for scene, guard in kinds
+        for seed in seeds
+        for load in loads
+    ]
+    found = driven(run_drive, wanted, processes, on_drive, record)
+    return _result(seeds, seconds, coming, kinds, loads, policy, found)
+
+
+def _result(
+    seeds: Sequence[int],
+    seconds: float,
+    coming: float,
+    kinds: Sequence[tuple[str, str]],
+    loads: Sequence[str],
+    policy: str,
+    found: Sequence[dict[str, Any]],
+) -> dict[str, Any]:
+    by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
+    rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
+    chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
+    by_load = [_of_load(kind, load, drives, seconds) for kind, drives in by_kind.items() for load in loads]
+    return {**chosen, "rows": rows, "by_load": by_load}
+
+
+def _of_load(kind: tuple[str, str], load: str, drives: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+    own = [one for one in drives if one["load"] == load]
+    goals = 60.0 * sum(one["goals"] for one in own) / (seconds * len(own))
+    return {"scene": kind[0], "guard": kind[1], "load": load, "drives": len(own), "goals_a_minute": goals}
+
+
+def row_of(
+    kind: tuple[str, str], drives: list[dict[str, Any]], reported: list[dict[str, Any]], seconds: float
+) -> dict[str, Any]:
+    """The row of a scene and guard; ``reported``: the same drives with perfect knowledge, in the same order."""
+    hit = sum(bool(one["moving"]) for one in drives)
+    goals = np.array([float(one["goals"]) for one in drives])
+    others = np.array([float(one["goals"]) for one in reported])
+    return {
+        "scene": kind[0],
+        "guard": kind[1],
+        "drives": len(drives),
+        "drives_in_which_the_car_moved_into_something": hit,
+        "share_95": clopper_pearson_interval(hit, len(drives)),
+        "which": [f"seed {one['seed']}, load {one['load']}: {what}" for one in drives for what in one["moving"]],
+        "of_them_it_did_not_drive_towards": sum(one["run_into"] for one in drives),
+        "touched_while_it_stood": sum(one["standing"] for one in drives),
+        "drives_in_which_somebody_stepped_out": sum(one["stepped_out"] for one in drives),
+        "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * len(drives)),
+        "goals_beside_perfect_knowledge": ratio_interval(goals, others) if others.sum() > 0.0 else None,
+        "share_of_nominal_speed": float(np.mean([one["retained"] for one in drives])),
+        "metres_a_minute": 60.0 * sum(one["way"] for one in drives) / (seconds * len(drives)),
+        "median_microseconds": float(np.median([one["microseconds"] for one in drives])),
+    }
+
+
+def run(options: Options, report_progress: ReportProgress) -> Result:
+    """Runs ``safedpa experiment sensing``. Raises InputError for an assumed speed of hidden people beyond 1.5 m/s."""
+    if not 0.0 <= options["coming"] <= 1.5:
+        raise InputError(f"--coming: got {options['coming']}, wanted 0 to 1.5 m/s")
+    wanted = {"reported": options["told"], "reported-but-hiding": options["hiding"]}
+    others = [guard for guard in GUARDS[1:] if wanted.get(guard, options["peers"])]
+    found = sensing_experiment(
+        seeds_of(options),
+        options["seconds"],
+        options["coming"],
+        options["processes"],
+        (GUARDS[0], *others),
+        report_progress,
+        options["scenes"] or SCENES,
+        options["loads"] or LOADS[:1],
+        options["policy"],
+        options["record"],
+    )
+    return {"experiment": "sensing", **found}
+
+
+_GUARDS = {
+    "safedpa": "this filter, laser alone",
+    "reported": "this filter, perfect knowledge",
+    "reported-but-hiding": "this filter, knowing all but hidden people",
+    "monitor": "nav2's collision monitor, its defaults (1.2 s, 6 points)",
+    "monitor-2s": "the same with 2 s, 3 points",
+    "time-to-collision": "time to collision below 0.8 s (F1TENTH course)",
+    "nothing": "nothing",
+}
+
+
+def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> str:
+    """Markdown with a table of all rows, and the command that made it."""
+    seeds, made = result["seeds"], result.get("provenance", {})
+    lines = [
+        f"# {title}",
+        "",
+        f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, "
+        f"controller {result.get('policy', 'goal_seeker')}. "
+        "A collision is the car's where it was at 0.1 m/s or more.",
+        "",
+        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
+        "",
+        "| scene | behind | drives | car moved into something | 95 % of it | touched while it stood | goals a minute "
+        "| of those with perfect knowledge | m a minute |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [_line(row) for row in result["rows"]]
+    elsewhere = sum(row["of_them_it_did_not_drive_towards"] for row in result["rows"])
+    hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
+    lines += _by_load(result.get("by_load", ()), result["loads"])
+    return "\n".join([*lines, *(["", f"Into what ({_elsewhere(elsewhere)}):", "", *hit] if hit else []), ""])
+
+
+def _elsewhere(contacts: int) -> str:
+    return f"in {contacts} of these car or load did not drive towards it, at less than 0.1 m/s: it came to them"
+
+
+def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> list[str]:
+    """A table of the goals with each load, where there are several."""
+    if len(loads) < 2 or not found:
+        return []
+    goals = {(one["scene"], one["guard"], one["load"]): f"{one['goals_a_minute']:.1f}" for one in found}
+    kinds = dict.fromkeys((one["scene"], one["guard"]) for one in found)
+    rows = [
+        f"| {kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)} |" for kind in kinds
+    ]
+    head = f"| scene | behind | {' | '.join(loads)} |"
+    return ["", "Goals a minute by load:", "", head, "|---|---|" + "---|" * len(loads), *rows]
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    low, high = row["share_95"]
+    alongside = row["goals_beside_perfect_knowledge"]
+    ratio = "" if alongside is None else f"{alongside[0]:.2f} ({alongside[1]:.2f} to {alongside[2]:.2f})"
+    cells = (
+        row["scene"],
+        _GUARDS[row["guard"]],
+        f"{row['drives']}",
+        f"{row['drives_in_which_the_car_moved_into_something']}",
+        f"{100.0 * low:.1f} to {100.0 * high:.1f} %",
+        f"{row['touched_while_it_stood']}",
+        f"{row['goals_a_minute']:.1f}",
+        ratio,
+        f"{row['metres_a_minute']:.0f}",
+    )
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,175 @@
+"""What others put between a policy and a car that has a laser: brakes that look at the scan alone.
+
+From their documentation, with its default parameters; each passes the nominal action on, slowed down. None knows the
+model of the car, what moves, or what it does not see.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from math import cos, inf, isfinite, sin, tan
+from typing import final
+
+import numpy as np
+
+from safedpa.arrays import FloatArray
+from safedpa.bus import (
+    ACTION,
+    NOMINAL,
+    SCAN,
+    VERDICT,
+    AbstractNode,
+    ActionMessage,
+    Inputs,
+    Message,
+    NominalMessage,
+    Outputs,
+    ScanMessage,
+    StateMessage,
+    VerdictMessage,
+)
+from safedpa.perception.odometry import OdometryBuffer
+from safedpa.perception.scan import ScanRays
+
+__all__ = ["CollisionMonitor", "NoFilter", "TimeToCollision"]
+
+
+_WHEELBASE = 0.32
+"""m; from the wheels' angle to the turning rate that the monitor knows."""
+
+
+class _Brake(AbstractNode):
+    """The newest scan's points in the car's frame, moved by its own way since; then a share of the nominal speed."""
+
+    name = "safety_filter"
+    inputs = (NOMINAL,)
+    outputs = (ACTION, VERDICT)
+    listens = (SCAN,)
+    share = 0.5
+
+    def __init__(self) -> None:
+        self._odometry, self._scan = OdometryBuffer(), None
+
+    _scan: ScanMessage | None
+
+    def hear(self, robot: str, message: Message) -> None:
+        assert isinstance(message, ScanMessage)
+        self._scan = message
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        nominal = inputs[NOMINAL]
+        x, y, yaw = state.values[:3]
+        self._odometry.add(state.robot_time, (x, y, yaw))
+        values = nominal.values if isinstance(nominal, NominalMessage) else (0.0, 0.0)
+        points = self._points(state)
+        share = 0.0 if points is None else self.share_of(points, state, values)
+        action = (share * values[0], values[1])
+        status = "passed" if share == 1.0 else "corrected"
+        sent = ActionMessage(
+            epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=0.0, values=action
+        )
+        return {ACTION: sent, VERDICT: _verdict(state, status, action, values)}
+
+    @abstractmethod
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:
+        """The share of the nominal speed that is let through, 0 to 1, of ``points`` (n, 2) [m] in the car's frame."""
+
+    def _points(self, state: StateMessage) -> FloatArray | None:
+        """None without a scan that can be placed: then it stops, as a source that times out does."""
+        pose = None if self._scan is None else self._odometry.at(self._scan.robot_time)
+        if self._scan is None or pose is None or state.robot_time - self._scan.robot_time > 1.0:
+            return None
+        ends = ScanRays(self._scan, pose, state, open_air=False).ends
+        x, y, yaw = state.values[:3]
+        apart = ends - (x, y)
+        return np.column_stack(
+            [cos(yaw) * apart[:, 0] + sin(yaw) * apart[:, 1], cos(yaw) * apart[:, 1] - sin(yaw) * apart[:, 0]]
+        )
+
+
+@final
+class NoFilter(_Brake):
+    """Hands every nominal action on."""
+
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
+        del points, state, nominal
+        return 1.0
+
+
+@final
+class CollisionMonitor(_Brake):
+    """nav2's collision monitor, one polygon of the action ``approach`` around the footprint.
+
+    The footprint is moved with the nominal speed and turning rate in steps of ``simulation_time_step`` 0.1 s; t is the
+    first time at which ``min_points`` 6 points lie within it. Both are scaled by t / ``time_before_collision`` where
+    that is below 1. Defaults of nav2_bringup's ``nav2_params.yaml``: 1.2 s; ``patience`` tunes it.
+    Source: Nav2 documentation, Collision Monitor (docs.nav2.org), and its node's ``processApproach``.
+    """
+
+    def __init__(self, patience: float = 1.2, min_points: int = 6) -> None:
+        super().__init__()
+        self._patience, self._least = patience, min_points
+
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
+        rear, front, radius = state.footprint
+        speed, turning = nominal[0], nominal[0] * tan(nominal[1]) / _WHEELBASE
+        for step in range(round(self._patience / 0.1) + 1):
+            seconds = 0.1 * step
+            angle = turning * seconds
+            reach = speed * seconds
+            bent = angle / 2.0
+            chord = reach if abs(bent) < 1e-9 else reach * sin(bent) / bent
+            apart = points - (chord * cos(bent), chord * sin(bent))
+            along = cos(angle) * apart[:, 0] + sin(angle) * apart[:, 1]
+            across = cos(angle) * apart[:, 1] - sin(angle) * apart[:, 0]
+            within = np.hypot(along - np.clip(along, -rear, front), across) < radius
+            if int(within.sum()) >= self._least:
+                return min(seconds / self._patience, 1.0)
+        return 1.0
+
+
+@final
+class TimeToCollision(_Brake):
+    """The automatic emergency brake of the F1TENTH course: stops where the least r / max(-dr/dt, 0) is too small.
+
+    r is a ray's length beyond the car's own outline, dr/dt = -v cos(angle) for the speed v of now.
+    Source: f1tenth_gym_ros course, lab 2, Automatic Emergency Braking.
+    """
+
+    def __init__(self, least: float = 0.8) -> None:
+        super().__init__()
+        self._least = least
+
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
+        rear, front, radius = state.footprint
+        length = np.hypot(points[:, 0], points[:, 1])
+        ahead = points[:, 0] / np.maximum(length, 1e-9)
+        closing = state.values[3] * ahead
+        alongside = np.abs(points[:, 1]) < radius
+        edge = np.where(closing > 0.0, (front if state.values[3] > 0.0 else rear) + radius, 0.0)
+        left = np.where(alongside, np.maximum(np.abs(points[:, 0]) - edge, 0.0), inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seconds = np.where((closing > 0.0) & alongside, left / closing, inf)
+        least = float(seconds.min()) if len(seconds) else inf
+        same_way = nominal[0] * state.values[3] > 0.0
+        return 0.0 if isfinite(least) and least < self._least and same_way else 1.0
+
+
+def _verdict(state: StateMessage, status: str, action: tuple[float, ...], nominal: tuple[float, ...]) -> VerdictMessage:
+    return VerdictMessage(
+        epoch=state.epoch,
+        tick=state.tick,
+        robot_time=state.robot_time,
+        publish_time=0.0,
+        status=status,
+        sentence="",
+        action=action,
+        nominal=nominal,
+        slack=0.0,
+        active=(),
+        h_now=0.0,
+        h_next=0.0,
+        margin=0.0,
+        solver="",
+        microseconds=0.0,
+    )

@@ -1,0 +1,91 @@
+"""The interface of the task that a policy is trained on, and the registry of tasks by robot."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Final, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from safedpa.arrays import Float32Array
+from safedpa.errors import InputError, did_you_mean
+from safedpa.networks import Weights
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.data.sequences import TransitionSequence
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.environments.period_result import PeriodResult
+from safedpa_sim.training.networks.modules import AffineNetworks
+
+__all__ = ["BatchedEnvironment", "PolicyTask", "has_task", "task_of"]
+
+
+class BatchedEnvironment(Protocol):
+    """A batch of robots in episodes with a reward; the same seed gives the same episodes."""
+
+    count: int
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """Starts new episodes for the robots with the given indices."""
+
+    def observation(self, which: NDArray[np.intp] | slice = ...) -> Float32Array:
+        """Returns the observations (count, observations) of the robots with the given indices, by default of all."""
+
+    def exploring(self, random: np.random.Generator) -> Float32Array:
+        """Returns random actions (count, actions) in [-1, 1], from which the scales of the observations are
+        computed."""
+
+    def advance(self, chosen: Float32Array) -> PeriodResult:
+        """Simulates one period under ``chosen`` (count, actions), each entry in [-1, 1] over the range of commands."""
+
+
+class PolicyTask(Protocol):
+    """The policy task of one kind of robot; implemented by modules."""
+
+    def make_environment(
+        self, configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
+    ) -> BatchedEnvironment:
+        """Returns ``count`` robots to train on.
+
+        The beginning of a contact costs ``penalty``; ``with_filter``, a safety filter corrects each action.
+        """
+
+    def evaluate(
+        self, configuration: Configuration, weights: Weights, *, cars: int, seed: int, with_filter: bool
+    ) -> dict[str, Any]:
+        """Evaluates one noise-free episode of ``cars`` robots: ``success``, ``contacts``, ``nearest`` and
+        ``reward``."""
+
+    def random_drives(
+        self,
+        cars: BatchedSimulator,
+        networks: AffineNetworks,
+        count: int,
+        steps: int,
+        change: float,
+        generator: torch.Generator,
+    ) -> TransitionSequence:
+        """Simulates ``count`` robots under random actions; environments change with probability ``change`` per
+        period."""
+
+
+_TASKS: Final = {
+    "car": "safedpa_sim.training.environments.car_task",
+    "pendulum": "safedpa_sim.pendulum.policy_task",
+    "point": "safedpa_sim.point.policy_task",
+}
+
+
+def has_task(robot: str) -> bool:
+    """Returns whether a policy can be trained for this kind of robot."""
+    return robot in _TASKS
+
+
+def task_of(robot: str) -> PolicyTask:
+    """Returns the policy task of a kind of robot. Raises InputError when it has none."""
+    if robot not in _TASKS:
+        raise InputError(f"phase 1b: robot '{robot}': {did_you_mean(robot, _TASKS)}")
+    found: Any = importlib.import_module(_TASKS[robot])
+    task: PolicyTask = found
+    return task

@@ -1,0 +1,278 @@
+"""Phase 1a: the environment encoder mu and the control-affine networks f and g, trained jointly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from pickle import UnpicklingError
+from time import monotonic
+from typing import Any, final
+
+import torch
+from torch import nn
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa.networks import Weights, frame_of
+from safedpa.records.writers.tables import atomic_path
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
+from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
+from safedpa_sim.training.export.weights import export_weights, normalise_latent
+from safedpa_sim.training.networks.explained_variance import affine_floor, evaluate
+from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes
+from safedpa_sim.training.progress import ReportProgress, silent
+
+__all__ = ["read_checkpoint", "train_affine", "training_device", "write_checkpoint"]
+
+
+def write_checkpoint(
+    path: Path,
+    digest: str,
+    done: int,
+    module: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    generator: torch.Generator,
+    reported: dict[str, list[Any]],
+) -> None:
+    """Writes all that a training needs to resume after ``done`` steps, with its ``reported`` curves, to ``path``.
+
+    ``digest`` identifies the configuration.
+    """
+    content = {
+        "digest": digest,
+        "done": done,
+        "module": module.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "generator": generator.get_state(),
+        "reported": reported,
+    }
+    with atomic_path(path) as unfinished:
+        torch.save(content, unfinished)
+
+
+def read_checkpoint(
+    path: Path,
+    digest: str,
+    module: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    generator: torch.Generator,
+) -> tuple[int, dict[str, list[Any]]]:
+    """Restores module, optimiser and generator, and returns the steps done and the reported curves.
+
+    Returns (0, {}) when there is no checkpoint, or one of another configuration. Raises InputError when the file is
+    damaged.
+    """
+    if not path.exists():
+        return 0, {}
+    try:
+        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        if content["digest"] != digest:
+            return 0, {}
+        module.load_state_dict(content["module"])
+        optimiser.load_state_dict(content["optimiser"])
+        generator.set_state(content["generator"])
+        return int(content["done"]), dict(content["reported"])
+    except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
+        raise InputError(f"{path}: no usable checkpoint ({error}); remove it to train from the beginning") from error
+
+
+_HELD_OUT = 20_000
+_STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
+"""Random stream of each purpose: its seed is seed * 10 + this number."""
+_REPORT_PROGRESS_SECONDS = 0.5
+_POINTS = 200
+"""Points of the learning curve."""
+
+
+def training_device(name: str) -> torch.device:
+    """Returns the torch device of that name; raises InputError when this machine has no such device."""
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise InputError(f"--device {name}: no such kind of device; wanted cpu or cuda") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"--device {name}: torch finds no CUDA device here; leave --device out to train on the processor"
+        )
+    return device
+
+
+def train_affine(
+    configuration: Configuration,
+    out: Path,
+    report_progress: ReportProgress = silent,
+    device: str = "cpu",
+    variant: str = "1a",
+    alone: Mapping[str, float] | None = None,
+) -> tuple[Weights, dict[str, Any]]:
+    """Trains mu, f and g on simulated transitions, each used once.
+
+    Minimises mean(((increment - predicted) / increment_scale)^2) by Adam. In variant ``1a`` f and g take z = mu(e). In
+    all other variants they have no latent: they are trained in all environments (Mix), or, given ``alone``, in one
+    (Fix): values by path, all other parameters neutral.
+
+    Returns the weights and a summary: loss, explained variance and error of each state on held-out transitions, and the
+    share of the variance that no model affine in the action can explain. Checkpoints are written to ``out``. An
+    interrupted training resumes from there, with a bit-identical result on the same kind of processor and with the same
+    number of threads.
+    """
+    training = _AffineTraining.begin(configuration, variant, training_device(device), alone)
+    checkpoint = out / f"checkpoint_{variant}.pt"
+    training.run(training.restore(checkpoint), checkpoint, report_progress)
+    normalise_latent(training.networks, training.cars, training.seed("latents"))
+    summary = training.summary() | {"learning_curve": training.curve}
+    weights = export_weights(
+        training.networks,
+        training.cars,
+        configuration,
+        {"phase": variant, "pairs": summary["pairs"], "seed": configuration.seed, "loss": summary["loss"]},
+    )
+    checkpoint.unlink(missing_ok=True)
+    return weights, summary
+
+
+@final
+@dataclass
+class _AffineTraining:
+    configuration: Configuration
+    variant: str
+    cars: BatchedSimulator
+    networks: AffineNetworks
+    optimiser: torch.optim.Adam
+    generator: torch.Generator
+    pairs: int
+    alone: torch.Tensor | None
+    """The only environment (entries,) of Fix."""
+    curve: list[list[float]] = field(default_factory=list)
+    losses: list[torch.Tensor] = field(default_factory=list)
+    """Losses since the last point of the curve. They stay tensors: reading each value would wait for the device."""
+
+    @staticmethod
+    def begin(
+        configuration: Configuration, variant: str, device: torch.device, alone: Mapping[str, float] | None
+    ) -> _AffineTraining:
+        cars = BatchedSimulator(configuration, device)
+        phase, ablations = configuration.phase_1a, configuration.ablations
+        whole = variant == "1a"
+        networks = _networks(cars, configuration, phase.hidden if whole else ablations.hidden, whole).to(device)
+        optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
+        generator = cars.generator(configuration.seed * 10 + _STREAMS["training"])
+        pairs = phase.pairs if whole else ablations.pairs
+        fixed = None if alone is None else _environment(cars, alone)
+        return _AffineTraining(configuration, variant, cars, networks, optimiser, generator, pairs, fixed)
+
+    @property
+    def steps(self) -> int:
+        return math.ceil(self.pairs / self.configuration.phase_1a.batch)
+
+    def seed(self, purpose: str) -> int:
+        return self.configuration.seed * 10 + _STREAMS[purpose]
+
+    def _digest(self) -> str:
+        return f"{self.variant} {self.configuration.digest('phase_1a', 'ablations')}"
+
+    def restore(self, checkpoint: Path) -> int:
+        """Restores an interrupted training and returns the steps that it has done."""
+        done, reported = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
+        self.curve = reported.get("curve", [])
+        self.losses = [loss.to(self.cars.device) for loss in reported.get("losses", [])]
+        return done
+
+    def run(self, done: int, checkpoint: Path, report_progress: ReportProgress) -> None:
+        """Trains until all steps are done and appends [pairs, mean loss] to ``curve``.
+
+        Checkpoints are written only between steps: an interrupt within a step leaves weights and optimiser
+        inconsistent.
+        """
+        saved = reported = monotonic()
+        while done < self.steps:
+            self._note(done, self._step(done))
+            done += 1
+            now = monotonic()
+            if self.curve and now - reported > _REPORT_PROGRESS_SECONDS:
+                self._report(done, report_progress)
+                reported = now
+            if now - saved > self.configuration.phase_1a.checkpoint_seconds:
+                self._save(checkpoint, done)
+                saved = now
+        self._report(done, report_progress)
+
+    def _note(self, done: int, loss: torch.Tensor) -> None:
+        self.losses.append(loss)
+        if (done + 1) % max(1, self.steps // _POINTS) == 0 or done + 1 == self.steps:
+            mean = float(torch.stack(self.losses).mean())
+            self.curve.append([(done + 1) * self.configuration.phase_1a.batch, mean])
+            self.losses = []
+
+    def _report(self, done: int, report_progress: ReportProgress) -> None:
+        batch = self.configuration.phase_1a.batch
+        report_progress(self.variant, done * batch, self.steps * batch, f"loss {self.curve[-1][1]:.2e}")
+
+    def _save(self, checkpoint: Path, done: int) -> None:
+        reported: dict[str, list[Any]] = {"curve": self.curve, "losses": self.losses}
+        write_checkpoint(checkpoint, self._digest(), done, self.networks, self.optimiser, self.generator, reported)
+
+    def _step(self, done: int) -> torch.Tensor:
+        """Runs one Adam step on new transitions and returns its loss."""
+        phase = self.configuration.phase_1a
+        share = 0.5 * (1.0 + math.cos(math.pi * done / self.steps))
+        rate = phase.last_learning_rate + (phase.learning_rate - phase.last_learning_rate) * share
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        environment, state, action, increment = self._transitions(phase.batch, self.generator)
+        networks = self.networks
+        predicted = networks(state, action, networks.encode(environment))
+        loss = (predicted - increment / networks.increment_scale).square().mean()
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
+        detached: torch.Tensor = loss.detach()
+        return detached
+
+    def _transitions(self, count: int, generator: torch.Generator) -> Transitions:
+        return draw_transitions(self.cars, count, generator, environment=self.alone)
+
+    def summary(self) -> dict[str, Any]:
+        """Evaluates the networks on held-out transitions from the training environments."""
+        held_out = self._transitions(_HELD_OUT, self.cars.generator(self.seed("held_out")))
+        floor = affine_floor(self.cars, self.cars.generator(self.seed("floor")))
+        return {
+            "pairs": self.steps * self.configuration.phase_1a.batch,
+            "states": list(self.cars.model.system.state_names),
+            **evaluate(self.networks, held_out),
+            "not_affine": floor.tolist(),
+        }
+
+
+def _environment(cars: BatchedSimulator, alone: Mapping[str, float]) -> torch.Tensor:
+    """Returns the environment (entries,) with the given values by path; InputError for a path that is not
+    randomised."""
+    paths = [entry.path for entry in cars.entries]
+    for path in alone:
+        if path not in paths:
+            raise InputError(f"environment '{path}': {did_you_mean(path, paths)}")
+    values = [alone.get(path, float(usual)) for path, usual in zip(paths, cars.nominal, strict=True)]
+    return torch.tensor(values, dtype=torch.float32, device=cars.device)
+
+
+def _networks(cars: BatchedSimulator, configuration: Configuration, hidden: int, whole: bool) -> AffineNetworks:
+    """Returns the initial networks. They depend on the seed only, not on the device."""
+    system = cars.model.system
+    sizes = AffineSizes(
+        features=len(frame_of(system.name).feature_names),
+        states=len(system.state),
+        actions=len(system.action),
+        environment=len(cars.entries),
+        latents=configuration.latents if whole else 0,
+        hidden=hidden,
+        encoder_hidden=configuration.phase_1a.encoder_hidden,
+    )
+    vectors = scales(cars, configuration.seed * 10 + _STREAMS["scales"])
+    if whole:
+        zeros = torch.zeros(configuration.latents)
+        vectors |= {"latent_low": zeros - 1.0, "latent_high": zeros + 1.0, "latent_nominal": zeros}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.seed)
+        return AffineNetworks(system.name, sizes, vectors)
