@@ -263,7 +263,7 @@ def table(found: dict[str, Module]) -> str:
         everything.update(row)
     rows = ["| room | lines | code | text | blank | modules | with one importer |", "|---|---|---|---|---|---|---|"]
     for room, row in [*sorted(rooms.items(), key=lambda item: -item[1]["lines"]), ("all", everything)]:
-        code = row["lines"] - row["text"] - row["blank"]
+        code = row["lines"] - row["reported"] - row["blank"]
         rows.append(
             f"| {room} | {row['lines']} | {code} | {row['reported']} | {row['blank']} | {row['modules']} | {row['alone']} |"
         )

@@ -50,7 +50,7 @@ class Robot(ABC):
     rate: ClassVar[float]
     """Ticks per second at which it is driven."""
     variants: ClassVar[tuple[Robot, ...]] = ()
-    """The same robot with another set of actions, such as a throttle in place of a speed; its model tells which."""
+    """The same robot with another set of actions, such as a throttle in place of a speed; its model says which."""
     measurement_deviation: ClassVar[tuple[float, ...]]
     """(states,) standard deviation of what a measured state adds to one step, in the state's units."""
     smallest_motion: ClassVar[float] = 1.0

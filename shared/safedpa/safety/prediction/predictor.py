@@ -283,7 +283,8 @@ def _accepted_arguments(what: str, function: Callable[..., Any], most: int) -> t
         parameters = inspect.signature(function).parameters.values()
     except ValueError as error:
         raise InputError(
-            f"{what}: got {type(function).__name__}, which has no readable signature; wanted a Python function around it"
+            f"{what}: got {type(function).__name__}, which has no readable signature; "
+            "wanted a Python function around it"
         ) from error
     keywords = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
     positional = [
