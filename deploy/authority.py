@@ -1,10 +1,11 @@
 """The certificate authority of a fleet in containers: makes the services' certificates, signs those of the robots.
 
 Each service finds its own key and no one else's in a volume of its own, ``/issued/ROLE``. A robot makes its key itself,
-where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who
-it is, the request does not say: the engine's name service reports which container has the sender's address, and
+where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who it
+is, the request does not say: the engine's name service reports which container has the sender's address, and
 ``PROJECT_robot_3`` gets a certificate for ``robot.robot-3``. Without privileges no container takes another address.
-Anyone who may start containers on this machine may also read every key; docs/compose.md says what a real deployment does.
+Anyone who may start containers on this machine may also read every key; docs/compose.md says what a real deployment
+does.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ def issue_to_services(authority: Authority, issued: Path, days: float, routers: 
 def issue_to_gateway(authority: Authority, folder: Path, robot: str, days: float, *, with_policy: bool) -> None:
     """Gives the gateway of a robot that speaks ROS 2 that robot's certificate, and the policy's with ``with_policy``.
 
-    What an earlier start gave it for another robot, or for nominal actions that it shall not have any more, is taken away.
+    What an earlier start gave it for another robot, or for nominal actions that it shall not have any more, is taken
+    away.
     """
     if not folder.is_dir():
         return

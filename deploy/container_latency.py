@@ -5,7 +5,8 @@
 
 Both on the bus without certificates (``docker-compose.plain.yml``), through the router, with the limits that the
 compose file sets and without real-time scheduling, which engines do not give. The chain hands 600 bytes through three
-containers; recorder and diagnosis run alongside the loop. Prints one JSON document; the containers are taken away again.
+containers; recorder and diagnosis run alongside the loop. Prints one JSON document; the containers are taken away
+again.
 """
 
 from __future__ import annotations

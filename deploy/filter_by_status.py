@@ -2,8 +2,8 @@
 
     python deploy/filter_by_status.py before=FOLDER after=FOLDER [--model car] [--seed N] [--scenes N]
 
-A folder holds the package ``safedpa``: ``shared`` of a tree, or what ``pip install --target`` made. Problems are
-drawn by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, nominal actions
+A folder holds the package ``safedpa``: ``shared`` of a tree, or what ``pip install --target`` made. Problems are drawn
+by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, nominal actions
 within and beyond the actuators. A process for each folder decides them all, one process at a time and the order turned
 round each time; of each problem the best time counts. Prints p50 and p99 in microseconds, their share of the first
 folder's, of source that is not compiled how many actions a decision looks at (whose outcome is predicted), and by how

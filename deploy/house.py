@@ -8,8 +8,8 @@ python deploy/house.py --names      public classes of one name in shared, compar
 python deploy/house.py --decision   the files of the package that one decision of the car's filter passes through
 
 Counted are the product's folders (shared, services, sim without the laboratory). A line is code, blank, or text: a
-comment or a docstring. What a package hands on from a module of its own counts as that module's import by anyone who asks
-the package for it; the package itself is none. Programs (__main__) and packages' own files are not asked about.
+comment or a docstring. What a package hands on from a module of its own counts as that module's import by anyone who
+asks the package for it; the package itself is none. Programs (__main__) and packages' own files are not asked about.
 """
 
 from __future__ import annotations
@@ -264,9 +264,8 @@ def table(found: dict[str, Module]) -> str:
     rows = ["| room | lines | code | text | blank | modules | with one importer |", "|---|---|---|---|---|---|---|"]
     for room, row in [*sorted(rooms.items(), key=lambda item: -item[1]["lines"]), ("all", everything)]:
         code = row["lines"] - row["reported"] - row["blank"]
-        rows.append(
-            f"| {room} | {row['lines']} | {code} | {row['reported']} | {row['blank']} | {row['modules']} | {row['alone']} |"
-        )
+        cells = (room, row["lines"], code, row["reported"], row["blank"], row["modules"], row["alone"])
+        rows.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(rows)
 
 

@@ -70,7 +70,8 @@ def measure(seconds: float, sessions: int) -> list[str]:
         router = ZenohTransport(ZenohSettings("router", (endpoint,), (), Certificates(Path(folder), "router")))
         card = Certificates(Path(folder), "recorder")
         members = [
-            ZenohTransport(ZenohSettings("client", (), (endpoint,), card, connect_timeout=30.0)) for _ in range(sessions)
+            ZenohTransport(ZenohSettings("client", (), (endpoint,), card, connect_timeout=30.0))
+            for _ in range(sessions)
         ]
         return notice(router, members, seconds)
 

@@ -21,7 +21,7 @@ __all__ = ["PAGES", "ROOT", "Promise", "promises_of", "table", "wrong_holders"]
 ROOT = Path(__file__).resolve().parents[1]
 NOT_SWEPT = (
     "asyncapi", "commands", "design", "diagnosis-speed", "filter-speed", "filter-speed-work", "fleet-speed",
-    "fleet-work", "gallery", "glossary", "house", "index", "network-speed", "paper", "promises", "speed", "versions",
+    "fleet-work", "gallery", "glossary", "code-map", "index", "network-speed", "paper", "promises", "speed", "versions",
 )  # fmt: skip
 """Pages that tell why (and ``decisions-*``), lead elsewhere, or hold figures of speed, which are those of a machine."""
 _NAMES = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
@@ -36,7 +36,7 @@ _TEXT = (
 _PROMISES = re.compile(rf"\d|\b(?:{'|'.join(_TEXT)})\b", re.IGNORECASE)
 _HELD = re.compile(r"<!-- held:\s(.*?)\s-->", re.DOTALL)
 _NONE = re.compile(r"<!-- no promise:\s(.*?)\s-->", re.DOTALL)
-_RUN = r"(?:tests/|safedpa (?:compare|experiment|bench|replay)|python deploy/|make test)"
+_RUN = r"(?:tests/|safedpa (?:compare|experiment|bench|replay)|python deploy/|python -m safedpa_lab|make test)"
 _NAMED = re.compile(rf"`(?:pytest )?({_RUN}[^`]*)`")
 _RESULT = re.compile(r"\(results/([\w-]+)\.(?:json|md)\)")
 _SILENT = (r"^```.*?^```\n", r"<!-- generated.*?<!-- end -->", r"^---\n.*?^---\n")
@@ -99,7 +99,8 @@ def _rows(block: str) -> list[str]:
 
 
 def wrong_holders(promise: Promise) -> list[str]:
-    """What it names and is not there: a file, or a test in it. Commands are compared with the command line elsewhere."""
+    """What it names and is not there: a file, or a test in it. Commands are compared with the command line
+    elsewhere."""
     wrong = []
     for holder in promise.held_by:
         if holder.startswith("tests/"):

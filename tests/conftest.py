@@ -171,7 +171,8 @@ def _process_as_it_was_found() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _events_of_one_test_alone() -> Iterator[None]:
-    """Of events that come together the later ones are reported a second after the first: not to the test that is next."""
+    """Of events that come together the later ones are reported a second after the first: not to the test that is
+    next."""
     yield
     logging.EVENT_LOG.reset_rate_limits()
 

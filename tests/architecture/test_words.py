@@ -2,7 +2,8 @@
 
     python tests/architecture/test_words.py [PATH ...]     each finding below PATH as FILE:LINE; then counts by folder
 
-Identifiers are checked by their parts, texts (comments, docstrings, literals, pages, help, styles) by words and phrases.
+Identifiers are checked by their parts, texts (comments, docstrings, literals, pages, help, styles) by words and
+phrases.
 """
 
 import io

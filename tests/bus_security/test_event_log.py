@@ -148,9 +148,7 @@ def test_names_from_an_attacker_cost_bounded_memory() -> None:
 
 
 @pytest.mark.parametrize("which", ["one", "the next"])
-def test_no_test_delays_or_suppresses_an_event_of_the_next_test(
-    which: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_test_delays_or_suppresses_an_event_of_the_next_test(which: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The second event is counted and written a second later, when another test may read standard error."""
     for _ in range(2):
         log_event("test.left_over", which)

@@ -134,7 +134,7 @@ def test_a_picture_of_a_recording_shows_something_everywhere(recording, tmp_path
         ([__file__, "--out", "a.png"], "wanted one that the dashboard wrote"),
         (["a.rrd", "--out", "a.png", "--size", "big"], "--size big: wanted WIDTHxHEIGHT"),
         (["a.rrd", "--out", "/no/such/folder/a.png"], "folder /no/such/folder does not exist"),
-        (["a.rrd", "--out", "a.rrd"], "is the recording itself"),
+        (["a.rrd", "--out", "a.rrd"], "got the recording itself"),
         (["a.rrd", "--out", "a.png", "--at", "nan"], "--at: got nan"),
     ],
 )

@@ -71,7 +71,7 @@ def test_a_taken_port_is_refused_if_requested_and_skipped_otherwise(free_port):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
-        with pytest.raises(InputError, match=f"--web-port {free_port}: taken"):
+        with pytest.raises(InputError, match=f"--web-port {free_port}: got a port that is taken"):
             choose_port(free_port, 9090, "--web-port", "127.0.0.1")
         assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
 

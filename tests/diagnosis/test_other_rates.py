@@ -46,9 +46,7 @@ def test_a_hidden_effect_is_found_in_a_small_part_of_the_rows(written, tmp_path,
     folder, paths = written
     names = ("quadratic_drag", "rolling_resistance")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
-    monkeypatch.setattr(
-        "safedpa.diagnosis.diagnose.prepare_runs", lambda model, runs, _: prepare_runs(model, runs, 3000)
-    )
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.prepare_runs", lambda model, runs: prepare_runs(model, runs, 3000))
     monkeypatch.setattr(
         "safedpa.report.diagnosis_page.subsample_runs", lambda runs, _, horizon: subsample_runs(runs, 3000, horizon)
     )
@@ -125,7 +123,7 @@ def test_logs_of_several_rates_give_no_margin_and_the_reason(log, tmp_path, caps
     assert not (tmp_path / "out" / "margin.toml").exists()
     line = margin.pop("notice")
     assert line.startswith("No margin was calibrated: got steps of 0.1 to 0.2 s, none of the model's own 0.05 s, ")
-    assert line.endswith("; the filter's settings stand in for it")
+    assert line.endswith("; the filter uses epsilon of its settings instead")
     assert margin == {"file": None, "period": None, "drive": None}
 
 
@@ -155,7 +153,7 @@ def test_the_reason_for_a_missing_margin_is_printed(log, tmp_path) -> None:
     notice = retained(log, (2, 2, 4), tmp_path)
     assert not (tmp_path / "margin.toml").exists()
     assert ". No margin was calibrated: got steps of 0.1 to 0.2 s" in notice
-    assert notice.endswith("; the filter's settings stand in for it")
+    assert notice.endswith("; the filter uses epsilon of its settings instead")
 
 
 def test_at_the_rate_of_the_model_the_output_is_unchanged(log, tmp_path) -> None:

@@ -74,9 +74,7 @@ def turn(node: AbstractNode, tick: int) -> Any:
 
 def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractJobHandle]:
     """Has offers to a node tried in the process apart, as a service does."""
-    return lambda robot, offer: apart.submit(
-        (node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot))
-    )
+    return lambda robot, offer: apart.submit((node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot)))
 
 
 def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(

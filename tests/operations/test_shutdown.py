@@ -107,9 +107,7 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         ordered = loop.command("stop", "--robot", "r1", "--who", "Ada")
         assert ordered.returncode == 0, ordered.stderr
         assert "r1: is stationary" in ordered.stdout
-        loop.until(
-            lambda: loop.is_stationary() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand"
-        )
+        loop.until(lambda: loop.is_stationary() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand")
         killed = loop.pid("safety_filter")
         os.kill(killed, signal.SIGKILL)
         seen = len(loop.verdicts)

@@ -200,7 +200,7 @@ def test_a_robot_of_the_bus_needs_a_policy_by_name(tmp_path: Path, capsys: pytes
     path = tmp_path / "robot.toml"
     path.write_text('format = 2\nrobot = "car"\nname = "r1"\n')
     assert safedpa.run(["serve", str(path), "--headless"]) == 2
-    assert "no policy; name one with --policy" in capsys.readouterr().err
+    assert "got no policy; use --policy" in capsys.readouterr().err
 
 
 @pytest.mark.long

@@ -23,16 +23,14 @@ def command(files: tuple[Path, ...], out: Path | None) -> None:
     from safedpa.errors import InputError
     from safedpa.records.earlier_format import FORMAT, migrate
 
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    failures = 0
+    failed: list[str] = []
     for path in files:
         target = path.with_suffix(f".format{FORMAT}{path.suffix}") if out is None else out / path.name
         try:
             line = f"{path}: {migrate(path, target)}, written to {target}"
             report_progress(line, facts={"written": [str(target)]})
         except InputError as error:
-            failures += 1
-            click.echo(f"safedpa: {error}", err=True)
-    if failures:
-        raise InputError(f"{failures} of {len(files)} files were not converted; see the lines above")
+            failed.append(str(error))
+    if failed:  # one line, whatever the number of files; the first reason stands for the others
+        more = f" ({len(failed)} of {len(files)} files were not converted)" if len(files) > 1 else ""
+        raise InputError(f"{failed[0]}{more}")

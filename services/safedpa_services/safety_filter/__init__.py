@@ -1,1 +1,4 @@
-"""The safety filter service; its node is in ``safedpa.runtime``, the filter itself in ``safedpa.safety``."""
+"""The process of the safety filter.
+
+Its node is in ``shared/safedpa/runtime``, the filter itself in ``shared/safedpa/safety``.
+"""

@@ -42,8 +42,8 @@ def load_user_file(path: Path) -> list[str]:
     found = _added(module_from(path), path)
     if not found:
         raise InputError(
-            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect, a System, "
-            "a base model, or a robot"
+            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect, FeltEffect or "
+            "SensorEffect, a System, a base model, or a robot"
         )
     return found
 

@@ -68,7 +68,7 @@ def load_effects(path: Path) -> list[AbstractEffect]:
     found = add_effects(module_from(path), path)
     if not found:
         raise InputError(
-            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect"
+            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect, FeltEffect or SensorEffect"
         )
     return found
 

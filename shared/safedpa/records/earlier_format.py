@@ -113,6 +113,7 @@ def migrate(path: Path, target: Path) -> str:
         return "recording"
     text = text_of_file(path, "toml_bytes")
     kind, converted = _converted(path, text)
+    target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(converted, encoding="utf-8")
     return kind
 

@@ -26,7 +26,7 @@ from safedpa.safety.solver.maximin_lp import MaxMinProgram
 from safedpa.safety.solver.qp import QuadraticProgram
 from safedpa.safety.solver.qp_scaling import clip_to_bounds
 from safedpa.safety.solver.sqp import DecisionError, backtrack_towards, line_search
-from safedpa.safety.solver.sqp import solve_sqp as _search
+from safedpa.safety.solver.sqp import solve_sqp as _solve_sqp
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input, checked_names, checked_output
 from safedpa.safety.verdict import Status, Verdict
 
@@ -36,8 +36,8 @@ Action: TypeAlias = tuple[float, ...]
 Backup = Callable[[FloatArray | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
-solve_sqp: Callable[..., tuple[ActionCandidate, str]] = _search
-"""A module attribute that is looked up at every call, compiled or not, so that tests can replace the search."""
+# A module attribute, not the import itself: compiled code looks it up at every call too, so tests can replace it.
+solve_sqp: Callable[..., tuple[ActionCandidate, str]] = _solve_sqp
 
 _BINDING: Final = 0.02
 """A condition whose residual is at most this share of its scale is reported as active."""

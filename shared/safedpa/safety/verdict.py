@@ -69,7 +69,7 @@ class Verdict:
     nominal: NDArray[np.float64] | None
     """(actions,) the nominal action; None if it was missing or unusable."""
     known: bool
-    """False if h_now and h_next could not be computed, or were not, since the filter is switched off."""
+    """False if h_now and h_next could not be computed."""
 
     @classmethod
     def of(cls, fields: dict[str, Any]) -> Verdict:

@@ -1,9 +1,9 @@
 """Every robot that is known in this process, and what the lower layers may ask of one.
 
-``Robot`` holds what can be stated with the types of this layer. ``safedpa.robot.AbstractRobot`` derives from it and adds
-the types of models, barriers, controllers and messages; robots derive from that. A robot is a package of its own in
-``safedpa.robots``, one that another distribution brings by the entry point ``safedpa.robots``, or a class in a Python
-file (``--robot-file``). Packages are found by name here, so that no layer imports a robot.
+``Robot`` holds what can be stated with the types of this layer. ``safedpa.robot.AbstractRobot`` derives from it and
+adds the types of models, barriers, controllers and messages; robots derive from that. A robot is a package of its own
+in ``safedpa.robots``, one that another distribution brings by the entry point ``safedpa.robots``, or a class in a
+Python file (``--robot-file``). Packages are found by name here, so that no layer imports a robot.
 """
 
 from __future__ import annotations

@@ -121,7 +121,8 @@ def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
 
 
 def benched(folder: Path, rows: Sequence[str], compiled: Path) -> dict[str, float]:
-    """Rows of ``safedpa bench all --quick`` of a checkout: the median of each, in time of the processor where reported."""
+    """Rows of ``safedpa bench all --quick`` of a checkout: the median of each, in time of the processor where
+    reported."""
     with tempfile.TemporaryDirectory() as out:
         file = Path(out) / "rows.json"
         named = [part for name in rows for part in ("--only", name)]

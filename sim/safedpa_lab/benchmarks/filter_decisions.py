@@ -92,8 +92,9 @@ def program_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
 
 
 def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
-    """Inputs, conditions, nominal action, slopes, one program, what its action comes to, verdict: without a search, a check of
-    other actions or a way back towards the nominal action, so that many of these actions are not the best, nor all of them safe.
+    """Inputs, conditions, nominal action, slopes, one program, what its action comes to, verdict: without a search, a
+    check of other actions or a way back towards the nominal action, so that many of these actions are not the best, nor
+    all of them safe.
     """
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     tools = one.tools
@@ -117,7 +118,8 @@ def first_program(
     latent: tuple[float, ...],
     epsilon: Mapping[str, float],
 ) -> tuple[list[list[float]], list[float]]:
-    """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the nominal action, as a decision poses them."""
+    """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the nominal action, as a decision poses
+    them."""
     tools = one.tools
     stack = tools.barrier_sets.get(barriers, len(state))
     margins, _ = tools.margins.resolve(stack, dict(epsilon))

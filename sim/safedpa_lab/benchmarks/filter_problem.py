@@ -1,4 +1,5 @@
-"""The scenes in which decisions are timed: states where the filter has to change the nominal action, the same for everyone."""
+"""The scenes in which decisions are timed: states where the filter has to change the nominal action, the same for
+everyone."""
 
 from __future__ import annotations
 
@@ -62,7 +63,8 @@ class FilterProblem:
         return found
 
     def requests(self, model: PhysicsModel, *, every: bool = False) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """State, nominal action and latent of each decision; of ``every`` state of the drives, or of those with a program."""
+        """State, nominal action and latent of each decision; of ``every`` state of the drives, or of those with a
+        program."""
         return [(state, np.array(_NOMINAL), model.latent) for state in (self.passed_by if every else self.states)]
 
     def question(self, calls: int, seconds: float, backend: str) -> dict[str, Any]:

@@ -99,8 +99,9 @@ def switch(name: str, text: str, *names: str, **settings: Any) -> Parameter:
 
 
 def path(name: str, text: str | None = None, *names: str, **settings: Any) -> Parameter:
-    """A file or folder."""
-    return Parameter(name, *names, type=click.Path(path_type=Path), help=text, **settings)
+    """A file or folder. A folder is refused where the experiment writes a file."""
+    is_file = settings.get("writes") in ("json", "markdown", "figure", "record")
+    return Parameter(name, *names, type=click.Path(path_type=Path, dir_okay=not is_file), help=text, **settings)
 
 
 FILE_OUT: Final = path("--out", "also write the result to this JSON file", writes="json")

@@ -101,17 +101,17 @@ PARTS: Final = (
     Part(
         "steps-out",
         25,
-        "sensing --seeds 100 --first-seed 3400 --seconds 12 --no-peers --not-told --scene steps-out",
+        "sensing --seeds 100 --first-seed 3400 --seconds 12 --no-peers --no-perfect-knowledge --scene steps-out",
         "--seeds 1 --seconds 1",
     ),
     Part(
         "sensing-minute",
         60,
-        "sensing --seeds 34 --first-seed 5100 --seconds 60 --no-peers --not-told "
+        "sensing --seeds 34 --first-seed 5100 --seconds 60 --no-peers --no-perfect-knowledge "
         f"--scene pillars --scene people --scene rooms {_LOADS}",
         "--seeds 1 --seconds 1",
     ),
-    Part("sensing-peers", 5, "sensing --seeds 4 --first-seed 5100 --not-told"),
+    Part("sensing-peers", 5, "sensing --seeds 4 --first-seed 5100 --no-perfect-knowledge"),
     Part("sensing-curves", 10, "sensing-curves --seeds 8 --first-seed 4900"),
     Part("sensing-margins", 20),
     Part("meeting", 15, "meeting --seeds 3 --first-seed 4700 --seconds 20"),

@@ -65,10 +65,10 @@ class _Saboteur:
 
 
 def _turns() -> list[threading.Lock]:
-    """The locks of those who turn the loops of this process; none where it has another kind of loop."""
+    """The locks of this process's schedulers; empty if it runs another kind of loop."""
     module = sys.modules.get("safedpa.bus.service.scheduler")
     kinds = (module.Scheduler,) if module else ()
-    return [one._turns for one in gc.get_objects() if isinstance(one, kinds)]
+    return [one._running for one in gc.get_objects() if isinstance(one, kinds)]
 
 
 def _main() -> None:

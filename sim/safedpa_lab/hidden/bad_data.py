@@ -143,7 +143,9 @@ def write_bad_files(log: Path, folder: Path, faults: Sequence[str] = tuple(BAD))
     names = lines[0].split(",") if lines else []
     if not set(names) >= _NEEDED:
         raise InputError(f"{log}: got the columns {', '.join(names)}; wanted the native ones of a car")
-    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export reports verdicts in words next to
+    native = [
+        index for index, name in enumerate(names) if name in _NATIVE
+    ]  # an export reports verdicts in words next to
     try:
         values = np.array([[float(line.split(",")[index]) for index in native] for line in lines[1:]])
     except (ValueError, IndexError) as error:

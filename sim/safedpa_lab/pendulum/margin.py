@@ -30,8 +30,8 @@ _ORACLE: Final = FILTERED[-1]
 def measured_margins(methods: Sequence[Method], folder: Path, drives: int) -> dict[str, dict[str, Any]]:
     """By method, the margin of its filter: the same rule for each.
 
-    In two rounds, since errors depend on where the filter lets the pendulum go: drives behind a filter that is given the
-    wind make a first margin; other drives behind the filter itself with that margin make the one that counts. Each
+    In two rounds, since errors depend on where the filter lets the pendulum go: drives behind a filter that is given
+    the wind make a first margin; other drives behind the filter itself with that margin make the one that counts. Each
     round has ``drives`` of each question, in the experiment's wind towards directions drawn at random, on seeds for
     calibration; no tick is left out.
     """

@@ -1,4 +1,5 @@
-"""Many pendulums in the closed loop at a time: adaptation, nominal action, filter, motor, one after the other in every period."""
+"""Many pendulums in the closed loop at a time: adaptation, nominal action, filter, motor, one after the other in every
+period."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ from safedpa.arrays import FloatArray
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa_lab.point.beliefs import PROBES, motion_of
 from safedpa_lab.point.free_model import FreeModel
-from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction, SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, after_one_period
+from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction, SimulatedPointModel
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["COMMANDS", "ActionModel", "AffineModel", "FreeAction", "SimulatedBody"]

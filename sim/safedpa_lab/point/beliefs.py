@@ -13,9 +13,9 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.safety.barriers.stopping import Motion
-from safedpa_sim.point.point_model import ACTION_SCALE, TASK_TURN, PointPrediction
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN
+from safedpa_sim.point.point_model import ACTION_SCALE, TASK_TURN, PointPrediction
 
 __all__ = ["PROBES", "LearnedBelief", "ModelBelief", "from_task_action", "motion_of", "scale_of"]
 

@@ -22,12 +22,12 @@ from safedpa_lab.point.inputs import inputs_of
 from safedpa_lab.point.methods import METHODS, PENALISED, SEEKER, Method
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.point_model import AbstractPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import around_hazards
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.point_model import AbstractPointModel, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.task import PointTask
 
 __all__ = ["ShieldedDriver", "Wheel", "digest_of", "driver_of", "penalised", "training_seeds", "with_weights"]
 

@@ -1,4 +1,5 @@
-"""The change of h that each model predicts over turn and thrust, next to what the simulator does (the paper's heat map).
+"""The change of h that each model predicts over turn and thrust, next to what the simulator does (the paper's heat
+map).
 
 At moments near hazards, wind towards 135 degrees: delta h = h(next state) - h(state), h the least room to any hazard
 along the stopping manoeuvre, both by the model's own belief; the reference by the simulator and the true wind.
@@ -19,9 +20,9 @@ from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.moments import Moments, drawn_moments
 from safedpa_lab.point.shield import FIXED_DIRECTIONS
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.point_model import ACTION_SCALE
 from safedpa_sim.point.body_steps import after_one_period
 from safedpa_sim.point.filtering import minimum_barrier
+from safedpa_sim.point.point_model import ACTION_SCALE
 
 __all__ = ["HeatMap", "agreement", "heat_map", "predicted_changes", "reference_changes"]
 

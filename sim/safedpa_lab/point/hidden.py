@@ -10,9 +10,9 @@ import numpy as np
 
 from safedpa.dynamics import load_model
 from safedpa.records.run import Run, Stretch
-from safedpa_sim.point.point_model import ACTION_SCALE
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import centre_state, controls_of
+from safedpa_sim.point.point_model import ACTION_SCALE
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["HIDDEN", "HiddenPoint", "hide", "point_logs"]

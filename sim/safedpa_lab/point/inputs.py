@@ -25,8 +25,8 @@ from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.body_steps import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen
-from safedpa_sim.point.task import GOAL_REWARD, PointTask
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.task import GOAL_REWARD, PointTask
 
 __all__ = ["OBSERVATION_SCALE", "Inputs", "WayAhead", "entries_of", "inputs_of"]
 

@@ -14,10 +14,10 @@ from safedpa.networks import Weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.shield import Shield
-from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state
 from safedpa_sim.point.filtering import minimum_barrier
+from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["Moments", "drawn_moments"]

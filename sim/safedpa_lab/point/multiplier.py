@@ -8,10 +8,10 @@ With J what an episode costs of the policy as it is now, d the limit, after ever
                s <- 0.9 s + 0.1 (J - d)
 
 each cut at ``cap`` where there is one. Before anything is learned the cost is high for long: the integral winds up to
-many times what it would settle at, and the robots learn to be stationary. Who waits does not learn the weight while there
-is nothing to weigh the cost against. Source: Ray, Achiam, Amodei, Benchmarking Safe Exploration in Deep Reinforcement
-Learning, 2019 (integral); Stooke, Achiam, Abbeel, Responsive Safety in Reinforcement Learning by PID Lagrangian
-Methods, ICML 2020.
+many times what it would settle at, and the robots learn to be stationary. Who waits does not learn the weight while
+there is nothing to weigh the cost against. Source: Ray, Achiam, Amodei, Benchmarking Safe Exploration in Deep
+Reinforcement Learning, 2019 (integral); Stooke, Achiam, Abbeel, Responsive Safety in Reinforcement Learning by PID
+Lagrangian Methods, ICML 2020.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     a = F(w, x, z),   w ~ N(pi(o), sigma)
 
-PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of policy and
-filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every training with
-these inputs; nothing is taken off for a step in a hazard. No one is reported the wind.
+PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of
+policy and filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every
+training with these inputs; nothing is taken off for a step in a hazard. No one is reported the wind.
 """
 
 from __future__ import annotations

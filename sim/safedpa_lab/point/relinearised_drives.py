@@ -18,11 +18,11 @@ from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.free_model import FreeModel, load_free
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.point_model import ACTION_SCALE, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.point_model import ACTION_SCALE, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.task import PointTask
 
 __all__ = [
     "NETWORKS",
@@ -92,9 +92,9 @@ def windy(thrust: str, towards: FloatArray, force: float, seed: int) -> PointTas
 def nominal_policy_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) -> NominalPolicy:
     """Nominal actions (robots, 2) in [-1, 1] over the range of commands, one of ``NOMINAL_KINDS``.
 
-    The policy was trained with the clean thrust. Of the stock one it requests the command that pushes alike, a twentieth
-    of the clean one's: the map is one to one up to the full push, and every command beyond it pushes no harder. A
-    disturbance knows nothing of that: 95 of 100 stock ones saturate.
+    The policy was trained with the clean thrust. Of the stock one it requests the command that pushes alike, a
+    twentieth of the clean one's: the map is one to one up to the full push, and every command beyond it pushes no
+    harder. A disturbance knows nothing of that: 95 of 100 stock ones saturate.
     """
     from safedpa_sim.point.latent_policy import LatentPolicy
 
@@ -121,7 +121,8 @@ def nominal_policy_of(name: str, thrust: str, task: PointTask, folder: Path, see
 @final
 @dataclass
 class FilteredDriver:
-    """A nominal action through a filter, with the errors of what it predicts: a driver as ``safedpa_lab.point.driven`` has it."""
+    """A nominal action through a filter, with the errors of what it predicts: a driver as ``safedpa_lab.point.driven``
+    has it."""
 
     task: PointTask
     model: ActionModel

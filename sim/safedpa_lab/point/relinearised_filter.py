@@ -1,8 +1,8 @@
 """The point robots' filter on a model that is not affine in the action: taken as affine about one action, or again.
 
-About the nominal action what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
-own action: decide, take the model again about what was decided, decide again; then the error goes where the action
-settles.
+About the nominal action what passes is judged without an error of the linearisation; what is corrected is not. About
+the filter's own action: decide, take the model again about what was decided, decide again; then the error goes where
+the action settles.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.action_models import ActionModel
-from safedpa_sim.point.point_model import PointPrediction
 from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, around_hazards, minimum_barrier
+from safedpa_sim.point.point_model import PointPrediction
 
 __all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
 
@@ -75,11 +75,11 @@ class RelinearisedFilter:
     def _settled(
         self, state: FloatArray, nominal: FloatArray, hazards: FloatArray, model: ActionModel, believed: PointPrediction
     ) -> FilteredActions:
-        """A nominal action that passes by the model itself passes; others are decided about no action, then about what was
-        decided.
+        """A nominal action that passes by the model itself passes; others are decided about no action, then about what
+        was decided.
 
-        About no action first: about a saturated nominal action the thrust has no slope, so that no correction is found. What
-        could not be solved, or falls short by the model itself, replaces only what is worse.
+        About no action first: about a saturated nominal action the thrust has no slope, so that no correction is found.
+        What could not be solved, or falls short by the model itself, replaces only what is worse.
         """
         action, relaxed = nominal.copy(), np.zeros(len(nominal), bool)
         everybody = np.arange(len(nominal))

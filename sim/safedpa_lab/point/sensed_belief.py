@@ -21,8 +21,8 @@ from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.baseline_set import SHIPPED
 from safedpa_lab.point.beliefs import PROBES, motion_of, scale_of
-from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction
 from safedpa_sim.point.body_steps import centre_state, put_state
+from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction
 from safedpa_sim.point.sensor_state import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa_lab.point.beliefs import from_task_action
-from safedpa_sim.point.point_model import SimulatedPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
+from safedpa_sim.point.point_model import SimulatedPointModel, to_task_action
 from safedpa_sim.point.policy_task import EPSILON
 from safedpa_sim.point.task import PointTask
 

@@ -14,6 +14,8 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
 from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
 from safedpa_lab.point.weights import weights_named
+from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.filtering import FilteredActions, PointFilter
 from safedpa_sim.point.point_model import (
     ACTION_SCALE,
     AbstractPointModel,
@@ -21,8 +23,6 @@ from safedpa_sim.point.point_model import (
     SimulatedPointModel,
     to_task_action,
 )
-from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import FilteredActions, PointFilter
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "shield_of"]

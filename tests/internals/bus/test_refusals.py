@@ -36,7 +36,7 @@ def test_lines_that_were_passed_over_are_reported_once_a_second_and_only_where_t
 
     class File:
         @property
-        def passed_over(self) -> int:
+        def skipped(self) -> int:
             return passed_over[looks[0] - 1]
 
         def lines(self) -> list[str]:

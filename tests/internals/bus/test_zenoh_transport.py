@@ -79,7 +79,7 @@ def test_the_links_of_the_named_sessions_are_cut_off_where_they_have_a_port(
     ends = {LINKS[name][2] for name in sessions & set(LINKS)} - {None}
     assert transport.cut_off(sessions) == len(ends)
     assert asked == ([ends] if ends else [])
-    assert transport._far_ends() == {end for _, _, end in LINKS.values()} - {None}
+    assert transport._peer_addresses() == {end for _, _, end in LINKS.values()} - {None}
 
 
 def test_signs_of_life_are_waited_for_a_second_and_each_is_named_once(transport: Any) -> None:

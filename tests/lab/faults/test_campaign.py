@@ -159,7 +159,8 @@ class Script:
     lost: list[tuple[int, int]] = field(default_factory=list)
 
     def fault(self, name: str = "kill policy", seconds: float = 10 * PERIOD, **changes: Any) -> Fault:
-        """A fault that notes when it struck and was corrected; one with a capital wants the stand-in for a diagnosis."""
+        """A fault that notes when it struck and was corrected; one with a capital wants the stand-in for a
+        diagnosis."""
         return Fault(
             name, "it is killed", strike=lambda _: self._strike(name), repair=lambda _: self.corrected.append(self.now),
             seconds=seconds, diagnosis="ready" if name.isupper() else "real", **{"recovers_within": 5.0, **changes},

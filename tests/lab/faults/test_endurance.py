@@ -45,7 +45,8 @@ def life(name: str, pid: int, begin: float, mib: list[float], handles: int = 9) 
          [Retained(name, 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)) for name in ("policy", "robot")]),
         # a process with the pid of an earlier one is not as old as that one
         ([*life("policy", 7, 0.0, [5.0] * 4), *life("robot", 7, 100.0, [1.0, 1.0, 1.0, 8.0])],
-         [Retained("policy", 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)), Retained("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))]),
+         [Retained("policy", 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)),
+          Retained("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))]),
     ],
 )  # fmt: skip
 def test_processes_are_summed_up_by_name(samples: list[Sample], retained: list[Retained]) -> None:

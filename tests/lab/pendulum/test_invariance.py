@@ -48,7 +48,8 @@ def test_a_torque_is_always_left(edges: tuple[float, float]) -> None:
 @settings(max_examples=300, deadline=None)
 @given(share, share, st.floats(0.0, 2 * np.pi), st.sampled_from([BALANCING, LONG_WAY_ROUND]))
 def test_the_filter_that_knows_the_wind_keeps_every_state(angle, ahead, direction, edges) -> None:
-    """From anywhere in the set, whatever action is requested: the next state is in the set, and the filter did not give way.
+    """From anywhere in the set, whatever action is requested: the next state is in the set, and the filter did not give
+    way.
 
     A state on the edge may lie outside by its last digit; then the filter says so, and the next state is in the set.
     """

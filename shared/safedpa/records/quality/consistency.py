@@ -139,9 +139,7 @@ def drive_findings(rows: RawRows, stretches: list[Stretch], system: System) -> l
     return found
 
 
-def _correlate(
-    rows: RawRows, stretches: list[Stretch], action: FloatArray, system: System, driven: str
-) -> float:
+def _correlate(rows: RawRows, stretches: list[Stretch], action: FloatArray, system: System, driven: str) -> float:
     """Partial correlation of the derivative of a state with an earlier action."""
     at = system.state_names.index(driven)
     slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)

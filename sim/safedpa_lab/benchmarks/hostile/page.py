@@ -86,8 +86,8 @@ def _offers(result: Mapping[str, Any]) -> list[str]:
         f"{found['offers']} offers in turn, one in 0.1 s, in every other five seconds of one drive. One that is too "
         "long is refused in the tick in which it is heard; the rest is tried apart, behind everybody else, and a newer "
         "offer to the same robot takes its place. A tick in which the attacker missed the state is not counted. By the "
-        "machine: next to the fleet a loop on each core does nothing but wake up in time, before everything else; where "
-        "it did not run for half a period either, the tick is late by the machine."
+        "machine: next to the fleet a loop on each core does nothing but wake up in time, before everything else; "
+        "where it did not run for half a period either, the tick is late by the machine."
     )
     return [reported, "", *late, "", *answers]
 

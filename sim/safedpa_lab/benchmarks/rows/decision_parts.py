@@ -30,7 +30,7 @@ def measure(effort: Effort) -> Row:
     notes = (
         "an outcome: model and barriers at one action, and what its conditions miss; a decision needs six on average",
         "the conditions linearised: slopes of model and barriers, and rows of the program; the program is posed twice",
-        "the search: program, outcomes and slopes until all conditions are satisfied; then back towards the nominal action",
+        "the search: program, outcomes and slopes until all conditions are satisfied; then back to the nominal action",
         "parts are asked one by one from Python, whose calls they pay: their sum is more than the whole",
     )
     return Row(

@@ -53,7 +53,7 @@ EXPERIMENTS = (
             ),
             Parameter("--drives", type=click.IntRange(1, None), default=20, show_default=True, help="number of scenes"),
             Parameter(
-                "--beside",
+                "--parallel",
                 type=click.IntRange(1, 8),
                 default=1,
                 show_default=True,

@@ -33,7 +33,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment demo``: each drive is a separate process, in real time."""
     seeds = range(options["seed"], options["seed"] + options["drives"])
     drives: list[dict[str, Any]] = []
-    with ThreadPoolExecutor(options["beside"]) as pool:
+    with ThreadPoolExecutor(options["parallel"]) as pool:
         for drive in pool.map(partial(_drive, folder=options["recordings"]), seeds):
             drives.append(drive)
             report_progress(len(drives), len(seeds))
@@ -41,7 +41,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         "experiment": "demo",
         "date": datetime.date.today().isoformat(),
         "seeds": [seeds.start, seeds.stop - 1],
-        "alongside": options["beside"],
+        "alongside": options["parallel"],
         "wanted": {"fall": _WANTED_FALL, "way_after_m": _WANTED_WAY, "longest_stand_unsaid_s": _LONGEST_UNSAID},
         "drives": len(drives),
         **{step: sum(drive[step] for drive in drives) for step in _STEPS},

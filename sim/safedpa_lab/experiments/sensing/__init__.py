@@ -66,7 +66,11 @@ EXPERIMENTS = (
                 "also drive with other projects' collision monitors, and without any",
                 default=True,
             ),
-            switch("--told/--not-told", "also drive with perfect knowledge, for comparison", default=True),
+            switch(
+                "--perfect-knowledge/--no-perfect-knowledge",
+                "also drive with perfect knowledge, for comparison",
+                default=True,
+            ),
             switch("--hiding/--no-hiding", "also drive with perfect knowledge of all visible objects", default=False),
             repeated(
                 "--scene",

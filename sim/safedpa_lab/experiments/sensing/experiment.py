@@ -217,7 +217,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment sensing``. Raises InputError for an assumed speed of hidden people beyond 1.5 m/s."""
     if not 0.0 <= options["coming"] <= 1.5:
         raise InputError(f"--coming: got {options['coming']}, wanted 0 to 1.5 m/s")
-    wanted = {"reported": options["told"], "reported-but-hiding": options["hiding"]}
+    wanted = {"reported": options["perfect_knowledge"], "reported-but-hiding": options["hiding"]}
     others = [guard for guard in GUARDS[1:] if wanted.get(guard, options["peers"])]
     found = sensing_experiment(
         seeds_of(options),
