@@ -2,8 +2,8 @@
 
 A promise is a paragraph, an item of a list or a table in which a number stands, or a word that leaves no exception. It
 is covered by a test or a command that is named in it, or in a remark below it that a reader of the page does not see:
-``<!-- held: tests/safety/test_verdict.py::test_it, safedpa experiment safety -->``. A remark right below a heading is
-said of everything below it that has none of its own. What only sounds like a promise says so: ``<!-- no
+``<!-- held: tests/safety/test_verdict.py::test_it, safedpa experiment safety -->``. A remark right below a heading
+applies to everything below it that has none of its own. What only sounds like a promise says so: ``<!-- no
 promise: what the reader does himself -->``.
 """
 

@@ -31,9 +31,7 @@ def test_a_command_of_another_distribution_runs(stranger: Path, capsys: pytest.C
 
 
 @pytest.mark.parametrize(("name", "notice"), [("gone", "reinstall stranger"), ("odd", "wanted a click command")])
-def test_a_broken_one_costs_one_line(
-    name: str, notice: str, stranger: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_one_costs_one_line(name: str, notice: str, stranger: Path, capsys: pytest.CaptureFixture[str]):
     assert stranger.exists()
     assert safedpa.run([name]) == 2
     line = capsys.readouterr().err
@@ -49,9 +47,7 @@ def test_help_lists_every_command_whatever_a_stranger_broke(stranger: Path, caps
     assert {*COMMANDS, *LABORATORY, "hello", "gone"} <= listed
 
 
-def test_without_the_laboratory_its_commands_say_how_to_get_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_laboratory_its_commands_say_how_to_get_it(monkeypatch, capsys):
     monkeypatch.setattr("safedpa_services.command_line.group.entry_points", lambda **_: ())
     for name in LABORATORY:
         assert safedpa.run([name]) == 2

@@ -90,9 +90,7 @@ def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_report
 @pytest.mark.parametrize(
     ("schemas", "sound", "code"), [("false", "false", 0), ("true", "true", 0), ("true", "false", 1)]
 )
-def test_manifests_fail_where_they_are_wrong_and_not_where_no_one_can_report(
-    tmp_path: Path, schemas: str, sound: str, code: int
-) -> None:
+def test_manifests_fail_where_they_are_wrong_and_not_where_no_one_can_report(tmp_path, schemas, sound, code):
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("manifests() {")
     function = text[begin : text.index("\n}\n", begin) + 3]

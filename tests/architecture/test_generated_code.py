@@ -66,9 +66,7 @@ print(rows_of(pattern_of(parts), 4).__module__)
     assert answers[0][1] != answers[1][1] == "safedpa.robots.car.generated_barriers"
 
 
-def test_a_generated_module_that_cannot_import_something_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_generated_module_that_cannot_import_something_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "generated_broken.py").write_text("import no_such_module", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     assert generated("generated_nowhere") == {}

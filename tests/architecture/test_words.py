@@ -31,7 +31,7 @@ WORDS = re.compile(rf"\b({'|'.join(DICTIONARY)})\b", re.IGNORECASE)
 PHRASES = re.compile("|".join(f"(?:{phrase})" for phrase in LIST["phrases"]), re.IGNORECASE)
 PARTS = {*DICTIONARY, *LIST["identifiers"]}
 SAFETY_PARTS = PARTS | set(LIST["safety"])
-NAMES = re.compile(r"(?:``[^`]+``|`[^`]+`|https?://\S+)")
+NAMES = re.compile(r"(?:``[^`\n]+``|`[^`\n]+`|https?://\S+)")
 
 
 def parts(name: str) -> list[str]:

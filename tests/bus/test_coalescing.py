@@ -104,9 +104,7 @@ def test_an_inbox_that_makes_batches_takes_all_that_was_gathered(samples: dict[s
     assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["d", "e"]
 
 
-def test_a_batch_is_not_taken_before_its_quantum_is_over(
-    samples: dict[str, Message], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_batch_is_not_taken_before_its_quantum_is_over(samples: dict[str, Message], monkeypatch: pytest.MonkeyPatch):
     inbox = Inbox()
     retained = Retained(inbox)
     inbox.fill_from(retained)
@@ -156,9 +154,7 @@ class TestZenohGathers:
         one.close()
         other.close()
 
-    def test_nothing_is_lost_nor_twice_on_the_way_to_batches_and_back(
-        self, pair: tuple[AbstractTransport, AbstractTransport]
-    ) -> None:
+    def test_nothing_is_lost_nor_twice_on_the_way_to_batches_and_back(self, pair):
         sender, receiver = pair
         heard: list[bytes] = []
         subscription = receiver.subscribe(self.KEY, lambda _key, payload: heard.append(payload))

@@ -109,9 +109,7 @@ def test_numbers_of_numpy_are_sent_as_numbers(samples: dict[str, Message]) -> No
 
 @pytest.mark.parametrize("road", [decode, decode_by_field])
 @pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
-def test_wrong_values_are_refused_by_the_name_of_the_field(
-    kind: type[Message], field: dataclasses.Field[Any], road: Callable[..., Any], samples: dict[str, Message]
-) -> None:
+def test_wrong_values_are_refused_by_the_name_of_the_field(kind, field, road, samples):
     good = table_of(next(message for message in samples.values() if type(message) is kind))
     wanted = rf"^{kind.__name__}\.{field.name}: got .*, wanted {WANTED[str(field.type)]}"
     for wrong in WRONG[str(field.type)]:
@@ -134,9 +132,7 @@ def test_values_just_within_the_limits_are_taken(road: Callable[..., Any], sampl
 
 
 @pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
-def test_a_missing_field_is_refused_unless_it_has_a_default(
-    kind: type[Message], field: dataclasses.Field[Any], samples: dict[str, Message]
-) -> None:
+def test_a_missing_field_is_refused_unless_it_has_a_default(kind, field, samples):
     table = table_of(next(message for message in samples.values() if type(message) is kind))
     del table[field.name]
     if field.default is dataclasses.MISSING:
@@ -183,9 +179,7 @@ def test_a_question_is_short_and_an_answer_holds_two_models_with_their_margins()
 
 @pytest.mark.parametrize("road", [decode, decode_by_field])
 @pytest.mark.parametrize("number", [-LARGEST_NUMBER, LARGEST_NUMBER, int(LARGEST_NUMBER), -int(LARGEST_NUMBER), 1, 0])
-def test_on_both_roads_the_largest_number_is_carried_as_a_float(
-    road: Callable[..., Any], number: float, samples: dict[str, Message]
-) -> None:
+def test_on_both_roads_the_largest_number_is_carried_as_a_float(road, number, samples):
     kind, good = TOPICS["action"].message, table_of(samples["action"])
     for values in ([number], [number, 0.5], [0.5, number]):
         message = road(kind, msgpack.packb({**good, "values": values, "robot_time": number}))

@@ -15,9 +15,7 @@ def linked(transport: ZenohTransport, count: int) -> set[str]:
     return found
 
 
-def test_a_guest_from_the_network_is_cut_off_and_one_at_the_socket_of_this_user_is_not(
-    free_port: int, tmp_path: Path
-) -> None:
+def test_a_guest_from_the_network_is_cut_off_and_one_at_the_socket_of_this_user_is_not(free_port: int, tmp_path: Path):
     """A socket in a folder has a path and no port. Anyone who ends what is expired names both, and the one is ended."""
     doors = (f"tcp/127.0.0.1:{free_port}", f"unixsock-stream/{tmp_path}/bus")
     listening = ZenohTransport(ZenohSettings("router", doors))

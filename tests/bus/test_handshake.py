@@ -125,9 +125,7 @@ def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state
     assert node.reported == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
 
 
-def test_without_a_diagnosis_other_services_report_the_agreed_model(
-    service: Any, memory_bus: Any, state_at: Any, samples: Any
-) -> None:
+def test_without_a_diagnosis_other_services_report_the_agreed_model(service, memory_bus, state_at, samples):
     node, loop, robot = service
     memory_bus().answer_agreed(lambda name: None)
     memory_bus().answer_agreed(lambda name: Answer(ok=True, sentence="", fingerprint=f"of {name}"))
@@ -146,9 +144,7 @@ def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samp
     assert node.reported == [("r", None), ("r", 0, True)]
 
 
-def test_messages_that_came_while_it_waited_are_not_lost(
-    broker: Any, clock: Clock, state_at: Any, samples: Any
-) -> None:
+def test_messages_that_came_while_it_waited_are_not_lost(broker: Any, clock: Clock, state_at: Any, samples: Any):
     node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
     loop, robot = ServiceLoop(node, bus, clock=clock), Bus(MemoryTransport(broker), "test")
     for tick in range(2):
@@ -181,9 +177,7 @@ def received(topic: Topic, message: Any, robot: str = "r") -> ReceivedMessage:
 
 
 @pytest.mark.parametrize(("answered_at", "served_at"), [(0.0, 0.0), (0.5, 0.5), (None, 0.9)])
-def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
-    answered_at: float | None, served_at: float, state_at: Any, samples: Any, clock: Clock
-) -> None:
+def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(answered_at, served_at, state_at, samples, clock):
     """The newest message of each topic waits, the state first; later messages do not wait, until the robot leaves."""
     node, bus, inbox = Curious(), Asked(), Inbox()
     handshake_ = ModelHandshake(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
@@ -248,9 +242,7 @@ def test_a_node_that_holds_no_model_asks_for_none(broker: Any, clock: Clock, sta
     assert node.reported == [("r", 0, True)]
 
 
-def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(
-    service: Any, memory_bus: Any, state_at: Any, samples: Any
-) -> None:
+def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(service, memory_bus, state_at, samples):
     node, loop, robot = service
     for change in (1, 13, 2):
         robot.publish(MODEL, "r", dataclasses.replace(samples["model"], change=change, tick=0))

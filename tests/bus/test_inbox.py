@@ -67,9 +67,7 @@ def test_both_kinds_come_out_oldest_first(samples: dict[str, Message]) -> None:
     sent=some.lists(some.tuples(some.sampled_from("abc"), some.integers(1, 9)), max_size=40),
     longest=some.integers(1, 8),
 )
-def test_a_full_queue_loses_the_oldest_message_of_the_key_with_most_bytes(
-    sent: list[tuple[str, int]], longest: int
-) -> None:
+def test_a_full_queue_loses_the_oldest_message_of_the_key_with_most_bytes(sent: list[tuple[str, int]], longest: int):
     """A sender of floods loses its own messages, and what is left comes out in order."""
     inbox, waiting, lost = Inbox(longest_queue=longest), list[tuple[str, bytes]](), 0
     for number, (robot, size) in enumerate(sent):
@@ -125,9 +123,7 @@ def padded(message: Message, size: int) -> bytes:
 
 
 @pytest.mark.parametrize("name", TOPICS)
-def test_the_longest_message_of_a_topic_is_received_and_a_longer_one_refused(
-    name: str, samples: dict[str, Message]
-) -> None:
+def test_the_longest_message_of_a_topic_is_received_and_a_longer_one_refused(name: str, samples: dict[str, Message]):
     """Of one that is far too large no more is kept than shows that it is too large."""
     topic, message = TOPICS[name], samples[name]
     key = f"safedpa/f/r/{name}" + (f"/{getattr(message, 'service', '')}" if topic.per_service else "")

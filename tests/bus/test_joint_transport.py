@@ -101,9 +101,7 @@ class Reading:
         return decode(kind, payload)
 
 
-def sent_to_several(
-    services: int, entries: Sequence[tuple[str, bytes]], **options: Any
-) -> tuple[Reading, list[list[ReceivedMessage | RejectedMessage]]]:
+def sent_to_several(services: int, entries: Sequence[tuple[str, bytes]], **options: Any):
     """What so many services of one process take of a bundle of states."""
     broker, reading = MemoryBroker(), Reading()
     joint = JointTransport(MemoryTransport(broker), INSIDE)

@@ -111,9 +111,7 @@ STORIES: dict[str, tuple[list[Any], str, str | None, list[tuple[str, int, str]],
 
 
 @pytest.mark.parametrize(("steps", "in_force", "prepared", "answers", "loads"), STORIES.values(), ids=list(STORIES))
-def test_each_message_takes_a_change_one_step_on(
-    steps: list[Any], in_force: str, prepared: str | None, answers: list[Any], loads: list[str], story: Story
-) -> None:
+def test_each_message_takes_a_change_one_step_on(steps, in_force, prepared, answers, loads, story):
     assert story.play(*steps) == answers
     assert (story.versions.of("r"), story.versions.prepared("r")) == (in_force, prepared)
     assert story.versions.fingerprint("r") == (NEW if in_force == "new" else OLD)
@@ -130,9 +128,7 @@ messages = some.builds(
 
 
 @given(sent=some.lists(messages, max_size=12))
-def test_a_model_comes_into_force_only_by_a_take_of_what_was_ready(
-    sent: list[ModelMessage], samples: dict[str, StateMessage]
-) -> None:
+def test_a_model_comes_into_force_only_by_a_take_of_what_was_ready(sent, samples):
     story, ready, takes = Story(samples["state"]), {(0, OLD)}, list[tuple[int, str]]()
     for tick, one in enumerate(sent):
         before = story.versions.fingerprint("r")
@@ -201,9 +197,7 @@ def test_an_offer_that_fails_its_trial_is_refused_and_never_loaded(problem: str,
 
 @pytest.mark.parametrize("longer", [0, 1])
 @pytest.mark.parametrize("part", ["document", "margin"])
-def test_an_offer_that_is_longer_than_the_limit_is_not_even_tried(
-    part: str, longer: int, story: Story, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_offer_that_is_longer_than_the_limit_is_not_even_tried(part, longer, story, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LIMITS", "offer_bytes=10")
     ticket = tried(story, {})
     ((state, _, reason),) = story.play(message("offer", **{part: "x" * (10 + longer)}))
@@ -219,9 +213,7 @@ def test_the_model_in_force_needs_no_trial(story: Story) -> None:
 @pytest.mark.parametrize(
     ("lockstep", "after", "answered"), [(False, 0.0, 0), (False, 0.009, 0), (False, 0.0101, 1), (True, 0.0, 1)]
 )
-def test_after_a_load_the_loop_has_as_long_for_other_work(
-    lockstep: bool, after: float, answered: int, story: Story
-) -> None:
+def test_after_a_load_the_loop_has_as_long_for_other_work(lockstep: bool, after: float, answered: int, story: Story):
     """In lockstep the robot waits, and so may the loop."""
     tried(story, {}, {})
     story.play(OFFER)
@@ -257,9 +249,7 @@ def test_a_status_without_a_model_changes_nothing(answer: Answer | None, story: 
     ],
     ids=["no change under way", "not offered yet", "offered", "to be taken", "taken, and still reported"],
 )
-def test_a_restarted_service_begins_with_the_model_that_was_agreed_on(
-    more: dict[str, Any], change: int, loads: list[str], story: Story
-) -> None:
+def test_a_restarted_service_begins_with_the_model_that_was_agreed_on(more, change, loads, story):
     """The number of the change belongs to the model in force only while no other change is under way."""
     story.versions.adopt_model("r", status(**more))
     agreed = story.versions.agreed("r")
@@ -269,9 +259,7 @@ def test_a_restarted_service_begins_with_the_model_that_was_agreed_on(
 
 
 @pytest.mark.parametrize(("pending", "in_force"), [("take", "new"), ("offer", "agreed")])
-def test_a_restarted_service_takes_a_change_that_is_under_way_with_the_others(
-    pending: str, in_force: str, story: Story
-) -> None:
+def test_a_restarted_service_takes_a_change_that_is_under_way_with_the_others(pending, in_force, story):
     story.versions.adopt_model("r", status(pending=pending, **PENDING))
     assert story.answers()[0] == ("ready", 5, "")
     assert [story.versions.begin("r", story.at(tick)) for tick in (9, 10)] == [False, pending == "take"]

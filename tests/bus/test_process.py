@@ -150,9 +150,7 @@ def test_a_second_signal_ends_it_at_once(number: signal.Signals, free_port: int)
 
 
 @pytest.mark.parametrize("reason", ["SIGTERM", ""])
-def test_the_log_says_why_a_service_ends_and_the_first_reason_counts(
-    reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_log_says_why_a_service_ends_and_the_first_reason_counts(reason: str, capsys: pytest.CaptureFixture[str]):
     stop = StopSignal()
     with log_lifetime("policy", stop):
         for why in (reason, "a later one") if reason else ():
@@ -221,9 +219,7 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
         (("--fault", "router"), "no router", 75),
     ],
 )
-def test_bad_input_is_reported_in_one_line_and_a_failed_join_may_be_tried_again(
-    options: tuple[str, ...], sentence: str, code: int
-) -> None:
+def test_bad_input_is_reported_in_one_line_and_a_failed_join_may_be_tried_again(options, sentence, code):
     with started(*options) as process:
         output, errors = process.communicate(timeout=60)
         assert process.returncode == code

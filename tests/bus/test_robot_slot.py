@@ -34,9 +34,7 @@ def test_the_newest_input_of_the_epoch_is_kept(heard: list[tuple[int, int]], sta
 
 
 @given(tick=ticks, epoch=epochs, lockstep=some.booleans(), slack=some.integers(0, 3))
-def test_an_input_completes_its_tick_or_in_real_time_one_within_the_slack(
-    tick: int, epoch: int, lockstep: bool, slack: int, state_of: StateAt
-) -> None:
+def test_an_input_completes_its_tick_or_in_real_time_one_within_the_slack(tick, epoch, lockstep, slack, state_of):
     """An input that completes no tick is given as stale, with its age; the topic itself allows a latent no age."""
     slot = slot_at(state_of(lockstep=lockstep))
     assert slot.is_complete((), {})

@@ -90,17 +90,13 @@ def test_a_work_has_five_seconds_of_processor_and_a_gibibyte_and_writes_no_file(
     ],
     ids=lambda value: str(value)[:24],
 )
-def test_the_outcome_of_a_work_or_its_error_is_reported_in_one_line(
-    work: Any, outcome: dict[str, Any], shared: JobProcess
-) -> None:
+def test_the_outcome_of_a_work_or_its_error_is_reported_in_one_line(work, outcome, shared):
     """The next work is done all the same, also where a work goes on after its answer."""
     assert outcome_of(shared, work) == outcome
     assert outcome_of(shared, "next") == {"document": "next"}
 
 
-def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(
-    apart: JobProcess, clock: Clock
-) -> None:
+def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(apart: JobProcess, clock: Clock):
     """A work that waited behind it is reported at once, and does not end the process that is started next."""
     first, second, process = apart.submit(("sleep", 600.0)), apart.submit("short"), apart.pid
     clock.now += 19.9
@@ -113,18 +109,14 @@ def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(
     assert apart.pid != process
 
 
-def test_waiting_for_an_outcome_ends_after_twenty_seconds(
-    apart: JobProcess, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_waiting_for_an_outcome_ends_after_twenty_seconds(apart, clock, monkeypatch):
     ticket = apart.submit(("sleep", 600.0))
     monkeypatch.setattr(time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
     assert ticket.outcome(wait=True) == {"problem": "it could not be tried within 20 s"}
     assert 120.0 <= clock.now < 120.1
 
 
-def test_a_process_that_does_not_read_delays_the_loop_by_milliseconds(
-    apart: JobProcess, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_does_not_read_delays_the_loop_by_milliseconds(apart, clock, monkeypatch):
     apart.submit(("sleep", 600.0))
     monkeypatch.setattr(time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
     large = apart.submit("x" * (8 << 20))

@@ -150,9 +150,7 @@ def test_messages_from_many_threads_at_once_are_each_answered_once(state_at: Cal
     assert sorted(heard) == sorted((robot, tick) for robot in robots for tick in range(ticks))
 
 
-def test_a_node_prepares_once_while_its_inputs_are_missing(
-    state_at: Callable[..., StateMessage],
-) -> None:
+def test_a_node_prepares_once_while_its_inputs_are_missing(state_at: Callable[..., StateMessage]):
     broker = MemoryBroker()
     node, bus = FixedPolicy(), Bus(MemoryTransport(broker), "f")
     node.inputs = (LATENT, ACTION)  # type: ignore[assignment]
@@ -209,9 +207,7 @@ class Loop:
     ("needed", "turned"),
     [((0.0, 0.0), 0.0), ((1.0, 0.0), 1.0), ((0.0, 1.0), 1.0), ((9.0, 0.0), 5.0), ((9.0, 9.0), 5.0)],
 )
-def test_at_the_end_loops_are_turned_until_none_is_needed_and_five_seconds_at_most(
-    needed: tuple[float, float], turned: float
-) -> None:
+def test_at_the_end_loops_are_turned_until_none_is_needed_and_five_seconds_at_most(needed, turned):
     """Until then it looks four times a second whether it shall end; at the end it turns twenty times a second."""
     now, stops = [0.0], iter([False] * 4)
     loops: Any = [Loop(now, 100.0 + until, leads=not number) for number, until in enumerate(needed)]
@@ -230,9 +226,7 @@ def test_at_the_end_loops_are_turned_until_none_is_needed_and_five_seconds_at_mo
 
 
 @pytest.mark.parametrize(("quantum", "waiting", "served"), [(0.0, True, 3), (0.0, False, 0), (0.002, True, 0)])
-def test_a_thread_that_brings_a_message_serves_until_nothing_waits_unless_batches_are_made(
-    quantum: float, waiting: bool, served: int
-) -> None:
+def test_a_thread_that_brings_a_message_serves_until_nothing_waits_unless_batches_are_made(quantum, waiting, served):
     loop: Any = Loop([0.0], quantum=quantum)
 
     def stopped() -> bool:

@@ -81,8 +81,6 @@ def test_a_verdict_is_written_when_its_status_changes(book: Book, samples: dict[
         ("takeover", {"state": "refused", "reason": "no weights"}, ("model.refused", "no weights"), "warning"),
     ],
 )
-def test_a_step_of_a_change_is_written_with_its_reason(
-    topic: str, changes: dict[str, Any], event: tuple[str, str], level: str, book: Book, samples: dict[str, Message]
-) -> None:
+def test_a_step_of_a_change_is_written_with_its_reason(topic, changes, event, level, book, samples):
     book.written_of(samples[topic], **changes)
     assert (book.events, book.levels) == ([event], [level])

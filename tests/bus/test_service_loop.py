@@ -68,9 +68,7 @@ def test_a_repeated_tick_is_answered_again_by_the_same_output(lockstep: Fleet) -
     assert len(lockstep.node.steps) == 1
 
 
-def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_work_after_it(
-    state_at: StateAt, samples: dict[str, Message]
-) -> None:
+def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_work_after_it(state_at, samples):
     class Explaining(FixedPolicy):
         defers_afterwards: ClassVar = False
 
@@ -141,9 +139,7 @@ def test_a_heartbeat_counts_a_step_without_several_inputs_once_and_says_how_long
 
 
 @pytest.mark.parametrize(("lockstep", "age", "stepped"), [(False, 1, True), (False, 2, False), (True, 1, False)])
-def test_only_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
-    lockstep: bool, age: int, stepped: bool, state_at: StateAt
-) -> None:
+def test_only_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(lockstep, age, stepped, state_at):
     class Patient(FixedPolicy):
         slack: ClassVar = {LATENT: 1}
 
@@ -186,9 +182,7 @@ def test_late_and_foreign_inputs_change_nothing(real_time: Fleet) -> None:
 
 
 @pytest.mark.parametrize(("epoch", "tick"), [(EPOCH, 4), (EPOCH + 1, 9), (EPOCH - 1, 9)])
-def test_neither_an_older_state_nor_one_of_a_second_robot_replaces_the_newest(
-    epoch: int, tick: int, lockstep: Fleet
-) -> None:
+def test_neither_an_older_state_nor_one_of_a_second_robot_replaces_the_newest(epoch: int, tick: int, lockstep: Fleet):
     lockstep.state(5)
     lockstep.state(tick, epoch=epoch)
     lockstep.latent(tick, epoch=epoch)
@@ -338,9 +332,7 @@ def test_it_runs_until_it_is_stopped() -> None:
 
 
 @pytest.mark.parametrize(("rests", "silence", "needed"), [(False, 0.3, True), (False, 0.31, False), (True, 0.0, False)])
-def test_at_the_end_a_loop_is_needed_for_robots_that_speak_and_are_not_at_rest(
-    rests: bool, silence: float, needed: bool, state_at: StateAt
-) -> None:
+def test_at_the_end_a_loop_is_needed_for_robots_that_speak_and_are_not_at_rest(rests, silence, needed, state_at):
     class Driving(FixedPolicy):
         def at_rest(self, robot: str) -> bool:
             return rests
@@ -390,9 +382,7 @@ def test_work_that_can_wait_comes_after_a_tenth_of_the_period_and_gives_way_unti
     assert node.after == [pytest.approx(100.0 + at * period / 0.05, abs=6e-4)]
 
 
-def test_work_that_can_wait_is_done_before_the_next_tick_however_busy_the_bus_is(
-    state_at: StateAt, samples: dict[str, Message]
-) -> None:
+def test_work_that_can_wait_is_done_before_the_next_tick_however_busy_the_bus_is(state_at, samples):
     clock = Clock()
     node = Listening(clock)
     fleet = Fleet(state_at, lockstep=False, node=node, clock=clock)
@@ -457,9 +447,7 @@ class Taking(FixedPolicy):
 
 
 @pytest.mark.parametrize(("seconds", "together"), [(0.0, 6), (0.002, 3), (0.006, 1)])
-def test_an_action_waits_for_those_of_other_robots_five_milliseconds_at_most(
-    state_at: StateAt, seconds: float, together: int
-) -> None:
+def test_an_action_waits_for_those_of_other_robots_five_milliseconds_at_most(state_at, seconds, together):
     """Of six robots that speak at one moment; the work that can wait comes when all actions are on the bus."""
     clock = Clock()
     node = Taking(seconds, clock)
@@ -502,9 +490,7 @@ def test_everything_published_in_a_turn_is_on_the_bus_when_it_ends(real_time: Fl
 
 
 @pytest.mark.parametrize(("bundled", "keys"), [(False, {"r1", "r2"}), (True, {"+"})])
-def test_an_action_travels_alone_unless_the_state_came_in_a_bundle(
-    bundled: bool, keys: set[str], state_at: StateAt, samples: dict[str, Message]
-) -> None:
+def test_an_action_travels_alone_unless_the_state_came_in_a_bundle(bundled, keys, state_at, samples):
     """A robot that may not read what is sent to others never gets a bundle; who shows verdicts may."""
 
     class Deciding(FixedPolicy):
@@ -566,9 +552,7 @@ def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lo
 @pytest.mark.parametrize(
     ("heard", "tick", "consumed"), [(None, 5, (-1.0, 0.0)), (5, 5, (0.0, 7.5)), (4, 5, (1.0, 7.5)), (2, 5, (3.0, 0.0))]
 )
-def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(
-    heard: int | None, tick: int, consumed: tuple[float, float], state_at: StateAt
-) -> None:
+def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(heard, tick, consumed, state_at):
     """A stale input has its age alone, and one that never came the age -1."""
 
     class Patient(FixedPolicy):

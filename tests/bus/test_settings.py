@@ -1,7 +1,5 @@
 """How a process joins the network: what its settings become in Zenoh's configuration, and which are refused."""
 
-from typing import Any
-
 import pytest
 
 from safedpa.bus import ZenohSettings
@@ -51,9 +49,7 @@ def test_a_handshake_of_tls_ends_within_two_seconds() -> None:
         ("peer", (), (), "got certificates for a peer, wanted --mode client"),
     ],
 )
-def test_a_process_with_a_certificate_speaks_tls_through_a_router_only(
-    mode: Any, listen: tuple[str, ...], connect: tuple[str, ...], refused: str
-) -> None:
+def test_a_process_with_a_certificate_speaks_tls_through_a_router_only(mode, listen, connect, refused):
     assert ZenohSettings(mode, listen, connect).certificates is None
     if refused:
         with pytest.raises(BusError, match=f"^bus: {refused}"):
@@ -103,9 +99,7 @@ def test_an_endpoint_that_other_machines_reach_without_tls_is_plain_text(endpoin
 @pytest.mark.parametrize(
     ("settings", "finds"), [(ZenohSettings(), True), (HERE, False), (CLIENT, False), (ROUTER, False)]
 )
-def test_only_a_peer_without_endpoints_looks_for_others_and_only_on_this_machine(
-    settings: ZenohSettings, finds: bool
-) -> None:
+def test_only_a_peer_without_endpoints_looks_for_others_and_only_on_this_machine(settings: ZenohSettings, finds: bool):
     configuration = settings.configuration()
     assert configuration["scouting/multicast/enabled"] is finds
     assert configuration["scouting/multicast/interface"] == "lo"

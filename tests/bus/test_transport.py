@@ -114,9 +114,7 @@ class TransportContract(ABC):
         other.close()
         assert until(lambda: one.alive("safedpa/f/*/alive/policy/*") == [])
 
-    def test_after_close_nothing_is_heard_and_nothing_can_be_sent(
-        self, pair: tuple[AbstractTransport, AbstractTransport]
-    ) -> None:
+    def test_after_close_nothing_is_heard_and_nothing_can_be_sent(self, pair):
         sender, receiver = pair
         heard, witness = Heard(), Heard()
         receiver.subscribe("safedpa/f/r/state", heard)
@@ -143,9 +141,7 @@ class TransportContract(ABC):
         other.claim("r", "robot", "a")
         assert other.instances("r", "robot") == ["a"]
 
-    def test_a_name_cannot_be_held_by_one_that_was_there_second(
-        self, pair: tuple[AbstractTransport, AbstractTransport]
-    ) -> None:
+    def test_a_name_cannot_be_held_by_one_that_was_there_second(self, pair):
         """The first one announced itself between the second one's two looks: the lower instance must not win then."""
         first, second = Bus(pair[0], "f"), Bus(pair[1], "f")
 
@@ -171,9 +167,7 @@ class TransportContract(ABC):
         Both(pair[0], "f").claim("r", "robot", "a", settle_seconds=PATIENCE)
         assert until(lambda: lower.instances("r", "robot") == ["a"])
 
-    def test_of_two_that_claim_at_once_the_higher_leaves_at_once(
-        self, pair: tuple[AbstractTransport, AbstractTransport]
-    ) -> None:
+    def test_of_two_that_claim_at_once_the_higher_leaves_at_once(self, pair):
         """If both waited for each other, both would leave in the end, and no one would be there."""
         lower, higher = Bus(pair[0], "f"), Bus(pair[1], "f")
 
@@ -221,9 +215,7 @@ class TransportContract(ABC):
         assert malformed is not None
         assert b"Request: no msgpack" in malformed
 
-    def test_messages_travel(
-        self, pair: tuple[AbstractTransport, AbstractTransport], samples: dict[str, Message]
-    ) -> None:
+    def test_messages_travel(self, pair: tuple[AbstractTransport, AbstractTransport], samples: dict[str, Message]):
         one, other = Bus(pair[0], "f"), Bus(pair[1], "f")
         inbox = other.inbox((STATE,))
 

@@ -84,9 +84,7 @@ def test_one_fleet_one_authority(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (("--fleet", "*"), "name '*'"),
     ],
 )
-def test_what_cannot_be_is_refused(
-    arguments: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_refused(arguments, sentence, tmp_path, capsys):
     assert called(str(tmp_path / "made"), *arguments) == 2
     error = capsys.readouterr().err
     assert sentence in error

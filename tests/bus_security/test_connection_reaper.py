@@ -168,9 +168,7 @@ def test_only_connections_to_the_guarded_port_are_cut_off(door: Door, tmp_path: 
             assert accepted.recv(10) == b"still here"
 
 
-def test_strangers_are_looked_for_ten_times_a_second_and_reported_once_a_second(
-    watched: Door, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_strangers_are_looked_for_ten_times_a_second_and_reported_once_a_second(watched, capsys):
     events: list[dict[str, object]] = []
 
     def reported() -> list[object]:
@@ -201,9 +199,7 @@ def test_strangers_are_looked_for_ten_times_a_second_and_reported_once_a_second(
 
 
 @pytest.mark.parametrize(("limit", "wanted"), [(6_000, 160), (960, 160), (600, 100), (605, 100)])
-def test_a_sixth_of_all_descriptors_is_kept_back_and_160_at_most(
-    limit: int, wanted: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sixth_of_all_descriptors_is_kept_back_and_160_at_most(limit, wanted, monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, 10 * limit))
     before = descriptors()
     keeper = ConnectionReaper({1}, tuple)
@@ -214,9 +210,7 @@ def test_a_sixth_of_all_descriptors_is_kept_back_and_160_at_most(
     assert descriptors() == before
 
 
-def test_where_no_descriptor_is_left_those_kept_back_are_released_and_taken_again(
-    watched: Door, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_no_descriptor_is_left_those_kept_back_are_released_and_taken_again(watched, monkeypatch):
     """Meanwhile the process can accept connections, and close those that were cut off."""
     before = descriptors()
     monkeypatch.setattr(os, "dup", none_left)
@@ -238,9 +232,7 @@ def test_where_no_descriptor_is_left_those_kept_back_are_released_and_taken_agai
         (10**5, 10**6, None),
     ],
 )
-def test_a_process_takes_as_many_descriptors_as_it_may_and_never_fewer_than_before(
-    monkeypatch: pytest.MonkeyPatch, soft: int, hard: int, wanted: tuple[int, int] | None
-) -> None:
+def test_a_process_takes_as_many_descriptors_as_it_may_and_never_fewer_than_before(monkeypatch, soft, hard, wanted):
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, hard))
     monkeypatch.setattr(resource, "setrlimit", lambda _, limits: asked.append(limits))

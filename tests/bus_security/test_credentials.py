@@ -35,9 +35,7 @@ def test_a_missing_file_is_named_with_the_command_that_makes_it(gone: str, folde
 @pytest.mark.parametrize(
     ("mode", "exposed"), [(0o600, False), (0o640, False), (0o604, True), (0o602, True), (0o601, True)]
 )
-def test_a_key_that_others_than_its_group_can_use_is_reported(
-    folder: Path, capsys: pytest.CaptureFixture[str], mode: int, exposed: bool
-) -> None:
+def test_a_key_that_others_than_its_group_can_use_is_reported(folder, capsys, mode, exposed):
     (folder / "policy.key.pem").chmod(mode)
     Certificates(folder, "policy")
     assert ('"kind": "bus.key_exposed"' in capsys.readouterr().err) is exposed

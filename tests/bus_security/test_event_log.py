@@ -66,9 +66,7 @@ def test_what_does_not_apply_is_left_out(capsys: pytest.CaptureFixture[str]) -> 
     assert set(json.loads(capsys.readouterr().err)) == {"time", "level", "kind", "sentence"}
 
 
-def test_as_text_it_is_one_line_whatever_stands_in_it(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_as_text_it_is_one_line_whatever_stands_in_it(capsys, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LOG", "text")
     log_event("test.text", "no\n12:00:00 info forged: yes", level="warning", robot="r\x1b[2J1")
     written = capsys.readouterr().err

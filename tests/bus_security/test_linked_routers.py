@@ -86,9 +86,7 @@ def test_questions_and_signs_of_life_cross_the_link(network: Any, west: Any) -> 
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_a_router_that_does_not_guard_its_clients_harms_only_its_own_robots(
-    network: Any, west: Any, guarded: bool
-) -> None:
+def test_a_router_that_does_not_guard_its_clients_harms_only_its_own_robots(network: Any, west: Any, guarded: bool):
     """A region's router was taken over; the others let it bring messages of its own robots alone."""
     east(network, {"router.west": ("r2",)} if guarded else {"router.west": ()})
     attacker = west(guarded=False).raw("intruder")

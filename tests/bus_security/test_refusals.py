@@ -76,9 +76,7 @@ def test_what_is_withheld_on_the_way_out_is_no_attempt() -> None:
         ("un", "Query", "bus.denied"),
     ],
 )
-def test_only_a_put_that_was_allowed_and_goes_no_further_was_too_large(
-    allowed: str, act: str, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_only_a_put_that_was_allowed_and_goes_no_further_was_too_large(allowed, act, kind, capsys):
     refusals = Refusals()
     refusals.hear(decision(FRESH, allowed, f"{act} (ingress)"))
     refusals.hear(END.format("10"))
@@ -102,9 +100,7 @@ ACCEPTED = "Accepted TLS connection on [::]:7447: 10.0.0.2:5. Common Name: polic
         ("zenoh::net::runtime", "DEBUG", "closed", []),
     ],
 )
-def test_a_handshake_that_failed_is_a_refusal_and_other_warnings_are_handed_on(
-    target: str, level: str, text: str, kinds: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_handshake_that_failed_is_a_refusal_and_other_warnings_are_handed_on(target, level, text, kinds, capsys):
     refusals = Refusals()
     refusals.hear(f"2026-11-21T20:33:49.171284Z {level} acc-0 ThreadId(05) {target}: {text}")
     assert [event["kind"] for event in events(capsys)] == kinds

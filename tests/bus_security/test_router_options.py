@@ -44,9 +44,7 @@ def settings_of(monkeypatch: pytest.MonkeyPatch, **options: Any) -> ZenohSetting
         ({"listen": ["tcp/0.0.0.0:7447"], "plain": True, "card": 9}, "--plain: got it together"),
     ],
 )
-def test_a_router_without_an_endpoint_or_an_identity_does_not_start(
-    options: dict[str, Any], sentence: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_router_without_an_endpoint_or_an_identity_does_not_start(options, sentence, monkeypatch):
     with pytest.raises(InputError, match=sentence):
         settings_of(monkeypatch, **options)
 
@@ -60,9 +58,7 @@ def test_a_router_in_plain_text_denies_no_process_and_limits_sizes_and_rates(mon
 
 
 @pytest.mark.parametrize("by", ["folder", "card"])
-def test_a_router_with_certificates_gives_a_revoked_name_no_right(
-    by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_router_with_certificates_gives_a_revoked_name_no_right(by, tmp_path, monkeypatch):
     """The list of revoked names is in the folder of certificates."""
     monkeypatch.setattr("safedpa.bus.service.process.protect_process_memory", lambda: None)  # of this test's process
     authority = Authority(tmp_path, "f")

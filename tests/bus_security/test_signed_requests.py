@@ -52,9 +52,7 @@ def test_a_request_that_another_key_signed_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("days", [0.5, 90.0])
-def test_a_signed_certificate_is_the_callers_role_for_so_many_days_and_connects_only(
-    days: float, tmp_path: Path
-) -> None:
+def test_a_signed_certificate_is_the_callers_role_for_so_many_days_and_connects_only(days: float, tmp_path: Path):
     authority, key = Authority(tmp_path, "f"), ec.generate_private_key(ec.SECP256R1())
     before = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     made = x509.load_pem_x509_certificate(authority.sign(request_of(key), "policy", days))

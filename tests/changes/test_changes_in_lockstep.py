@@ -98,9 +98,7 @@ def changed(changing_node: Any, request: pytest.FixtureRequest) -> tuple[Drive, 
     return Drive(changing_node, request.param, 40, accept(candidate)), candidate
 
 
-def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(
-    changed: tuple[Drive, OfferedEffect],
-) -> None:
+def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(changed: tuple[Drive, OfferedEffect]):
     run, candidate = changed
     offer, take = run.changing.spoken
     assert (offer.step, take.step) == ("offer", "take")

@@ -41,9 +41,7 @@ def accept(monkeypatch: pytest.MonkeyPatch, *answers: Answer | None) -> list[int
     return passed
 
 
-def test_an_answer_that_is_late_or_lost_does_not_end_the_waiting(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_that_is_late_or_lost_does_not_end_the_waiting(monkeypatch, capsys):
     accept(monkeypatch, UNDER_WAY, None, UNDER_WAY, None, None, OVER)
     assert "r1: taken by all services; model new in force" in capsys.readouterr().out
 
@@ -52,9 +50,7 @@ def test_an_answer_that_is_late_or_lost_does_not_end_the_waiting(
     ("last", "notice", "least", "most"),
     [(None, "no diagnosis answers", 8, 30), (UNDER_WAY, "check that the robot drives", 60, 300)],
 )
-def test_it_gives_up_after_ten_silent_seconds_or_two_minutes(
-    last: Answer | None, notice: str, least: int, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_gives_up_after_ten_silent_seconds_or_two_minutes(last, notice, least, most, monkeypatch):
     with pytest.raises(SafedpaError, match=notice) as failed:
         accept(monkeypatch, UNDER_WAY, last)
     assert least <= int(str(failed.value).split()[1]) <= most

@@ -220,9 +220,7 @@ def test_a_service_killed_at_any_moment_ends_on_the_model_of_the_others(fleet: A
 
 @pytest.mark.parametrize("retained", [True, False])
 @pytest.mark.parametrize("after", range(12))
-def test_a_coordinator_killed_at_any_moment_leaves_one_model(
-    fleet_of: Any, tmp_path: Path, after: int, retained: bool
-) -> None:
+def test_a_coordinator_killed_at_any_moment_leaves_one_model(fleet_of: Any, tmp_path: Path, after: int, retained: bool):
     fleet = fleet_of(tmp_path if retained else None)
     fleet.turn()
     fleet.propose("drag")
@@ -330,9 +328,7 @@ def test_a_service_that_missed_the_decision_hears_it_again(fleet: Any) -> None:
 
 
 @pytest.mark.parametrize(("room_for", "reported"), [(0, ["drop"]), (1, ["offer", "drop"])])
-def test_nothing_is_decided_that_cannot_be_kept(
-    fleet_of: Any, monkeypatch: pytest.MonkeyPatch, room_for: int, reported: list[str]
-) -> None:
+def test_nothing_is_decided_that_cannot_be_kept(fleet_of, monkeypatch, room_for, reported):
     room = iter(range(room_for))
 
     def full(self: VersionFolder, retained: PersistedState) -> None:

@@ -367,9 +367,7 @@ def test_a_users_effect_that_fails_is_refused_not_fatal(ticking: Ticking, monkey
     assert ticking.answer() == ("refused", "planted in a user's effect")
 
 
-def test_a_model_with_which_the_filter_cannot_decide_is_refused(
-    driving_state: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_with_which_the_filter_cannot_decide_is_refused(driving_state: Any, monkeypatch: pytest.MonkeyPatch):
     from safedpa.safety.filter import SafetyFilter
 
     decide, first = SafetyFilter.decide, list[SafetyFilter]()
@@ -412,9 +410,7 @@ def test_an_offer_that_passed_its_trial_is_ready(ticking: Ticking) -> None:
     assert ticking.answer()[0] == "ready"
 
 
-def test_a_robot_whose_step_failed_while_a_model_was_offered_changes_at_the_named_tick_all_the_same(
-    ticking: Ticking,
-) -> None:
+def test_a_robot_whose_step_failed_while_a_model_was_offered_changes_at_the_named_tick_all_the_same(ticking: Ticking):
     """Nothing is remembered of it then, neither an estimate of the old model nor one of the new one."""
     ticking.node.hear("r1", offer())
     assert ticking.answer() == ("ready", "")

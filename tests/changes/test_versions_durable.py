@@ -3,14 +3,10 @@
 import os
 from pathlib import Path
 
-import pytest
-
 from safedpa.live.versions import ModelVersion, PersistedState, VersionFolder
 
 
-def test_each_file_is_whole_on_the_disk_before_it_takes_its_name_and_then_its_name_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_file_is_whole_on_the_disk_before_it_takes_its_name_and_then_its_name_is(tmp_path, monkeypatch):
     order = list[tuple[str, str, int]]()
     sync, put = os.fsync, os.replace
 

@@ -97,9 +97,7 @@ def test_a_scene_with_invalid_parts_is_drawn_without_them(pendulum: DisplaySetti
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 0.9), (0.9, 2.0 * math.pi - 0.4), (0.0, 9.0)])
-def test_the_arc_of_the_corridor_is_smooth_and_at_most_one_turn(
-    pendulum: DisplaySettings, low: float, high: float
-) -> None:
+def test_the_arc_of_the_corridor_is_smooth_and_at_most_one_turn(pendulum: DisplaySettings, low: float, high: float):
     """Chords deviate from the circle by less than a thousandth of its radius."""
     entries = RobotView(pendulum).take(state(1, corridor=(low, high)), 0.0)
     sector = next(entry.shape for entry in entries if entry.path == ("world", "sector"))

@@ -122,9 +122,7 @@ def test_explanation_correlation_is_the_cosine_of_what_two_trials_explain(one, o
     [((1.0,) * 19 + (100.0,), 6.0), ((1.0,) * 6 + (10.0,) * 4, 10.0), ((0.5,) * 19 + (100.0,), 3.0), ((2.0,) * 5, 2.0)],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_residual_inputs_are_clipped_at_six_medians_or_the_90_percent_quantile(
-    sizes: Any, largest: float, sign: float
-) -> None:
+def test_residual_inputs_are_clipped_at_six_medians_or_the_90_percent_quantile(sizes: Any, largest: float, sign: float):
     found = clip_outliers(sign * np.array(sizes)[:, None] * np.array([1.0, 1e-3]))
     assert np.abs(found).max(axis=0) == pytest.approx([largest, 1e-3 * largest], abs=1e-8)
     assert (np.sign(found) == sign).all()
@@ -280,9 +278,7 @@ def test_a_doubtful_effect_is_reported_alone_with_the_current_parameters() -> No
     assert doubtful_effects(doubting({"drag.c": UNSURE}, items[2], items[3], added=["drag"])) == []
 
 
-def nearest(
-    monkeypatch: pytest.MonkeyPatch, errors: list[float], value: float = 0.5, count: int = 3
-) -> list[JudgedTrial]:
+def nearest(monkeypatch: pytest.MonkeyPatch, errors: list[float], value: float = 0.5, count: int = 3):
     """Effects 0, 1, ... as their trials come, and the held-out error of each."""
     trials = [trial(str(number), model=after) for number, after in enumerate(errors)]
     windows: Any = SimpleNamespace(windows=range(count))

@@ -19,9 +19,7 @@ def test_there_are_three() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_holds_what_its_cells_print(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notebook_runs_and_holds_what_its_cells_print(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)
     printed = run(notebook, path.name)

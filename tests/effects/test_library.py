@@ -119,9 +119,7 @@ def listed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().out
 
 
-def test_command_shows_every_effect_in_a_table_and_in_one_json_document(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_command_shows_every_effect_in_a_table_and_in_one_json_document(capsys, tmp_path):
     document = json.loads(listed(capsys, "--json"))
     assert document["format"] == 1
     names = {(entry["robot"], entry["name"]) for entry in document["effects"]}

@@ -17,9 +17,7 @@ LONGEST_SECONDS = 180.0
 """Until every robot reached a goal: on a machine that is busy with other work they brake often."""
 
 
-def test_every_container_starts_and_every_robot_is_driven(
-    fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]
-) -> None:
+def test_every_container_starts_and_every_robot_is_driven(fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]):
     began = time.monotonic()
 
     def driven(reported: dict[str, Any]) -> bool:
@@ -38,9 +36,7 @@ def test_the_filter_in_its_container_is_compiled(fleet: Fleet, rows: list[tuple[
     rows.append(("the filter's innermost modules", "compiled"))
 
 
-def test_a_minute_without_collision_in_which_every_robot_reaches_goals(
-    fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]
-) -> None:
+def test_a_minute_without_collision_in_which_every_robot_reaches_goals(fleet, watch, rows):
     before = watch.now()
     time.sleep(DRIVE_SECONDS - STUCK_SECONDS)
     middle = watch.now()

@@ -120,9 +120,7 @@ def test_nothing_is_felt_of_a_killed_authority(fleet: Fleet, watch: Watch, rows:
     rows.append(("kill -9 authority", f"back after {time.time() - began:.2f} s", "robots felt nothing", "no collision"))
 
 
-def test_a_full_disk_stops_the_recording_and_not_the_robots(
-    fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]
-) -> None:
+def test_a_full_disk_stops_the_recording_and_not_the_robots(fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]):
     fleet.compose("stop", "recorder")
     volumes = [("recorder-key", "/certificates")]
     phrase = ["docker", "run", "--rm", "--init", "--network", fleet.network(), "--read-only", "--cap-drop", "ALL"]

@@ -86,9 +86,7 @@ def captured(fleet: Fleet, watch: Watch) -> str:
 
 
 @pytest.mark.parametrize("how", ["bare", "plain", "foreign"])
-def test_without_a_certificate_of_the_fleet_a_client_is_refused(
-    how: str, attempt: Attempt, rows: list[tuple[str, ...]]
-) -> None:
+def test_without_a_certificate_of_the_fleet_a_client_is_refused(how, attempt, rows):
     did = attempt.make("healthcheck-key", "enter", "--how", how)
     assert did["opened"] is False, did
     names = {"bare": "without certificate", "plain": "in plain text", "foreign": "certificate of a foreign authority"}
@@ -98,9 +96,7 @@ def test_without_a_certificate_of_the_fleet_a_client_is_refused(
 @pytest.mark.parametrize(
     ("role", "topic"), [("policy", "action"), ("policy", "model"), ("dashboard", "action"), ("recorder", "state")]
 )
-def test_a_certificate_of_the_wrong_role_commands_nothing(
-    role: str, topic: str, attempt: Attempt, rows: list[tuple[str, ...]]
-) -> None:
+def test_a_certificate_of_the_wrong_role_commands_nothing(role, topic, attempt, rows):
     did = attempt.make(f"{role}-key", "act", "--role", role, "--topic", topic)
     assert did["sent"] > 20, did
     moved = attempt.moved_no_one()
@@ -110,18 +106,14 @@ def test_a_certificate_of_the_wrong_role_commands_nothing(
     rows.append((f"{topic} with the certificate of {role}", moved, reported))
 
 
-def test_a_client_that_may_listen_cannot_replay_a_capture(
-    attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
-) -> None:
+def test_a_client_that_may_listen_cannot_replay_a_capture(attempt: Attempt, captured: str, rows: list[tuple[str, ...]]):
     did = attempt.make("recorder-key", "replay", "--role", "recorder", given=captured)
     assert did["sent"] > 100, did
     reported = attempt.logged("router", "bus.denied", lambda event: event.get("service") == "recorder")
     rows.append(("replayed capture, certificate of recorder", attempt.moved_no_one(), reported))
 
 
-def test_a_replayed_capture_moves_no_robot_even_with_the_key_of_the_filter(
-    attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
-) -> None:
+def test_a_replayed_capture_moves_no_robot_even_with_the_key_of_the_filter(attempt, captured, rows):
     did = attempt.make("safety-filter-key", "replay", "--role", "safety_filter", given=captured)
     assert did["sent"] > 100, did
     reported = attempt.logged(VICTIM, "message.refused")
@@ -150,9 +142,7 @@ def test_malformed_states_are_refused_by_the_services(attempt: Attempt, rows: li
     rows.append(("malformed models, stolen key of the diagnosis", attempt.moved_no_one(), reported))
 
 
-def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
-    attempt: Attempt, rows: list[tuple[str, ...]]
-) -> None:
+def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(attempt: Attempt, rows: list[tuple[str, ...]]):
     did = attempt.make("", "enrol", network="enrolment")
     assert not did.get("got"), did
     reported = attempt.logged("authority", "authority.refused")

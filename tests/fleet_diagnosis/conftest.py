@@ -13,9 +13,7 @@ from safedpa_lab.experiments.fleet.diagnosis import fleet_diagnosis_experiment
 UNITS = {"deceleration": "m/s2", "mass_ratio": "1", "angle": "rad", "ax": "m/s2", "ay": "m/s2", "coefficient": "1/m"}
 
 
-def tried(
-    effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str, ...] = (), **values: float
-) -> EffectEvidence:
+def tried(effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str, ...] = (), **values: float):
     numbers = {name: Number(value, std, UNITS[name]) for name, value in values.items()}
     return EffectEvidence(effect, numbers, score, equals, {})
 

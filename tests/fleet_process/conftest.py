@@ -44,9 +44,7 @@ class Clock:
 class Stack:
     """A fleet and the services that serve it, turned by hand."""
 
-    def __init__(
-        self, names: Sequence[str], nodes: Sequence[AbstractNode] | None = None, joint: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, names: Sequence[str], nodes: Sequence[AbstractNode] | None = None, joint: Sequence[str] = ()):
         """The services share a session in which messages of the ``joint`` topics do not leave the process."""
         self.clock, self.broker = Clock(), MemoryBroker()
         self.transport = MemoryTransport(self.broker)

@@ -100,9 +100,7 @@ def test_of_each_key_at_most_so_many_are_taken_in_one_turn() -> None:
 
 
 @pytest.mark.parametrize(("over", "reads"), [(-1, 1), (0, 1), (1, 2), (100, 2)])
-def test_a_message_that_several_inboxes_hold_is_read_once_and_the_whole_of_one_too_large_is_kept_by_none(
-    over: int, reads: int
-) -> None:
+def test_a_message_that_several_inboxes_hold_is_read_once_and_the_whole_of_one_too_large_is_kept_by_none(over, reads):
     largest = max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == "latest")
     reader, payload = Reader(), bytes(largest + over)
     inboxes, unheld = (Inbox(decode=reader), Inbox(decode=reader)), sys.getrefcount(payload)

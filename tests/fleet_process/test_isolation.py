@@ -57,9 +57,7 @@ KINDS = ("garbage", "too large", "values", "more values", "period", "huge", "man
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_one_robot_sends_changes_nothing_for_the_others(
-    kind: str, stack: Make, undisturbed: dict[str, str]
-) -> None:
+def test_what_one_robot_sends_changes_nothing_for_the_others(kind: str, stack: Make, undisturbed: dict[str, str]):
     fleet = stack(GOOD)
     strange = CarRobot(fleet.cars["a"].scene, 0.05, lockstep=False, epoch=77)
     ticks = iter(range(10_000))
@@ -170,9 +168,7 @@ def broken_for(monkeypatch: pytest.MonkeyPatch, fleet: Any, name: str, error: Ba
 
 
 @pytest.mark.parametrize("error", [RuntimeError("broken"), ZeroDivisionError(), RecursionError(), AssertionError()])
-def test_a_decision_that_raises_rests_its_own_robot_alone(
-    error: Exception, stack: Make, undisturbed: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_decision_that_raises_rests_its_own_robot_alone(error, stack, undisturbed, monkeypatch):
     fleet = stack(GOOD)
     broken_for(monkeypatch, fleet, "b", error)
     fleet.drive(2.0)
@@ -188,9 +184,7 @@ def test_a_decision_that_raises_rests_its_own_robot_alone(
     assert health["a"].state == health["c"].state == "running"
 
 
-def test_a_robot_recovers_when_its_decisions_do_and_the_watch_over_its_margin_goes_on(
-    stack: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_recovers_when_its_decisions_do_and_the_watch_over_its_margin_goes_on(stack, monkeypatch):
     """A margin that was widened must not fall back; a new watch would know no coverage after so short a time."""
     fleet = stack(GOOD)
     fleet.drive(0.3)
@@ -209,9 +203,7 @@ def test_a_robot_recovers_when_its_decisions_do_and_the_watch_over_its_margin_go
 
 
 @pytest.mark.parametrize("error", [BusError("closed"), MemoryError(), KeyboardInterrupt()])
-def test_an_error_of_the_process_itself_ends_it(
-    error: BaseException, stack: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_the_process_itself_ends_it(error: BaseException, stack: Make, monkeypatch: pytest.MonkeyPatch):
     fleet = stack(GOOD)
     broken_for(monkeypatch, fleet, "b", error)
     with pytest.raises(type(error)):
@@ -219,9 +211,7 @@ def test_an_error_of_the_process_itself_ends_it(
 
 
 @pytest.mark.parametrize("method", ["prepare", "afterwards", "hear", "adopt_model"])
-def test_an_error_outside_the_step_is_handled_likewise(
-    method: str, stack: Make, undisturbed: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_outside_the_step_is_handled_likewise(method, stack, undisturbed, monkeypatch):
     fleet = stack(GOOD)
     node = type(fleet.nodes[2])
     original = getattr(node, method)

@@ -82,9 +82,7 @@ def program() -> Iterator[subprocess.Popen[str]]:
     [pytest.param(bomb, marks=pytest.mark.long) if bomb.name in LONG else bomb for bomb in BOMBS],
     ids=lambda bomb: f"{bomb.ending[1:]}: {bomb.name}",
 )
-def test_a_bomb_is_refused_soon_and_in_little_memory(
-    bomb: Bomb, tmp_path: Path, program: subprocess.Popen[str]
-) -> None:
+def test_a_bomb_is_refused_soon_and_in_little_memory(bomb: Bomb, tmp_path: Path, program: subprocess.Popen[str]):
     path = tmp_path / f"bomb{bomb.ending}"
     assert program.stdin is not None
     assert program.stdout is not None

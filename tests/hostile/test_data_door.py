@@ -83,17 +83,13 @@ def test_the_data_are_given_under_our_names(door: tuple[DataProxy, int]) -> None
         OWN.replace(b"HTTP/1.1", b"HTTP/2.0"),
     ],
 )
-def test_everything_else_is_refused_before_it_is_heard(
-    door: tuple[DataProxy, int], behind: tuple[tuple[str, int], list[bytes]], head: bytes
-) -> None:
+def test_everything_else_is_refused_before_it_is_heard(door, behind, head):
     heard = len(behind[1])
     assert notice(door[1], head).startswith(b"HTTP/1.1 403")
     assert len(behind[1]) == heard
 
 
-def test_what_follows_the_first_request_is_on_its_own(
-    door: tuple[DataProxy, int], behind: tuple[tuple[str, int], list[bytes]]
-) -> None:
+def test_what_follows_the_first_request_is_on_its_own(door, behind):
     """Rerun's server closes after the answer, and is not asked for another protocol."""
     upgrade = OWN.replace(
         b"\r\n\r\n", b"\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAMA\r\n\r\n"

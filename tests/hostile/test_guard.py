@@ -44,9 +44,7 @@ class Page:
             self.seen.append(message)
             await send({"type": "http.response.start", "status": 200, "headers": [(b"x-frame-options", b"DENY")]})
 
-    def ask(
-        self, body: tuple[bytes | str, ...] = (b"",), headers: tuple[tuple[bytes, bytes], ...] = (), **scope: Any
-    ) -> int:
+    def ask(self, body: tuple[bytes | str, ...] = (b"",), headers: tuple[tuple[bytes, bytes], ...] = (), **scope: Any):
         """The status of the answer; 0 where there is none."""
         parts = list(body)
         self.sent.clear()
@@ -114,9 +112,7 @@ def test_the_health_of_the_page_is_public_over_http_alone(page: Page) -> None:
         (PASSWORD, "/login", b"", 200, ""),
     ],
 )
-def test_without_a_cookie_the_token_or_the_form_is_asked_for(
-    password: str, path: str, query: bytes, status: int, location: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cookie_the_token_or_the_form_is_asked_for(password, path, query, status, location, monkeypatch):
     page = Page(monkeypatch, password)
     assert page.ask(path=path, query_string=query) == status
     assert page.headers.get("location", "") == location
@@ -150,9 +146,7 @@ SITE, MODE, ORIGIN = b"sec-fetch-site", b"sec-fetch-mode", b"origin"
         (((SITE, b"cross-site"), (MODE, b"no-cors")), "GET", 403),
     ],
 )
-def test_another_page_may_link_to_this_one_and_not_ask_it(
-    headers: tuple[tuple[bytes, bytes], ...], method: str, status: int, page: Page, locked: Page
-) -> None:
+def test_another_page_may_link_to_this_one_and_not_ask_it(headers, method, status, page, locked):
     assert page.ask(headers=(*COOKIE, *headers), method=method) == status
     if status == 403:
         assert locked.ask(headers=headers, method=method) == 403, "it is not led to the form"
@@ -176,9 +170,7 @@ def test_another_page_opens_no_socket_even_with_the_headers_of_a_link(page: Page
         ("POST", "/_nicegui_ws/socket.io", "socket_bytes"),
     ],
 )
-def test_a_body_that_declares_too_many_bytes_is_refused(
-    method: str, path: str, name: str, length: str | None, status: int, page: Page
-) -> None:
+def test_a_body_that_declares_too_many_bytes_is_refused(method, path, name, length, status, page):
     """An upload may be longer than other requests."""
     sizes = {"most": str(limit(name)), "more": str(limit(name) + 1)}
     headers = () if length is None else ((b"content-length", sizes.get(length, length).encode()),)
@@ -196,9 +188,7 @@ def test_a_body_that_becomes_too_long_is_cut_off(over: int, kind: str, page: Pag
 
 @pytest.mark.parametrize("letter", [b"\0", "a", "ä"])
 @pytest.mark.parametrize(("over", "kind"), [(0, "websocket.receive"), (1, "websocket.disconnect")])
-def test_each_message_of_a_socket_has_a_largest_size_in_utf_8(
-    letter: bytes | str, over: int, kind: str, page: Page
-) -> None:
+def test_each_message_of_a_socket_has_a_largest_size_in_utf_8(letter: bytes | str, over: int, kind: str, page: Page):
     """RFC 6455, 5.6. A header about the length of a body says nothing about it."""
     size = len(letter.encode()) if isinstance(letter, str) else 1
     message = letter * (limit("socket_bytes") // size + over)

@@ -93,9 +93,7 @@ def _hears(process: int, number: int) -> bool:
         (0.004, "ready", 1, False), (0.004, "refused", 3, False),
     ],
 )  # fmt: skip
-def test_what_counts_as_holding(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: float | None, state: str, late: int, held: bool
-) -> None:
+def test_what_counts_as_holding(tmp_path, monkeypatch, after, state, late, held):
     found = _account(tmp_path, after, state)
     found["under_attack"].update(late_ticks=late, late_by_the_machine=0)
     monkeypatch.setattr(offered, "fleet_benchmark", lambda trial, report_progress: {"offers": found, "collisions": 0})
@@ -124,9 +122,7 @@ def test_each_attack_keeps_its_place_on_the_page(tmp_path: Path) -> None:
         write_page(tmp_path, "mutations", ABOUT)
 
 
-def test_an_attack_that_did_not_hold_ends_with_code_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_attack_that_did_not_hold_ends_with_code_1(monkeypatch, capsys):
     drive = {
         "exit_code": 1, "ticks": 3, "watchdog_ticks": 3, "restarts": 1, "joins": 0, "slowest_join_seconds": None,
         "collisions": 0,

@@ -131,9 +131,7 @@ def test_nor_do_they_in_plain_text(free_port: int, reports: bytes) -> None:
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_members_of_another_session_of_the_process_are_left_alone(
-    free_port: int, monkeypatch: pytest.MonkeyPatch, links_outlive: None
-) -> None:
+def test_members_of_another_session_of_the_process_are_left_alone(free_port, monkeypatch, links_outlive):
     """Two sessions in one process each guard their own port."""
     cut, look = defaultdict[int, list[int]](list), ConnectionReaper.check
 

@@ -59,9 +59,7 @@ def test_the_keys_are_gone_whichever_way_the_run_ends(number: int) -> None:
         assert until(lambda: not folder.exists())
 
 
-def test_what_a_killed_machine_left_behind_goes_with_the_next_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_killed_machine_left_behind_goes_with_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with private_folder() as living:
         forgotten = tmp_path / "safedpa-run-forgotten"
@@ -264,9 +262,7 @@ def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path, sett
 
 
 @pytest.mark.parametrize("known_by", ["certificates", "card", "both"])
-def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(
-    known_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings_of: Settings
-) -> None:
+def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(known_by, tmp_path, monkeypatch, settings_of):
     """By a folder of certificates, by a card, or by both: each is enough, and its rights are in force."""
     shown = object()
     monkeypatch.setattr(router_process, "identity_from_options", lambda options: shown)

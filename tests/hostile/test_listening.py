@@ -77,9 +77,7 @@ def running(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[su
         process.communicate(timeout=60)
 
 
-def test_everything_that_listens_does_so_on_the_loopback_interface(
-    running: tuple[subprocess.Popen[str], list[str]],
-) -> None:
+def test_everything_that_listens_does_so_on_the_loopback_interface(running: tuple[subprocess.Popen[str], list[str]]):
     process, hints = running
     end = time.monotonic() + 90.0
     found: dict[str, str] = {}

@@ -77,9 +77,7 @@ def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessa
     return lambda robot, offer: apart.submit((node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot)))
 
 
-def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
-    apart: JobProcess, offer_of: Callable[..., ModelMessage]
-) -> None:
+def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(apart, offer_of):
     """The best of three goes at each: what a busy machine adds to one turn is not the bomb's."""
     good = math.inf
     for _ in range(5):
@@ -131,9 +129,7 @@ def test_each_service_tries_an_offer_as_it_would_take_it(service: str, offer_of:
         assert fingerprint(parse_model(run_model_trial(work)["document"])) == NEW
 
 
-def test_a_model_that_takes_more_than_a_tick_has_is_refused(
-    offer_of: Callable[..., ModelMessage], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_that_takes_more_than_a_tick_has_is_refused(offer_of, monkeypatch):
     step = AdaptationNode.step
 
     def slow(self: AdaptationNode, robot: str, state: StateMessage, inputs: Any) -> Any:
@@ -208,9 +204,7 @@ def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
         apart.close()
 
 
-def test_each_answer_comes_while_the_process_waits_for_more_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_answer_comes_while_the_process_waits_for_more_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Not when its output is full or closed: whatever the environment says of what Python holds back."""
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
     apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
@@ -222,9 +216,7 @@ def test_each_answer_comes_while_the_process_waits_for_more_work(
         apart.close()
 
 
-def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(tmp_path, monkeypatch):
     slept: list[float] = []
     apart = _apart("spins", tmp_path, clock=lambda: sum(slept))
     monkeypatch.setattr("safedpa.bus.service.sandbox.time.sleep", slept.append)
@@ -288,7 +280,10 @@ def test_many_that_do_not_die_are_not_joined_by_more(tmp_path: Path, monkeypatch
 def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monotonic) -> JobProcess:
     """With a function of this file, which the process finds as a module of its own."""
     source = Path(__file__).read_text(encoding="utf-8")
-    begin, end = source.index("def spins"), source.index('@pytest.mark.parametrize(\n    ("function"')
+    begin, end = (
+        source.index("def spins"),
+        source.index('@pytest.mark.long\n@pytest.mark.parametrize(\n    ("function"'),
+    )
     head = "import os\nimport resource\nfrom pathlib import Path\nfrom typing import Any\n\n"
     head += "usual = resource.setrlimit\n"  # a fifth of the seconds of a processor
     head += "fifth = lambda kind, most: (most[0] // 5,) * 2 if kind == resource.RLIMIT_CPU else most\n"

@@ -55,9 +55,7 @@ class Served:
     def ask(self, path: str, headers: dict[str, str] | None = None, method: str = "GET", body: bytes = b"") -> int:
         return self.answer(path, headers, method, body)[0]
 
-    def answer(
-        self, path: str, headers: dict[str, str] | None = None, method: str = "GET", body: bytes = b""
-    ) -> tuple[int, dict[str, str], bytes]:
+    def answer(self, path: str, headers: dict[str, str] | None = None, method: str = "GET", body: bytes = b""):
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_PATIENCE)
         try:
             connection.putrequest(method, path, skip_host=True)

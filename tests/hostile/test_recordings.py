@@ -92,9 +92,7 @@ def _processor_seconds(work: Callable[[], object]) -> float:
         ({"robot": "\x1b[2J"}, "robot"), ({"world": ["a=b"]}, "world"),
     ],
 )  # fmt: skip
-def test_options_that_no_robot_has_are_refused(
-    messages: Messages, tmp_path: Path, options: dict[str, Any], phrase: str
-) -> None:
+def test_options_that_no_robot_has_are_refused(messages, tmp_path, options, phrase):
     path = changed(messages, "setup/robot", options_changed(**options), tmp_path / "run.mcap")
     with pytest.raises(InputError, match=phrase) as refusal:
         driven_again(path)
@@ -141,9 +139,7 @@ def _started(processes: int) -> RobotTape:
 
 @pytest.mark.parametrize("topic", ["action", "state"])
 @pytest.mark.parametrize("entries", [0, 1, 3])
-def test_an_action_of_another_size_than_the_robot_s(
-    messages: Messages, tmp_path: Path, topic: str, entries: int
-) -> None:
+def test_an_action_of_another_size_than_the_robot_s(messages: Messages, tmp_path: Path, topic: str, entries: int):
     name = {"action": "action", "state": "applied"}[topic]
     path = changed(messages, topic, lambda table: table.update({name: [0.25] * entries}), tmp_path / "run.mcap")
     driven_again(path)

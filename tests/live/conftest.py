@@ -25,9 +25,7 @@ def car() -> PhysicsModel:
 def drive_of(car: PhysicsModel) -> Callable[..., Iterator[Row]]:
     """drive_of(ticks, change_at, effect, numbers): tick, measured state, what was applied before it."""
 
-    def drive(
-        ticks: int, change_at: int | None = None, name: str = "", seed: int = 0, **numbers: float
-    ) -> Iterator[Row]:
+    def drive(ticks: int, change_at: int | None = None, name: str = "", seed: int = 0, **numbers: float):
         random = np.random.default_rng(seed)
         changed = car.with_effect(effect("car", name), {k: Setting(v) for k, v in numbers.items()}) if name else car
         model, state = car, np.zeros(4)

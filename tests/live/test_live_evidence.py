@@ -24,9 +24,7 @@ def value_after(ratios: list[float]) -> float:
     outside=st.floats(0.0, 0.04),
     past=st.lists(st.sampled_from([INSIDE, OUTSIDE, FAR]), max_size=3),
 )
-def test_the_mean_grows_by_at_most_one_a_second_under_every_null(
-    beyond: float, outside: float, past: list[float]
-) -> None:
+def test_the_mean_grows_by_at_most_one_a_second_under_every_null(beyond: float, outside: float, past: list[float]):
     """M[n] - n is a supermartingale: from that follows P(raised within n seconds) <= n alpha, by Doob.
 
     Two seconds far outside come first, since a mean below one is reported as one.

@@ -65,9 +65,7 @@ def test_an_implausible_tick_is_a_gap(state, applied, recorded):
         ((0.0, 0.0, 0.0, 0.5), (0.1, -np.inf), False),
     ],
 )
-def test_a_tick_that_cannot_be_believed_leaves_a_gap_in_the_history_of_a_drive(
-    state: tuple[float, ...], applied: tuple[float, ...], retained: bool
-) -> None:
+def test_a_tick_that_cannot_be_believed_leaves_a_gap_in_the_history_of_a_drive(state, applied, retained):
     history = DriveHistory(CAR.system, 0.05, longest=0.15)
     history.add(7, np.array(state), np.array(applied))
     assert [tick for tick, *_ in history.last(10.0)] == ([7] if retained else [])

@@ -57,9 +57,7 @@ LOST = {
     ("age", "period", "lost"), [(1.4, 0.05, False), (1.6, 0.05, True), (4.9, 1.0, False), (5.1, 1.0, True)]
 )
 @pytest.mark.parametrize("which", LOST)
-def test_a_state_or_a_verdict_is_missed_after_a_second_and_a_half_or_five_periods(
-    which: str, age: float, period: float, lost: bool
-) -> None:
+def test_a_state_or_a_verdict_is_missed_after_a_second_and_a_half_or_five_periods(which, age, period, lost):
     field, sentence = LOST[which]
     robot = robot_of(state=state_of(period=period), **{field: NOW - age})
     assert concerns(robot) == ([("trouble", sentence)] if lost else [])
@@ -102,9 +100,7 @@ def test_a_robot_is_unsafe_where_h_is_or_will_be_below_zero(status: str, h: floa
     ("tick", "coverage", "reported"),
     [(10_000, 0.9, True), (3, 0.9, False), (10_000, 0.99, False), (10_000, -1.0, False), (10_000, 0.0, True)],
 )
-def test_a_margin_that_covers_less_than_promised_is_reported_after_enough_steps(
-    tick: int, coverage: float, reported: bool
-) -> None:
+def test_a_margin_that_covers_less_than_promised_is_reported_after_enough_steps(tick, coverage, reported):
     verdict = verdict_of(tick=tick, coverage=coverage, promised=0.99)
     sentence = f"the margin held in {100 * coverage:.1f} % of the steps, promised 99.0 %"
     assert concerns(robot_of(verdict=verdict)) == [("attention", sentence)] * reported
@@ -137,9 +133,7 @@ def test_a_service_is_silent_after_a_second_and_a_half(age: float, reported: lis
 
 
 @pytest.mark.parametrize(("models", "differ"), [("aaa", 0), ("aab", 1), ("aa ", 0), ("a b", 1), ("a a", 0)])
-def test_services_with_different_models_are_trouble_and_those_that_report_none_do_not_count(
-    models: str, differ: int
-) -> None:
+def test_services_with_different_models_are_trouble_and_those_that_report_none_do_not_count(models: str, differ: int):
     robot = robot_of()
     for service, model in zip(LOOP, models, strict=True):
         robot.health[service] = (beat(service, model=model.strip()), NOW)
@@ -181,9 +175,7 @@ def test_a_wrong_sensor_is_trouble_and_a_switched_one_deserves_attention() -> No
         ("dashboard", 0.1, False, {"refused": 7}, ""),
     ],
 )
-def test_concerns_about_a_process(
-    fleet: Any, name: str, age: float, replaced: bool, changes: dict[str, Any], reported: str
-) -> None:
+def test_concerns_about_a_process(fleet, name, age, replaced, changes, reported):
     for pid, heard, message in ((1, fleet.now - age, beat(name, **changes)), (2, fleet.now, beat(name, pid=2))):
         if pid == 1 or replaced:
             fleet.overview.services[name, pid] = ServiceOverview(name, pid, message, heard, {"-": (message, heard)})

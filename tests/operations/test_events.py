@@ -39,9 +39,7 @@ def service_log() -> tuple[ServiceLog, list[dict[str, Any]]]:
     return ServiceLog("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
 
 
-def test_verdicts_are_logged_where_they_change(
-    fleet: Any, service_log: tuple[ServiceLog, list[dict[str, Any]]]
-) -> None:
+def test_verdicts_are_logged_where_they_change(fleet: Any, service_log: tuple[ServiceLog, list[dict[str, Any]]]):
     reported, events = service_log
     heard = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,))
     statuses = ["passed", "fallback", "fallback", "corrected", "passed", "stopped", "stopped", "passed", "disabled"]
@@ -72,9 +70,7 @@ def test_every_event_of_a_service_log_is_in_the_catalogue(service_log: tuple[Ser
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
-def test_a_service_logs_the_robots_it_meets_and_what_it_refuses(
-    fleet: Any, service_log: tuple[ServiceLog, list[dict[str, Any]]]
-) -> None:
+def test_a_service_logs_the_robots_it_meets_and_what_it_refuses(fleet, service_log):
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
 
@@ -103,9 +99,7 @@ def test_an_experiment_in_one_process_writes_nothing(fleet: Any, capfd: pytest.C
 
 
 @pytest.mark.parametrize(("wanted", "text"), [("", False), ("json", False), ("text", True)])
-def test_a_pipe_gets_json_unless_text_is_asked_for(
-    wanted: str, text: bool, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_gets_json_unless_text_is_asked_for(wanted, text, monkeypatch, capfd):
     monkeypatch.setenv("SAFEDPA_LOG", wanted)
     log_event("robot.met", "hello", robot=f"robot of this test {wanted}", tick=3, service="a test")
     line = capfd.readouterr().err

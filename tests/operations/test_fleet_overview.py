@@ -106,9 +106,7 @@ def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
         ({"state": {"collisions": 2}}, "attention", "2 collisions"),
     ],
 )
-def test_a_fault_of_a_robot_is_reported_and_the_worst_robot_comes_first(
-    fleet: Any, changes: dict[str, Any], level: str, reported: str
-) -> None:
+def test_a_fault_of_a_robot_is_reported_and_the_worst_robot_comes_first(fleet, changes, level, reported):
     fleet.drive(2, r2=changes)
     assert any(reported in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
     assert document_of(fleet.overview)["healthy"] is (level != "trouble")

@@ -107,9 +107,7 @@ def test_counts_are_those_of_the_messages(talked: Any) -> None:
 @pytest.mark.parametrize(
     ("seconds", "reported", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
 )
-def test_a_process_that_ended_is_exported_for_half_a_minute(
-    fleet: Any, seconds: float, reported: int, works: int
-) -> None:
+def test_a_process_that_ended_is_exported_for_half_a_minute(fleet: Any, seconds: float, reported: int, works: int):
     """Each start is a process of its own: a service that restarts for a week must not leave a row for each."""
     fleet.beat("router", pid=77, refused=3)
     collector = FleetCollector(fleet.overview)

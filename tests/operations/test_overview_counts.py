@@ -125,9 +125,7 @@ class Listened:
 
 
 @pytest.mark.parametrize(("silent", "newer", "replaced"), [(1.5, True, False), (1.6, True, True), (1.6, False, False)])
-def test_a_silent_process_was_replaced_if_another_of_its_service_was_heard_since(
-    silent: float, newer: bool, replaced: bool
-) -> None:
+def test_a_silent_process_was_replaced_if_another_of_its_service_was_heard_since(silent, newer, replaced):
     listened = Listened()
     if not newer:
         listened.heard("r", pid=2)
@@ -154,9 +152,7 @@ def test_a_robot_or_process_that_was_silent_for_five_minutes_has_left(after: flo
 
 
 @pytest.mark.parametrize(("after", "served"), [(5.0, ["a", "b"]), (5.1, ["b"])])
-def test_a_robot_of_which_a_service_reports_nothing_for_five_seconds_is_no_longer_served(
-    after: float, served: list[str]
-) -> None:
+def test_a_robot_of_which_a_service_reports_nothing_for_five_seconds_is_no_longer_served(after, served):
     listened = Listened()
     listened.heard("a")
     listened.now += after

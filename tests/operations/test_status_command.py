@@ -46,9 +46,7 @@ def test_an_empty_bus_in_json_is_not_healthy(empty_bus: str, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize("command", ["stop", "go"])
-def test_an_order_that_no_filter_hears_is_reported(
-    command: str, empty_bus: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_order_that_no_filter_hears_is_reported(command: str, empty_bus: str, capsys: pytest.CaptureFixture[str]):
     assert run(command, *NO_ONE, empty_bus) == 1
     assert "no safety filter answers" in capsys.readouterr().err
 
@@ -62,9 +60,7 @@ def test_an_order_that_no_filter_hears_is_reported(
         (("--certificates", "/no/such/folder"), "authority.pem"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(
-    arguments: tuple[str, ...], reported: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options_are_refused_in_one_line(arguments, reported, capsys):
     assert run("status", *arguments) in (1, 2)
     errors = capsys.readouterr().err
     assert reported in errors

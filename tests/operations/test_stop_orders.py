@@ -54,9 +54,7 @@ def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
 
 @settings(max_examples=12)
 @given(st.lists(st.tuples(st.sampled_from(["stop", "go"]), st.sampled_from(["a", "b", EVERYBODY])), max_size=12))
-def test_a_filter_that_is_started_again_knows_every_order(
-    tmp_path_factory: pytest.TempPathFactory, story: list[tuple[str, str]]
-) -> None:
+def test_a_filter_that_is_started_again_knows_every_order(tmp_path_factory, story):
     path = tmp_path_factory.mktemp("orders") / "orders.json"
     orders = StopOrders(path)
     for do, robot in story:

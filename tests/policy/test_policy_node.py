@@ -277,9 +277,7 @@ def test_the_same_seed_drives_the_same_drive_and_the_time_mirrors_with_its_scene
     some.integers(0, 6),
 )
 @settings(max_examples=25, deadline=None)
-def test_whatever_it_sees_it_stays_within_its_limits(
-    values: tuple[float, ...], goal: tuple[float, float], count: int
-) -> None:
+def test_whatever_it_sees_it_stays_within_its_limits(values: tuple[float, ...], goal: tuple[float, float], count: int):
     random = np.random.default_rng(count)
     obstacles = tuple(map(tuple, np.column_stack([random.uniform(-4, 4, (count, 2)), np.full(count, 0.3)]).tolist()))
     planner, limits = Planner(MODEL), PlannerSettings()

@@ -40,9 +40,7 @@ def truth(rows: int) -> dict[str, np.ndarray]:
     }
 
 
-def write(
-    writer: Any, types: Any, rows: int, *, header: bool = True, frame: str = "odom", pictures: int = 0
-) -> dict[str, np.ndarray]:
+def write(writer: Any, types: Any, rows: int, *, header: bool = True, frame: str = "odom", pictures: int = 0):
     """Fills a bag of rosbags with a drive; ``header``: whether stamps are set; ``pictures`` of a MiB in it."""
     T, drive = types.types, truth(rows)
     ros1 = "seq" in T["std_msgs/msg/Header"].__dataclass_fields__

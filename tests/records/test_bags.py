@@ -196,9 +196,7 @@ CUT = {
 @pytest.mark.long
 @pytest.mark.parametrize("form", ["mcap", "bag"])
 @pytest.mark.parametrize("share", [0.35, 0.8, 0.999])
-def test_a_bag_that_was_cut_off_is_read_up_to_there_and_without_its_index(
-    tmp_path: Path, form: str, share: float
-) -> None:
+def test_a_bag_that_was_cut_off_is_read_up_to_there_and_without_its_index(tmp_path: Path, form: str, share: float):
     whole = CUT[form](bag(tmp_path / "drive", form, 12_000 if form == "mcap" else 4000))
     cut = tmp_path / f"cut{whole.suffix}"
     cut.write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])

@@ -123,9 +123,7 @@ yaw_offset = 0.01
     acceleration=st.floats(-5, 5),
     window=st.sampled_from([0.02, 0.06, 0.1]),
 )
-def test_a_slope_is_exact_for_parabolas_and_for_lines_under_jitter(
-    seed: int, start: float, rate: float, acceleration: float, window: float
-) -> None:
+def test_a_slope_is_exact_for_parabolas_and_for_lines_under_jitter(seed, start, rate, acceleration, window):
     t = start + 0.01 * np.arange(80)
     wanted = rate + acceleration * (t - t[0])
     found = slope(t, 3.0 + rate * (t - t[0]) + 0.5 * acceleration * (t - t[0]) ** 2, window)

@@ -83,9 +83,7 @@ def test_a_damaged_csv_file(folder: Path, edits: list[tuple[int, int, str]], kee
 
 
 @pytest.mark.parametrize(("cell", "value"), [("1.25\x0b", 1.25), ("\x0c1.25", 1.25), ("1_0", None), ("\u0661", None)])
-def test_what_one_reader_takes_for_a_number_and_the_other_does_not(
-    tmp_path: Path, cell: str, value: float | None
-) -> None:
+def test_what_one_reader_takes_for_a_number_and_the_other_does_not(tmp_path: Path, cell: str, value: float | None):
     """Blanks of any kind around a number are blanks; other scripts and underscores are no numbers of a sensor."""
     path = tmp_path / "odd.csv"
     rows = [[f"{0.05 * number:.2f}", "0", "0", "0", "1", "1", "0"] for number in range(40)]

@@ -92,9 +92,7 @@ def test_a_missing_column_names_the_nearest(tmp_path: Path) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(row=st.integers(0, 59), column=st.integers(0, 6), text=st.sampled_from(["abc", "1,5x", "1.2.3", "--", "0x10"]))
-def test_text_for_a_number_is_named_by_line_and_column(
-    tmp_path_factory: pytest.TempPathFactory, row: int, column: int, text: str
-) -> None:
+def test_text_for_a_number_is_named_by_line_and_column(tmp_path_factory, row, column, text):
     text = text.replace(",", "")
     cells = [entry.split(",") for entry in LINES]
     cells[row][column] = text
@@ -105,9 +103,7 @@ def test_text_for_a_number_is_named_by_line_and_column(
 
 @settings(max_examples=40, deadline=None)
 @given(keep=st.integers(1, len(LINES[-1])))
-def test_a_last_line_that_was_cut_off_loses_that_line_alone(
-    tmp_path_factory: pytest.TempPathFactory, keep: int
-) -> None:
+def test_a_last_line_that_was_cut_off_loses_that_line_alone(tmp_path_factory: pytest.TempPathFactory, keep: int):
     """A number that was cut off within its digits cannot be distinguished from a whole one: then the line may stay."""
     path = write(tmp_path_factory.mktemp("cut") / "drive.csv", [*LINES[:-1], LINES[-1][:keep]], end="")
     run = load_run(path, CAR)

@@ -107,9 +107,7 @@ def test_an_unknown_field_or_topic_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("less", [0, 1])
 @pytest.mark.parametrize("case", ["kinds", "topics", "bytes"])
-def test_a_flight_log_stays_within_its_limits(
-    case: str, less: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flight_log_stays_within_its_limits(case: str, less: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     kinds = [*(described(f"kind{k}") for k in range(3)), subscribed("kind0", 0), logged(0, STAMPS[0], 0.0)]
     topics = [described("kind0"), *(subscribed("kind0", k, k) for k in range(3)), logged(0, STAMPS[0], 0.0)]
     path = flight_log(tmp_path / "a.ulg", topics if case == "topics" else kinds)
@@ -138,9 +136,7 @@ def test_a_message_of_more_numbers_is_refused(fields: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("topics", "refused"), [(24, False), (25, True)])
-def test_all_topics_together_have_a_hundred_thousand_numbers_at_most(
-    topics: int, refused: bool, tmp_path: Path
-) -> None:
+def test_all_topics_together_have_a_hundred_thousand_numbers_at_most(topics: int, refused: bool, tmp_path: Path):
     """4001 numbers each: 24 topics have 96,024 and 25 have 100,025."""
     parts = [described("wide", "uint64_t timestamp;float[4000] x;"), *(subscribed("wide", k, k) for k in range(topics))]
     log = topic_log(flight_log(tmp_path / "a.ulg", [*parts, logged(topics - 1, STAMPS[0], *range(4000))]))

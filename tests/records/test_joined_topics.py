@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -122,9 +121,7 @@ def test_rows_by_receipt_ignore_the_stamps() -> None:
         ({}, {"frame_id": "odom"}, "has no frame_id; remove it"),
     ],
 )
-def test_a_topic_in_another_frame_than_the_map_names_is_refused(
-    frames: dict[str, Any], wanted: dict[str, str], problem: str
-) -> None:
+def test_a_topic_in_another_frame_than_the_map_names_is_refused(frames, wanted, problem):
     mapping = replace(columns(), frames={"joint": wanted})
     topics = {"joint": at([0.0], **frames), "motor": at([0.0])}
     if problem:

@@ -30,9 +30,7 @@ _MEBI = 1 << 20
         pytest.param("#" * 16_001, "definition_letters", id="too long a comment"),
     ],
 )
-def test_a_definition_is_measured_without_comments_before_it_is_parsed(
-    text: str, problem: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_definition_is_measured_without_comments_before_it_is_parsed(text, problem, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LIMITS", "definition_lines=10,definition_letters=1000")
     parsed.cache_clear()  # of what was read before in this process
     if problem:

@@ -60,9 +60,7 @@ def test_the_number_of_topics_of_a_bag_is_limited(form: str, tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_number_of_messages_read_from_a_bag_is_limited(
-    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_number_of_messages_read_from_a_bag_is_limited(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = bag_file(tmp_path, form)
     count = topic_log(path).topics()["/odom"].count
     wanted = {"/odom": ("pose.pose.position.x",)}
@@ -71,9 +69,7 @@ def test_the_number_of_messages_read_from_a_bag_is_limited(
 
 @pytest.mark.parametrize(("made", "read"), [(csv_file, read_csv_table), (parquet_file, read_parquet_table)])
 @pytest.mark.parametrize("name", ["table_bytes", "columns"])
-def test_bytes_and_columns_of_a_table_are_limited(
-    made: Any, read: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_and_columns_of_a_table_are_limited(made, read, name, tmp_path, monkeypatch):
     path = made(tmp_path)
     size = 3 if name == "columns" else path.stat().st_size
     refused_below(monkeypatch, name, size, lambda: read(path, ["t", "x"]))

@@ -92,43 +92,33 @@ def test_records_of_a_chunk_are_read_or_the_chunk_is_damaged(inside: bytes, coun
         pytest.param(entry(0, bytes(40)), 1, False, id="opcode 0"),
     ],
 )
-def test_unknown_records_are_skipped_ten_thousand_times_at_most(
-    record: bytes, repeated: int, sound: bool, tmp_path: Path
-) -> None:
+def test_unknown_records_are_skipped_ten_thousand_times_at_most(record, repeated, sound, tmp_path):
     """Nine bytes each: a small file could keep a reader busy for long."""
     assert read(mcap(tmp_path, record * repeated, MESSAGE, FOOTER)) == (1 if sound else DAMAGED)
 
 
 @pytest.mark.parametrize("how", PACKED)
 @pytest.mark.parametrize(("more", "count"), [(-1, DAMAGED), (0, 2), (1, DAMAGED)])
-def test_a_chunk_whose_length_differs_from_the_declared_one_is_damaged(
-    how: str, more: int, count: int, tmp_path: Path
-) -> None:
+def test_a_chunk_whose_length_differs_from_the_declared_one_is_damaged(how: str, more: int, count: int, tmp_path: Path):
     assert read(mcap(tmp_path, chunk(MESSAGE + MESSAGE, how, more=more), FOOTER)) == count
 
 
 @pytest.mark.parametrize("validate", [True, False])
 @pytest.mark.parametrize(("checksum", "sound"), [(0, True), (zlib.crc32(MESSAGE), True), (1, False)])
-def test_a_wrong_checksum_of_a_chunk_is_noticed_when_validating(
-    checksum: int, sound: bool, validate: bool, tmp_path: Path
-) -> None:
+def test_a_wrong_checksum_of_a_chunk_is_noticed_when_validating(checksum, sound, validate, tmp_path):
     path = mcap(tmp_path, chunk(MESSAGE, checksum=checksum), FOOTER)
     assert read(path, validate=validate) == (1 if sound or not validate else DAMAGED)
 
 
 @pytest.mark.parametrize("validate", [True, False])
 @pytest.mark.parametrize(("checksum", "sound"), [(0, True), (zlib.crc32(START + MESSAGE), True), (1, False)])
-def test_a_wrong_checksum_of_all_data_is_noticed_when_validating(
-    checksum: int, sound: bool, validate: bool, tmp_path: Path
-) -> None:
+def test_a_wrong_checksum_of_all_data_is_noticed_when_validating(checksum, sound, validate, tmp_path):
     path = mcap(tmp_path, MESSAGE, entry(15, struct.pack("<I", checksum)), FOOTER)
     assert read(path, validate=validate) == (1 if sound or not validate else DAMAGED)
 
 
 @pytest.mark.parametrize(("longer", "count"), [(0, 1), (1, DAMAGED)])
-def test_a_record_beyond_the_limit_is_damage_and_never_shortened(
-    longer: int, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_record_beyond_the_limit_is_damage_and_never_shortened(longer, count, tmp_path, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LIMITS", "mcap_record_bytes=1000")
     data = b"x" * (1000 - len(HEAD) + longer)
     path = mcap(tmp_path, entry(5, HEAD + data), FOOTER)
@@ -150,9 +140,7 @@ def test_a_record_beyond_the_limit_is_damage_and_never_shortened(
         ("mcap_channels=1", "got 2, wanted at most 1; .*mcap_channels"),
     ],
 )
-def test_chunks_are_measured_before_they_are_opened(
-    limits: str, refused: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_are_measured_before_they_are_opened(limits, refused, tmp_path, monkeypatch):
     """Two chunks of 2000 bytes and one channel each, in a file that is shorter than one of them."""
     inside = CHANNEL + entry(0x0C, b" " * (2000 - 9 - len(CHANNEL)))
     path = mcap(tmp_path, chunk(inside, "zstd"), chunk(inside, "zstd"), FOOTER)
@@ -179,8 +167,6 @@ def test_channels_outside_of_chunks_are_counted(tmp_path: Path, monkeypatch: pyt
     ("records", "reason"),
     [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it ends at byte 11 .*\)")],
 )
-def test_a_recording_without_a_robot_is_refused_with_the_findings(
-    records: tuple[bytes, ...], reason: str, tmp_path: Path
-) -> None:
+def test_a_recording_without_a_robot_is_refused_with_the_findings(records, reason, tmp_path):
     with pytest.raises(RunError, match=f"a.mcap: contains no state of a robot{reason}; wanted a recording of"):
         read_run_from_mcap(mcap(tmp_path, *records), CAR)

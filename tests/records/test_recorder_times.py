@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -35,9 +34,7 @@ class Clocks:
 
 
 @pytest.mark.parametrize("published", [0.0, 1.25, 1_764_108_000.123456])
-def test_both_times_of_a_message_are_nanoseconds_of_this_machine(
-    tmp_path: Path, published: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_times_of_a_message_are_nanoseconds_of_this_machine(tmp_path, published, monkeypatch):
     """Read by a reader that is not ours. It came when it was heard, however late it is written."""
     broker = MemoryBroker()
     ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")

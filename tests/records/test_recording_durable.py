@@ -85,9 +85,7 @@ def test_what_is_acknowledged_is_on_the_disk_before(tmp_path: Path, synced: list
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
-def test_a_failing_disk_acknowledges_nothing_and_the_failure_is_repeated(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_disk_acknowledges_nothing_and_the_failure_is_repeated(number, tmp_path, monkeypatch):
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.write(KEY, payload(), 0, 0)
         recorder.sync()
@@ -103,9 +101,7 @@ def test_a_failing_disk_acknowledges_nothing_and_the_failure_is_repeated(
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.EROFS, errno.ENOTSUP])
-def test_a_device_that_cannot_be_synced_is_no_failure(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_that_cannot_be_synced_is_no_failure(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A pipe, for example."""
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.write(KEY, payload(), 0, 0)
@@ -123,9 +119,7 @@ def test_what_is_older_than_half_a_second_has_reached_the_file(tmp_path: Path) -
     assert reached == [0] * 5 + [6] * 5 + [11] * 3
 
 
-def test_what_a_recorder_received_is_acknowledged_after_half_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_recorder_received_is_acknowledged_after_half_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A drive of four seconds with 20 messages in each, by a clock that goes on while the recorder sleeps."""
     clock, broker, sent, waiting = [100.0], MemoryBroker(), [0], list[int]()
     ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
@@ -167,9 +161,7 @@ def test_a_recorder_repeats_its_setup_every_five_seconds(tmp_path: Path, monkeyp
 @pytest.mark.parametrize(
     ("number", "waits"), [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.EIO, False), (errno.EBADF, False)]
 )
-def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(
-    number: int, waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(number, waits, tmp_path, monkeypatch):
     clock, room, broker = [100.0], [0], MemoryBroker()
     ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
     health = ears.inbox((HEALTH,), keep_all=True)
@@ -206,9 +198,7 @@ def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(
         (("dashboard", "robot"), (), ()),
     ],
 )
-def test_the_last_health_message_names_the_services_whose_setup_was_not_recorded(
-    heartbeats: tuple[str, ...], setups: tuple[str, ...], missing: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_the_last_health_message_names_the_services_whose_setup_was_not_recorded(heartbeats, setups, missing, tmp_path):
     broker = MemoryBroker()
     fleet, services = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
     health = services.inbox((HEALTH,), keep_all=True)
@@ -229,9 +219,7 @@ def test_the_last_health_message_names_the_services_whose_setup_was_not_recorded
     assert bool(last.detail) is bool(missing)
 
 
-def test_a_recorder_that_joins_after_a_service_records_its_setup_at_the_latest_when_the_service_ends(
-    tmp_path: Path,
-) -> None:
+def test_a_recorder_that_joins_after_a_service_records_its_setup_at_the_latest_when_the_service_ends(tmp_path: Path):
     broker = MemoryBroker()
     service, fleet = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
     model = load_model("car")

@@ -145,9 +145,7 @@ def test_a_topic_has_one_type_and_chunks_a_known_compression(tmp_path: Path) -> 
         ),
     ],
 )
-def test_a_bag_stays_within_the_limits(
-    records: list[bytes], limits: str, refused: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_stays_within_the_limits(records, limits, refused, tmp_path, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LIMITS", limits)
     if refused:
         with pytest.raises(LimitError, match=refused):

@@ -75,9 +75,7 @@ def test_a_row_that_is_no_message_is_left_out(odd: tuple[Any, Any, Any], tmp_pat
         ((TOPICS, "CREATE VIEW messages AS SELECT 1 AS topic_id, 2 AS timestamp, x'00' AS data"), "messages"),
     ],
 )
-def test_a_database_without_the_tables_of_a_bag_is_refused(
-    tables: tuple[str, ...], lacking: str, tmp_path: Path
-) -> None:
+def test_a_database_without_the_tables_of_a_bag_is_refused(tables: tuple[str, ...], lacking: str, tmp_path: Path):
     """A view could compute without end."""
     with pytest.raises(RunError, match=f"is a SQLite database, but no rosbag2: it has no such table '{lacking}'"):
         list(SqliteBag(written(tmp_path / "a.db3", tables=tables)).messages(None))
@@ -95,9 +93,7 @@ class Shorter(PosixPath):
 
 
 @pytest.mark.parametrize("less", [0, 1])
-def test_messages_longer_together_than_their_file_are_refused(
-    less: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_longer_together_than_their_file_are_refused(less, tmp_path, monkeypatch):
     monkeypatch.setenv("SAFEDPA_LIMITS", "expansion_free_bytes=1")
     path = Shorter(written(tmp_path / "a.db3", *[(1, at, encoded(1.0)) for at in range(5)]))
     monkeypatch.setattr(Shorter, "size", 5 * 8 - less)
@@ -172,9 +168,7 @@ def folder_bag(folder: Path, form: str, mode: str, *data: bytes) -> FolderBag:
         ('""', '""', False),
     ],
 )
-def test_messages_of_a_folder_are_packed_by_zstd_or_not_at_all(
-    form: str, mode: str, refused: bool, tmp_path: Path
-) -> None:
+def test_messages_of_a_folder_are_packed_by_zstd_or_not_at_all(form: str, mode: str, refused: bool, tmp_path: Path):
     if refused:
         with pytest.raises(RunError, match=f"messages are compressed by '{form.strip(chr(34))}'; wanted zstd"):
             folder_bag(tmp_path / "bag", form, mode)
@@ -203,9 +197,7 @@ def test_packed_messages_are_unpacked_up_to_a_limit(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize(("letters", "listed"), [(24, ["/a", "/a2", "/b"]), (23, ["/a", "/a2"]), (11, [])])
-def test_fields_are_listed_for_as_many_definitions_as_the_limit_allows(
-    letters: int, listed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fields_are_listed_for_as_many_definitions_as_the_limit_allows(letters, listed, tmp_path, monkeypatch):
     """Each definition has twelve letters; that of /a2 is the one of /a and counts once."""
     monkeypatch.setenv("SAFEDPA_LIMITS", f"definitions_letters={letters}")
     parts = [connection(0), connection(1, "/b", "other_msgs/Value"), connection(2, "/a2"), message(0)]

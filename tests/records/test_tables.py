@@ -73,9 +73,7 @@ BAD_LINE, COMMENT, COMMA = "malformed_line", "comment_lines", "decimal_comma"
         pytest.param("t,x\n0,05\n0,1\n", [5.0, 1.0], [], id="as many cells as the header"),
     ],
 )
-def test_a_readable_table_gives_its_numbers_and_findings(
-    text: str, x: list[float], kinds: list[str], tmp_path: Path
-) -> None:
+def test_a_readable_table_gives_its_numbers_and_findings(text: str, x: list[float], kinds: list[str], tmp_path: Path):
     found = read_csv_table(written(tmp_path, text), ("t", "x"))
     assert found.columns["x"].tolist() == x
     assert [one.kind for one in found.findings] == kinds

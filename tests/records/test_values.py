@@ -42,9 +42,7 @@ def milliseconds(speed: float, x: list[float] | None = None, period: float = 33.
 
 
 @pytest.mark.parametrize(("speed", "recognised"), [(1.0, True), (-1.0, True), (0.75, True), (0.5, False), (2.0, False)])
-def test_milliseconds_are_recognised_where_the_car_then_moves_as_fast_as_reported(
-    speed: float, recognised: bool
-) -> None:
+def test_milliseconds_are_recognised_where_the_car_then_moves_as_fast_as_reported(speed: float, recognised: bool):
     bad, findings = other_units(milliseconds(speed), CAR, native_map(CAR))
     assert [one.kind for one in findings] == ["unit_mistake"] * recognised
     assert bad.all() == bad.any() == recognised
@@ -68,9 +66,7 @@ def test_no_unit_of_time_is_recognised_from_a_stationary_car(speed: float) -> No
     [(0.0, 20.0, True), (7.0, 50.0, True), (0.0, 100.0, True), (0.5, 20.0, False), (0.0, 30.0, False),
      (0.0, 7.5, False)],
 )  # fmt: skip
-def test_whole_times_with_round_steps_are_milliseconds_also_of_a_stationary_car(
-    first: float, period: float, recognised: bool
-) -> None:
+def test_whole_times_with_round_steps_are_milliseconds_also_of_a_stationary_car(first, period, recognised):
     rows = milliseconds(0.0, [2.0] * 60, period, first)
     rows.t[3] = np.nan
     assert bool(other_units(rows, CAR, native_map(CAR))[1]) is recognised
@@ -81,9 +77,7 @@ def test_whole_times_with_round_steps_are_milliseconds_also_of_a_stationary_car(
     [(50.0, 50.0, True), (100.0, 100.0, True), (2.0, 2.0, True), (1.25, 1.25, False), (0.5, 50.0, False),
      (150.0, 150.0, False), (0.5, 0.5, False)],
 )  # fmt: skip
-def test_a_command_is_percent_where_it_is_often_above_1_and_never_above_100(
-    usual: float, seldom: float, recognised: bool
-) -> None:
+def test_a_command_is_percent_where_it_is_often_above_1_and_never_above_100(usual, seldom, recognised):
     """Ten of a hundred rows have the seldom value."""
     values = np.where(np.arange(100) % 10 == 0, seldom, usual) * np.where(np.arange(100) % 2, 1.0, -1.0)
     rows = RawRows(0.05 * np.arange(100), np.zeros((100, 4)), np.column_stack([values, np.zeros(100)]))

@@ -138,9 +138,7 @@ def state(fleet_of: Any) -> Any:
     return fleet_of().robot.state_message()
 
 
-def test_the_recording_continues_in_another_file_once_there_is_room(
-    tmp_path: Path, state: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_recording_continues_in_another_file_once_there_is_room(tmp_path, state, monkeypatch):
     fleet, later = Fleet(tmp_path / "drive.mcap"), time.monotonic() + 10.0
     setup = setup_message("policy", {"model": "car"})
     fleet.bus.publish(SETUP, NO_ROBOT, setup, "policy")

@@ -1,7 +1,6 @@
 """Which fields of two messages differ, and which of them only in a last digit."""
 
 from dataclasses import fields, replace
-from typing import Any
 
 import pytest
 
@@ -48,9 +47,7 @@ def test_the_time_of_sending_and_fields_that_were_not_recorded_are_not_compared(
         ((1.0,), 1.0, False), (1, 1.0 + 1e-9, False), ("a", 1, False),
     ],
 )  # fmt: skip
-def test_floats_and_numbers_in_sentences_may_differ_by_a_millionth_of_the_number_or_of_one(
-    one: Any, other: Any, near: bool
-) -> None:
+def test_floats_and_numbers_in_sentences_may_differ_by_a_millionth_of_the_number_or_of_one(one, other, near):
     """Whole numbers, words and counts are equal or not."""
     (item,) = differences("latent", replace(ONE, values=one), replace(ONE, values=other), ALL)
     assert item.exact_only is near

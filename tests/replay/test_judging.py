@@ -115,9 +115,7 @@ def test_another_last_digit_is_counted_and_is_no_difference(judged: Judged) -> N
 
 
 @pytest.mark.parametrize(("agreeing", "known_again"), [(19, False), (20, True), (30, True)])
-def test_a_memory_counts_as_known_again_after_twenty_outputs_that_agree(
-    judged: Judged, agreeing: int, known_again: bool
-) -> None:
+def test_a_memory_counts_as_known_again_after_twenty_outputs_that_agree(judged, agreeing, known_again):
     """Differences behind a gap may stem from the gap, and a few outputs may agree by chance."""
     steps = [
         step(0, latent(0), {LATENT: latent(0)}),

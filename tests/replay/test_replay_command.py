@@ -61,9 +61,7 @@ def test_an_identical_recording(capsys: pytest.CaptureFixture[str]) -> None:
     assert document["services"][2]["compared"] == {"verdict": 40, "action": 40}
 
 
-def test_a_forged_verdict_is_named_with_tick_field_and_both_values(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_forged_verdict_is_named_with_tick_field_and_both_values(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     path = str(forged(tmp_path / "forged.mcap"))
     code, out, _ = run(capsys, path)
     assert code == 1
@@ -90,9 +88,7 @@ def test_what_if_is_only_looked_at(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 @pytest.mark.parametrize("how", [(), ("--eta", "0.1"), ("--closed-loop",)])
-def test_settings_of_an_older_program_are_left_out_and_named_once(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, how: tuple[str, ...]
-) -> None:
+def test_settings_of_an_older_program_are_left_out_and_named_once(capsys, tmp_path, how):
     path = str(aged(tmp_path / "aged.mcap"))
     code, out, _ = run(capsys, path, *how)
     assert code == 0
@@ -135,9 +131,7 @@ def test_what_was_replayed_can_be_replayed(capsys: pytest.CaptureFixture[str], t
         ((BOX, "--eta", "0.1", "--out", "table.txt"), "wanted .csv"),
     ],
 )
-def test_bad_input_is_answered_in_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], sentence: str
-) -> None:
+def test_bad_input_is_answered_in_one_line(capsys, arguments, sentence):
     code, _, err = run(capsys, *arguments)
     assert code == 2
     assert sentence in err

@@ -32,9 +32,7 @@ def test_the_document_of_a_replay_has_all_that_the_lines_say(capsys: pytest.Capt
     }  # fmt: skip
 
 
-def test_the_document_of_a_what_if_has_recorded_and_hypothetical_decisions(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_document_of_a_what_if_has_recorded_and_hypothetical_decisions(capsys: pytest.CaptureFixture[str]):
     document = document_of(capsys, "--eta", "0.1")
     recorded = [decode(VerdictMessage, payload) for _, _, topic, payload in read_payloads(BOX) if topic is VERDICT]
     assert (document["changed"], document["states"]) == ("eta 0.1", "recorded (open loop)")

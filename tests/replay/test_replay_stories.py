@@ -2,7 +2,6 @@
 
 import dataclasses
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.replay.conftest import driven
 
-from safedpa.bus import LATENT, NOMINAL, STATE, VERDICT, ModelMessage, VerdictMessage
+from safedpa.bus import LATENT, NOMINAL, STATE, VERDICT, VerdictMessage
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder
 from safedpa.replay.gaps import gaps_of
@@ -62,9 +61,7 @@ def test_every_controller_replays(fleet_of: Any, tmp_path: Path, controller: str
 
 
 @pytest.mark.parametrize("restarted", [(), ("adaptation",), ("policy",), ("safety_filter",)])
-def test_a_change_of_the_model_replays_with_all_that_follows_it(
-    fleet_of: Any, offer_of: Callable[[str, int], ModelMessage], tmp_path: Path, restarted: tuple[str, ...]
-) -> None:
+def test_a_change_of_the_model_replays_with_all_that_follows_it(fleet_of, offer_of, tmp_path, restarted):
     fleet, offer = fleet_of(), offer_of("car", 1)
     driven(fleet, 20)
     fleet.send(offer)

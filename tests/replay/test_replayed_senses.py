@@ -102,9 +102,7 @@ def test_whatever_befalls_the_services(fleet_of: Any, tmp_path: Path, events: li
     assert found.agrees or of_perception(found).spans
 
 
-def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_their_author(
-    fleet: Any, tmp_path: Path
-) -> None:
+def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_their_author(fleet: Any, tmp_path: Path):
     driven(fleet, 20)
     fleet.order("source front=off", "zone wet=on", who="Ada")
     driven(fleet, 20)
@@ -134,9 +132,7 @@ def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_t
 
 
 @pytest.mark.long
-def test_a_scan_that_was_not_recorded_is_reported_and_is_no_difference_of_perception(
-    fleet: Any, tmp_path: Path
-) -> None:
+def test_a_scan_that_was_not_recorded_is_reported_and_is_no_difference_of_perception(fleet: Any, tmp_path: Path):
     def keep(item: ReceivedMessage) -> bool:
         scan = item.topic is SCAN and decode(ScanMessage, item.payload)
         return not (isinstance(scan, ScanMessage) and scan.source == "front" and scan.number == 12)

@@ -71,9 +71,7 @@ def tape_of(findings: tuple[str, ...] = ()) -> RobotTape:
         ({"compared": 0}, "nothing was compared", True, True),
     ],
 )
-def test_the_last_line_is_the_verdict_over_all_services(
-    which: int, parts: dict[str, int], last: str, agrees: bool, exact: bool
-) -> None:
+def test_the_last_line_is_the_verdict_over_all_services(which, parts, last, agrees, exact):
     found = replay_of(which, **parts)
     assert (found.agrees, found.exact) == (agrees, exact)
     assert list(lines_of(tape_of(), found, [], []))[-1].startswith(last)
@@ -81,9 +79,7 @@ def test_the_last_line_is_the_verdict_over_all_services(
 
 @pytest.mark.parametrize("which", range(3))
 @pytest.mark.parametrize(("agrees_from", "again_from"), [(None, None), (9, None), (None, 9)])
-def test_a_replay_is_not_confirmed_while_a_memory_is_unknown_at_the_end(
-    which: int, agrees_from: int | None, again_from: int | None
-) -> None:
+def test_a_replay_is_not_confirmed_while_a_memory_is_unknown_at_the_end(which, agrees_from, again_from):
     found = replay_of(0)
     found.services[which].spans = [
         UnknownStateSpan("a gap", 3, 1, 0.5, agrees_from=2),
@@ -180,9 +176,7 @@ def decided(h: list[tuple[float, float, float, float]], **changes: Any) -> list[
         ([(0.0, 0.0, 0.0, 0.0)], (0.0, 0.0, 0.0)),
     ],
 )
-def test_the_smallest_h_is_that_of_any_tick(
-    h: list[tuple[float, float, float, float]], smallest: tuple[float, float, float]
-) -> None:
+def test_the_smallest_h_is_that_of_any_tick(h, smallest):
     summary = summary_of(decided(h))
     assert (summary.smallest_h_now, summary.smallest_h_then, summary.smallest_h_other) == smallest
 
@@ -197,9 +191,7 @@ def test_the_smallest_h_is_that_of_any_tick(
         ({"slack": 1.0}, False, 0.0),
     ],
 )
-def test_a_different_decision_in_any_tick_is_counted_and_listed(
-    at: int, changes: dict[str, Any], differs: bool, distance: float
-) -> None:
+def test_a_different_decision_in_any_tick_is_counted_and_listed(at, changes, differs, distance):
     decisions = decided([USUAL] * 3)
     decisions[at] = replace(decisions[at], now=replace(decisions[at].now, **changes))
     summary = summary_of(decisions)

@@ -38,9 +38,7 @@ def with_entry(entry: bytes) -> bytes:
         pytest.param([with_entry(b"\xa1\xff\x01")], set(), id="a name that is no text"),
     ],
 )
-def test_the_fields_of_a_recording_are_those_of_its_first_message(
-    payloads: list[bytes], lacking: set[str], tmp_path: Path
-) -> None:
+def test_the_fields_of_a_recording_are_those_of_its_first_message(payloads, lacking, tmp_path):
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         for tick, payload in enumerate(payloads):
             recorder.write(key_of("fleet", "r1", STATE), payload, tick, tick)

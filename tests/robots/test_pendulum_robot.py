@@ -50,9 +50,7 @@ def reported(robot: PendulumRobot, torque: float, **other: Any) -> ActionMessage
     speed=st.floats(0.0, 5.0),
     torques=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=20),
 )
-def test_it_moves_as_the_published_equations_say(
-    angle: float, direction: float, speed: float, torques: list[float]
-) -> None:
+def test_it_moves_as_the_published_equations_say(angle: float, direction: float, speed: float, torques: list[float]):
     wind = wind_towards(speed, direction)
     world, model = PendulumWorld(angle, wind), in_wind(wind)
     state = np.array((angle, 0.0))

@@ -21,9 +21,7 @@ BRAKING = (2.8, 3.2)
 actions = st.lists(st.tuples(st.floats(-0.6, 2.0), st.floats(-0.34, 0.34)), min_size=1, max_size=60)
 
 
-def axle_force(
-    rolling: float, sideways: float, drive: float, limit: float, slip_scale: float, slip_speed: float
-) -> tuple[float, float]:
+def axle_force(rolling: float, sideways: float, drive: float, limit: float, slip_scale: float, slip_speed: float):
     """Returns longitudinal and lateral force [N] on an axle, in the frame of its wheels.
 
     F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2),

@@ -165,9 +165,7 @@ def test_invalid_scenes_are_refused() -> None:
         ("drive_lag", "time_constant = 0.12", {"lag": 0.22}),
     ],
 )
-def test_an_effect_moves_the_model_towards_the_wheels_that_have_it(
-    name: str, numbers: str, world: dict[str, float]
-) -> None:
+def test_an_effect_moves_the_model_towards_the_wheels_that_have_it(name: str, numbers: str, world: dict[str, float]):
     def missed(model_text: str) -> float:
         model = parse_model(model_text, Path())
         truth = WheeledStandIn(3, grip=1.5, **world)
@@ -198,9 +196,7 @@ def test_a_differential_drive_is_commanded_by_twist_and_refuses_worlds_of_other_
 
 
 @pytest.mark.processes
-def test_up_drives_the_differential_drive_and_refuses_another_robot_s_model(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_up_drives_the_differential_drive_and_refuses_another_robot_s_model(tmp_path, capfd):
     phrase = ["up", "--robot", "differential_drive", "--lockstep", "--headless", "--seconds", "6", "--json"]
     assert safedpa.run([*phrase, "--world", "grip=0.3", "--seed", "2", "--out", str(tmp_path)]) == 0
     summary = json.loads(capfd.readouterr().out)

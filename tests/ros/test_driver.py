@@ -94,9 +94,7 @@ def test_a_gateway_does_not_start_while_another_publisher_drives(hash_used: Any)
 
 
 @pytest.mark.parametrize(("since", "found"), [(0.0, True), (9.5, True), (10.6, False), (1e9, False)])
-def test_a_gateway_waits_ten_seconds_for_the_driver(
-    since: float, found: bool, hash_used: Any, now: list[float]
-) -> None:
+def test_a_gateway_waits_ten_seconds_for_the_driver(since: float, found: bool, hash_used: Any, now: list[float]):
     link = Link(drivers=[driver()], since=since)
     if found:
         assert hash_used(link) == "RIHS01_of_the_driver"

@@ -59,9 +59,7 @@ def test_mujoco_moves_as_the_model_does(name: str) -> None:
     assert abs(moved(plain, 0.5) - moved(model, 0.5)) > 0.02
 
 
-def test_everything_is_written_and_effects_that_cannot_be_expressed_are_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_everything_is_written_and_effects_that_cannot_be_expressed_are_reported(tmp_path, capsys):
     path = tmp_path / "found.toml"
     path.write_text(MODEL.format(name="wind", parameters="speed = 1.0\ndrag = 0.1\nupward = 0.0"))
     out = tmp_path / "out"

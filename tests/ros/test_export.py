@@ -89,9 +89,7 @@ def test_rerun_reads_the_bag(drive: Path, tmp_path: Path) -> None:
     assert (tmp_path / "bag.rrd").stat().st_size > 10_000
 
 
-def test_the_command_reports_the_bag_and_replaces_nothing(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_reports_the_bag_and_replaces_nothing(drive, tmp_path, capsys):
     out = tmp_path / "bag"
     arguments = ["export", str(drive), "--format", "ros2", "--out", str(out)]
     assert safedpa.run(arguments) == 0
@@ -154,9 +152,7 @@ def test_a_robot_without_a_setup_is_known_by_its_numbers_and_by_whether_it_drive
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(("robot", "model"), [("car", "dart_car"), ("differential_drive", "differential_drive")])
-def test_the_command_of_a_throttle_or_a_differential_drive_is_a_speed_in_the_bag(
-    tmp_path: Path, robot: str, model: str
-) -> None:
+def test_the_command_of_a_throttle_or_a_differential_drive_is_a_speed_in_the_bag(tmp_path, robot, model):
     from rosbags.highlevel import AnyReader
 
     phrase = ["up", "--robot", robot, "--model", model, "--headless", "--lockstep", "--seconds", "3", "--seed", "3"]

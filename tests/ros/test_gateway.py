@@ -74,9 +74,7 @@ def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.long
-def test_a_missing_driver_or_one_of_another_type_is_named_before_anything_moves(
-    side: Side, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_driver_or_one_of_another_type_is_named_before_anything_moves(side, capsys):
     def refused(path: Path) -> str:
         assert safedpa.run(["ros", "run", str(path), "--fleet", "alone"]) == 2
         return capsys.readouterr().err
@@ -139,9 +137,7 @@ def test_without_odometry_or_a_nominal_action_the_robot_stops(side: Side, tmp_pa
 
 
 @pytest.mark.long
-def test_the_driver_brakes_after_the_gateway_was_killed_and_a_jumping_clock_has_no_effect(
-    side: Side, tmp_path: Path
-) -> None:
+def test_the_driver_brakes_after_the_gateway_was_killed_and_a_jumping_clock_has_no_effect(side: Side, tmp_path: Path):
     car = side.car(_LONG, 11, "--rewind-after", "1.0")
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -252,9 +248,7 @@ def test_the_gateway_reconnects_to_the_robots_router(side: Side, tmp_path: Path)
 
 
 @pytest.mark.long
-def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publisher_without_a_token(
-    side: Side, tmp_path: Path
-) -> None:
+def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publisher_without_a_token(side, tmp_path):
     folder = str(tmp_path / "certificates")
     assert safedpa.run(["certificates", folder, "--robot", "r1"]) == 0
     loop = Loop(tmp_path)

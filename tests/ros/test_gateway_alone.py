@@ -150,9 +150,7 @@ def test_a_gateway_sends_a_heartbeat_four_times_a_second(rig: Rig) -> None:
     assert all(0.2 < later - earlier <= 0.31 for earlier, later in pairwise(beats))
 
 
-def test_each_reason_to_brake_is_logged_once_and_driving_again_too(
-    rig: Rig, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_reason_to_brake_is_logged_once_and_driving_again_too(rig: Rig, capsys: pytest.CaptureFixture[str]):
     ages = (0.0, 0.0, 0.11, 0.16, 0.0, 0.0)
 
     def before(turn: int) -> None:
@@ -174,9 +172,7 @@ def test_each_reason_to_brake_is_logged_once_and_driving_again_too(
     [((), None, ()), ((3.0, 1.0), None, (3.0, 1.0)), ((3.0, 1.0), (), (3.0, 1.0)), ((3.0, 1.0), (0.0, 2.0), (0.0, 2.0)),
      ((), (0.0, 2.0), (0.0, 2.0))],
 )  # fmt: skip
-def test_a_received_goal_replaces_the_one_of_the_file(
-    of_file: tuple[float, ...], heard: tuple[float, ...] | None, goal: tuple[float, ...]
-) -> None:
+def test_a_received_goal_replaces_the_one_of_the_file(of_file, heard, goal):
     asked = replace(ASKED, surroundings=replace(ASKED.surroundings, goal=of_file))
     with rig_of(asked=asked, goal=None if heard is None else Sense(heard)) as rig:
         rig.turns()
@@ -194,9 +190,7 @@ def test_a_received_goal_replaces_the_one_of_the_file(
         (+0.02, 0.0, 20, 1.0),  # after the newest odometry: it belongs to the state that is sent now
     ],
 )
-def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(
-    arrived: float, delay: float, tick: int | None, measured: float | None
-) -> None:
+def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(arrived, delay, tick, measured):
     """Measured at 1 s of robot time, after 20 ticks of 0.05 s."""
     turn = SimpleNamespace(
         arrived=100.0 + arrived, first_angle=0.0, angle_step=0.1, ranges=(1.0, 2.0), nearest=0.1, farthest=9.0
@@ -232,9 +226,7 @@ def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced:
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05, 1.0])
-def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(
-    rig: Rig, period: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(rig, period, monkeypatch):
     slept: list[float] = []
     rig.gateway.period = period
 

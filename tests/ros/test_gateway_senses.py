@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -332,9 +331,7 @@ def test_scans_without_a_stamp_are_all_new() -> None:
         (7, {"range_min": 2.0, "range_max": 2.0}, False),
     ],
 )
-def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most(
-    rays: int, changes: dict[str, float], believed: bool
-) -> None:
+def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most(rays, changes, believed):
     scanner = Scanner("laser")
     scanner.take(scan_of([1.0] * rays, **changes))
     assert (len(scanner.take_all()), scanner.refused) == (believed, not believed)
@@ -394,9 +391,7 @@ WHOLE = (
         ("0.12]", "0.12]\nobstacles = [[0, 0, -1]]", "surroundings.obstacles: wanted x, y and a radius above 0"),
     ],
 )
-def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(
-    tmp_path: Path, before: str, after: str, notice: str
-) -> None:
+def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(tmp_path, before, after, notice):
     path = tmp_path / "robot.toml"
     path.write_text(WHOLE)
     assert load_robot_file(path).name == "r1"

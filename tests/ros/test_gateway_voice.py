@@ -59,9 +59,7 @@ def test_the_predicted_path_of_a_verdict_is_published_in_the_frame_of_the_surrou
 
 
 @pytest.mark.parametrize("predicted", [(), ((1.0,),), ((1.0, 2.0, 0.5, 0.1), ())])
-def test_without_a_path_of_its_own_model_only_the_verdict_is_published(
-    predicted: tuple[tuple[float, ...], ...],
-) -> None:
+def test_without_a_path_of_its_own_model_only_the_verdict_is_published(predicted: tuple[tuple[float, ...], ...]):
     reported = Reported()
     reported.hears(predicted)
     assert not reported.markers.messages

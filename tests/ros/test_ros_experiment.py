@@ -47,9 +47,7 @@ def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str)
 
 
 @pytest.mark.parametrize("stall", [0.04, 0.3])
-def test_a_car_whose_process_was_suspended_does_not_drive_on_blindly(
-    monkeypatch: pytest.MonkeyPatch, stall: float
-) -> None:
+def test_a_car_whose_process_was_suspended_does_not_drive_on_blindly(monkeypatch: pytest.MonkeyPatch, stall: float):
     """It would make up for missed periods in a burst under one command, without control by the gateway."""
     now, turns = [50.0], list[float]()
     monkeypatch.setattr(car.time, "monotonic", lambda: now[0])

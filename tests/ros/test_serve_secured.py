@@ -132,9 +132,7 @@ def refused(capsys: pytest.CaptureFixture[str], *phrase: str) -> str:
     return capsys.readouterr().err
 
 
-def test_conflicting_options_are_refused_before_anything_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_conflicting_options_are_refused_before_anything_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file, folder = tmp_path / "robot.toml", certificates(tmp_path / "own", "r1")
     file.write_text(BY_ITSELF, encoding="utf-8")
     phrase = (str(file), "--out", str(tmp_path / "runs"))

@@ -32,9 +32,7 @@ def latent_at(state: StateMessage, model: PhysicsModel = CAR) -> LatentMessage:
     return LatentMessage(**stamp(state), model=fingerprint(model), values=values, deviations=values)
 
 
-def asked(
-    node: SafetyFilterNode, state: StateMessage, latent: Any, nominal: tuple[float, ...] = (1.0, 0.0)
-) -> VerdictMessage:
+def asked(node: SafetyFilterNode, state: StateMessage, latent: Any, nominal: tuple[float, ...] = (1.0, 0.0)):
     inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp(state), values=nominal, controller="test")}
     node.step("r", state, inputs)
     verdict = node.afterwards("r")[VERDICT]

@@ -20,9 +20,7 @@ def about(*action: float) -> ActionCandidate:
 class Gradients:
     """Of one condition, 1 of the first action; its limit follows from the residual."""
 
-    def at(
-        self, residual: list[float], action: tuple[float, ...], overshoot: float
-    ) -> tuple[list[list[float]], list[float]]:
+    def at(self, residual: list[float], action: tuple[float, ...], overshoot: float):
         return [[1.0]], [action[0] - (1.0 + overshoot * (residual[0] < 0.0)) * residual[0]]
 
 

@@ -93,9 +93,7 @@ class Drawn:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("rows", "bend"), [(1, 0.0), (4, 0.0), (1, 0.3), (3, 0.1), (1, 2.0), (2, 1.0)])
-def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_left_to_it(
-    rows: int, bend: float
-) -> None:
+def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_left_to_it(rows: int, bend: float):
     drawn = Drawn(rows, rows, bend)
     drawn.state[0, 0], drawn.nominal[1, 0], drawn.state[2, 1], drawn.nominal[3, 1] = np.nan, inf, 51.0, 1e4
     drawn.epsilon["function"][4:7] = -0.1, inf, np.nan

@@ -54,9 +54,7 @@ def slopes_by_hand(parts: Sequence[Any], state: Sequence[float]) -> np.ndarray:
     return np.array(columns).T
 
 
-def scene_of(
-    scene: list[tuple[float, float, float]], walls: bool, way: float | None, pose: Sequence[float]
-) -> list[Any]:
+def scene_of(scene: list[tuple[float, float, float]], walls: bool, way: float | None, pose: Sequence[float]):
     towed = (
         None if way is None else TrailerEnvelope(0.1, 0.5, 0.2, way, (pose[0] + 0.03, pose[1] - 0.02, pose[2] + 0.05))
     )
@@ -65,9 +63,7 @@ def scene_of(
 
 @settings(max_examples=200, deadline=None)
 @given(scene=obstacles, state=states, walls=st.booleans(), on_it=st.booleans(), way=loads)
-def test_values_and_slopes_are_those_of_the_equation_itself(
-    scene: list[tuple[float, float, float]], state: tuple[float, ...], walls: bool, on_it: bool, way: float | None
-) -> None:
+def test_values_and_slopes_are_those_of_the_equation_itself(scene, state, walls, on_it, way):
     if on_it:  # an obstacle's centre on the body itself, where there is no direction
         scene = [*scene, (*state[:2], 0.3)]
     parts = scene_of(scene, walls, way, state)
@@ -86,9 +82,7 @@ def test_values_and_slopes_are_those_of_the_equation_itself(
 
 @settings(max_examples=50, deadline=None)
 @given(scene=obstacles, drive=st.lists(states, min_size=1, max_size=4), walls=st.booleans(), way=loads)
-def test_many_robots_at_once_have_what_each_has_alone(
-    scene: list[tuple[float, float, float]], drive: list[tuple[float, ...]], walls: bool, way: float | None
-) -> None:
+def test_many_robots_at_once_have_what_each_has_alone(scene, drive, walls, way):
     parts = [scene_of(scene, walls, way, state) for state in drive]
     many, reference = batch_barriers(parts, 4), SequentialBarriers(parts)
     assert isinstance(many, CompiledBatchBarriers)

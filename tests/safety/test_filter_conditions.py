@@ -15,9 +15,7 @@ from safedpa.safety.solver.linearization import Linearization
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input
 
 
-def conditions(
-    step: Callable[[np.ndarray, np.ndarray], object], g: object, low: float = 0.0, high: float = 2.0
-) -> Constraints:
+def conditions(step: Callable[[np.ndarray, np.ndarray], object], g: object, low: float = 0.0, high: float = 2.0):
     """h = x_0; the model's step and its tangent g (2, 1) are given apart, so that they may disagree."""
     return Constraints(
         Barriers([FunctionBarrier(lambda x: x[0], lambda x: [1.0, 0.0])]),

@@ -77,9 +77,7 @@ def test_search_result_that_leads_to_just_the_limit_counts(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("relinearisations", [0, 3])
-def test_program_is_posed_once_and_then_as_often_as_allowed(
-    monkeypatch: pytest.MonkeyPatch, relinearisations: int
-) -> None:
+def test_program_is_posed_once_and_then_as_often_as_allowed(monkeypatch: pytest.MonkeyPatch, relinearisations: int):
     """A solver whose answers all break the condition and never come again: the search gives up after the last round."""
     safe, calls = line_filter(relinearisations=relinearisations), []
 
@@ -187,9 +185,7 @@ def test_relaxed_names_three_barriers_and_says_that_there_are_more() -> None:
 Values = NDArray[np.float64]
 
 
-def test_an_action_brought_back_is_nearest_once_the_program_is_posed_from_there(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_action_brought_back_is_nearest_once_the_program_is_posed_from_there(monkeypatch: pytest.MonkeyPatch):
     """h = min(a_1, 1) + a_2 - 1.2: what was found stands on the plateau, at its edge the nearest is on the slope."""
     settings = FilterSettings(action_low=(0.0, 0.0), action_high=(4.0, 4.0), eta=1.0, epsilon=0.0)
 
@@ -217,9 +213,7 @@ def test_an_action_brought_back_is_nearest_once_the_program_is_posed_from_there(
     ("seed", "bend", "most", "rows", "robot"),
     [(3, 1.5, 2.0, 2, 8), (5, 1.5, 2.0, 2, 16), (6, 0.5, 1.2, 3, 41), (8, 1.5, 2.0, 2, 53), (9, 0.5, 1.2, 3, 45)],
 )
-def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(
-    seed: int, bend: float, most: float, rows: int, robot: int
-) -> None:
+def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(seed, bend, most, rows, robot):
     """Islands that neither the tangents nor the lattice meet, in front of a saturated actuator."""
     problems = Problems(seed, 60, TWO, bend, most, rows)
 
@@ -340,9 +334,7 @@ def delayed() -> PhysicsModel:
 
 
 @pytest.mark.parametrize("late", [True, False])
-def test_with_a_delay_the_next_tick_says_nothing_of_the_nominal_action(
-    late: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_delay_the_next_tick_says_nothing_of_the_nominal_action(late: bool, monkeypatch: pytest.MonkeyPatch):
     """Commands in flight raise h; because of that the nominal action, which acts later, would be passed on."""
     model, settings = delayed() if late else load_model("car"), settings_named("car")
     own = fingerprint(model)

@@ -77,9 +77,7 @@ def test_bad_nominal_action(car_filter: SafetyFilter, nominal: Any, reason: str)
     assert verdict.margin == 0.01
 
 
-def test_edges_of_the_plausible_range_are_believed_and_of_several_problems_all_are_named(
-    car_filter: SafetyFilter,
-) -> None:
+def test_edges_of_the_plausible_range_are_believed_and_of_several_problems_all_are_named(car_filter: SafetyFilter):
     assert car_filter.decide(GOOD, [28.0, 0.0]).status is not Status.fallback
     assert car_filter.decide([0.0, 0.0, 0.0, 30.0], NOMINAL).status is not Status.fallback
     verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
@@ -141,9 +139,7 @@ def test_if_it_is_unclear_what_is_stale_the_state_is_not_trusted(car: PhysicsMod
     [(None, "nominal is missing"), ([math.nan, 0.0], "nominal holds NaN or infinity")],
     ids=repr,
 )
-def test_without_a_nominal_action_even_a_filter_that_is_switched_off_takes_the_backup(
-    car: PhysicsModel, nominal: Any, reason: str
-) -> None:
+def test_without_a_nominal_action_even_a_filter_that_is_switched_off_takes_the_backup(car, nominal, reason):
     off = replace(CAR, enabled=False)
     safe = SafetyFilter.for_model(car, off, car_barriers(off, (0.08, 0.4, 0.12), []), backup=lambda _: [0.1, 0.2])
     verdict = safe.decide(GOOD, nominal)
@@ -165,9 +161,7 @@ def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, r
     assert_brakes(safe.decide(GOOD, None), "nominal is missing")
 
 
-def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(
-    car: PhysicsModel,
-) -> None:
+def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(car: PhysicsModel):
     safe = SafetyFilter.for_model(car, CAR, backup=lambda _: np.array([-9.0, 9.0]))
     np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
     resting = FilterSettings(backup_action=(-0.2, 0.05))
@@ -293,9 +287,7 @@ def never_kept(**changes: Any) -> SafetyFilter:
     return scalar_filter(**parts)
 
 
-def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still_found(monkeypatch: pytest.MonkeyPatch):
     """By the linear program; and where that gives up as well, among the corners of the range."""
     safe = never_kept()
     program_reports(monkeypatch, safe, GIVEN_UP)
@@ -333,9 +325,7 @@ def test_below_zero_a_solver_that_gives_up_leaves_the_best_of_what_is_known(monk
     assert (verdict.h_now, verdict.h_next) == (-1.0, 0.0)
 
 
-def test_search_that_finds_nothing_goes_from_the_backup_towards_the_nominal_action(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_search_that_finds_nothing_goes_from_the_backup_towards_the_nominal_action(monkeypatch: pytest.MonkeyPatch):
     """The QP misleads, always: what the backup leads to is taken as far as the condition allows, and said."""
     safe = scalar_filter()
     program_reports(monkeypatch, safe, solution(0.9))

@@ -51,18 +51,14 @@ def test_forward_invariance(
         assert verdict.h_next == pytest.approx(min(part.h(state).min() for part in barriers), abs=1e-12)
 
 
-def test_without_the_filter_the_same_nominal_actions_collide(
-    car: PhysicsModel, settings: FilterSettings, random_scene: Draw
-) -> None:
+def test_without_the_filter_the_same_nominal_actions_collide(car, settings, random_scene):
     barriers, state = random_scene(np.random.default_rng(0), 4), np.array([3.0, 0.0, 0.0, 1.0])
     for _ in range(40):
         state = car.step(state, np.array([2.0, 0.0]))
     assert min(part.h(state).min() for part in barriers) < 0.0
 
 
-def test_every_safe_state_has_an_admissible_action(
-    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
-) -> None:
+def test_every_safe_state_has_an_admissible_action(car, settings, random_scene, safe_state):
     """h >= epsilon / eta everywhere, then braking straight satisfies every condition: counted over the state space."""
     random, kept, count = np.random.default_rng(11), 0, 3000
     safe = SafetyFilter.for_model(car, settings)
@@ -75,9 +71,7 @@ def test_every_safe_state_has_an_admissible_action(
     assert kept == count
 
 
-def test_from_every_safe_state_the_filter_finds_one(
-    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
-) -> None:
+def test_from_every_safe_state_the_filter_finds_one(car, settings, random_scene, safe_state):
     """With nominal actions that are dangerous; a share of them must be answered by the QP itself, not by the backup."""
     random, by_program, count = np.random.default_rng(12), 0, 600
     safe = SafetyFilter.for_model(car, settings)
@@ -118,9 +112,7 @@ def test_car_recovers_from_inside_the_margin(car: PhysicsModel, settings: Filter
     assert min(part.h(state).min() for part in barriers) > 0.04
 
 
-def test_small_model_errors_are_covered_by_the_margin(
-    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
-) -> None:
+def test_small_model_errors_are_covered_by_the_margin(car, settings, random_scene, safe_state):
     """The world brakes worse than the model but as guaranteed; nominal actions are adversarial. Nothing is touched."""
     from safedpa.dynamics import Setting
 

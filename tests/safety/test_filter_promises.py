@@ -298,9 +298,7 @@ def test_actions_in_any_unit(exponent: int, gradient: bool) -> None:
 
 @FEWER
 @given(exponents, st.tuples(scales, scales), scales, st.booleans(), st.floats(0.0, 0.97), st.floats(-1.0, 1.5))
-def test_one_decision_in_any_units(
-    h: float, state: tuple[float, float], action: float, gradient: bool, place: float, speed: float
-) -> None:
+def test_one_decision_in_any_units(h, state, action, gradient, place, speed):
     """Also where h is below 0, or no action satisfies the condition."""
     units = Units(10.0**h, 10.0 ** np.array(state), 10.0**action)
     start = np.array([place, speed])
@@ -362,9 +360,7 @@ class Planar:
     st.integers(0, 10**6), st.sampled_from([2, 3]), st.tuples(*[exponents] * 4), st.tuples(*[scales] * 3),
     st.tuples(*[scales] * 3),
 )  # fmt: skip
-def test_each_barrier_and_each_entry_in_a_unit_of_its_own(
-    seed: int, actions: int, units: Any, state: Any, action: Any
-) -> None:
+def test_each_barrier_and_each_entry_in_a_unit_of_its_own(seed: int, actions: int, units: Any, state: Any, action: Any):
     scaled = Planar(actions, seed, *(10.0 ** np.array(some) for some in (units, state, action)))
     one, other = Planar(actions, seed).decide(), scaled.decide()
     assert other.status is one.status

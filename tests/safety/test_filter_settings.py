@@ -168,9 +168,7 @@ def test_settings_at_the_ends_of_their_ranges_come_back_from_their_file(changes:
         ((0.0, -2.0), (1.0, 0.0), [0.0, 0.0]),
     ],
 )
-def test_the_resting_action_is_the_admissible_one_nearest_to_zero_unless_a_backup_is_set(
-    low: tuple[float, ...], high: tuple[float, ...], rests: list[float]
-) -> None:
+def test_the_resting_action_is_the_admissible_one_nearest_to_zero_unless_a_backup_is_set(low, high, rests):
     found = FilterSettings(system="", action_low=low, action_high=high)
     assert found.resting_action.tolist() == rests
     assert found.weight_vector.tolist() == [1.0, 1.0]

@@ -1,7 +1,6 @@
 """Every status, what it promises, and the fallback hierarchy."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
-from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, SpeedBarrier, Status, Verdict
+from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, SpeedBarrier, Status, Verdict
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -57,9 +56,7 @@ def test_a_safe_nominal_action_is_handed_on_bit_for_bit_with_the_sign_of_its_zer
     assert math.copysign(1.0, verdict.action[0]) == -1.0
 
 
-def test_a_nominal_action_beyond_the_actuator_limits_is_clipped_and_the_verdict_says_so(
-    car_filter: SafetyFilter,
-) -> None:
+def test_a_nominal_action_beyond_the_actuator_limits_is_clipped_and_the_verdict_says_so(car_filter: SafetyFilter):
     verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), [0.2, 0.5])
     assert verdict.status is Status.corrected
     assert verdict.reason == "The nominal action lay outside the actuator limits."
@@ -88,12 +85,7 @@ def test_h_now_and_h_next_are_those_of_the_model(car: PhysicsModel, settings: Fi
     assert verdict.margin == 0.01
 
 
-def test_filtering_the_filtered_action_leaves_it(
-    car: PhysicsModel,
-    settings: FilterSettings,
-    random_scene: Callable[..., list[AbstractBarrier]],
-    safe_state: Callable,
-) -> None:
+def test_filtering_the_filtered_action_leaves_it(car, settings, random_scene, safe_state):
     random, corrected = np.random.default_rng(5), 0
     safe = SafetyFilter.for_model(car, settings)
     for _ in range(400):
@@ -111,9 +103,7 @@ def test_filtering_the_filtered_action_leaves_it(
 
 @pytest.mark.parametrize("y", [0.05, 0.2, 0.31, 0.45])
 @pytest.mark.parametrize("steer", [-0.3, 0.0, 0.25])
-def test_mirrored_scene_gives_the_mirrored_action(
-    car: PhysicsModel, settings: FilterSettings, y: float, steer: float
-) -> None:
+def test_mirrored_scene_gives_the_mirrored_action(car: PhysicsModel, settings: FilterSettings, y: float, steer: float):
     state, verdicts = np.array([0.3, 0.1, 0.05, 1.2]), []
     for side in (1.0, -1.0):
         barriers = car_barriers(settings, FOOTPRINT, [(1.9, side * y, 0.3)], FIELD)
@@ -124,12 +114,7 @@ def test_mirrored_scene_gives_the_mirrored_action(
     assert verdicts[0].status is verdicts[1].status
 
 
-def test_no_better_action_is_overlooked(
-    car: PhysicsModel,
-    settings: FilterSettings,
-    random_scene: Callable[..., list[AbstractBarrier]],
-    safe_state: Callable,
-) -> None:
+def test_no_better_action_is_overlooked(car, settings, random_scene, safe_state):
     """Against a fine grid of actions under the nonlinear model: the correction is near the smallest one."""
     random, ratios = np.random.default_rng(8), []
     safe = SafetyFilter.for_model(car, settings)
@@ -280,9 +265,7 @@ def test_latent_and_memory_reach_the_users_functions() -> None:
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     seen: list[object] = []
 
-    def affine(
-        x: np.ndarray, latent: np.ndarray, *, around: np.ndarray, memory: object
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def affine(x: np.ndarray, latent: np.ndarray, *, around: np.ndarray, memory: object):
         seen.append((latent.tolist(), memory))
         return x + latent, np.eye(1)
 

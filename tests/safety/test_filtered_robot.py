@@ -104,9 +104,7 @@ def at_rest_with(applied: tuple[float, float], verdict: VerdictMessage) -> Any:
 
 
 @pytest.mark.parametrize(("last", "epoch", "tick"), [(5, 1, 8), (5, 1, 4), (7, 2, 8), (5, 2, 0)])
-def test_after_lost_ticks_or_a_restart_the_actuators_count_as_settled_at_what_is_applied(
-    last: int, epoch: int, tick: int
-) -> None:
+def test_after_lost_ticks_or_a_restart_the_actuators_count_as_settled_at_what_is_applied(last, epoch, tick):
     node = SafetyFilterNode(LATE, SETTINGS)
     obeyed(node, range(last - 4, last + 1), LATE)
     verdict = answered(node, tick, LATE, applied=(0.25, -0.1), epoch=epoch)
@@ -128,9 +126,7 @@ def test_after_a_tick_that_taught_nothing_the_actuators_count_as_settled_at_the_
     + [({"tick": tick}, False) for tick in (2, 3, 5)],
     ids=str,
 )
-def test_a_prediction_is_compared_only_with_the_next_tick_of_the_filters_own_action(
-    changed: dict[str, Any], compared: bool
-) -> None:
+def test_a_prediction_is_compared_only_with_the_next_tick_of_the_filters_own_action(changed, compared):
     node = SafetyFilterNode(CAR, SETTINGS)
     before = answered(node, 3, values=AT_REST, **NEAR)
     assert before.coverage == -1.0
@@ -180,9 +176,7 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
         ({"order": "stop"}, (1.0, 0.0), "stopped", 0.0),
     ],
 )
-def test_a_robot_stands_only_while_a_nominal_action_should_move_it(
-    changed: dict[str, Any], nominal: tuple[float, float], status: str, stationary_for: float
-) -> None:
+def test_a_robot_stands_only_while_a_nominal_action_should_move_it(changed, nominal, status, stationary_for):
     orders = StopOrders()
     if "order" in changed:
         orders.answer("r", Request(do=changed["order"], who="me"))
@@ -352,9 +346,7 @@ def ring(count: int) -> tuple[tuple[float, ...], ...]:
 @pytest.mark.parametrize(
     ("movers", "latent", "status"), [((MOVER,), True, "stopped"), ((MOVER,), False, "fallback"), ((), True, "passed")]
 )
-def test_a_mover_that_may_reach_the_robot_stops_it_where_nothing_is_missing(
-    movers: Any, latent: bool, status: str
-) -> None:
+def test_a_mover_that_may_reach_the_robot_stops_it_where_nothing_is_missing(movers: Any, latent: bool, status: str):
     """With something missing the verdict says so: a stop for the mover would hide that the filter decides blindly."""
     verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), latent=latent, movers=movers)
     assert verdict.status == status

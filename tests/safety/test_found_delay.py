@@ -314,9 +314,7 @@ def stayed(place: float, away: float, late: int = 3) -> Transition:
         ((9.0, 0.0), (9.0, 0.0), (1, 2), False),
     ],
 )
-def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary(
-    before: tuple[float, ...], now: tuple[float, ...], speeds: tuple[int, ...], stood: bool
-) -> None:
+def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary(before, now, speeds, stood):
     """Of what has no speeds, or is no state, that is not known."""
     assert Transition(before, now, ()).is_stationary(speeds) is stood
 

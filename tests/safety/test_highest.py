@@ -147,9 +147,7 @@ def test_several_optima_are_left_to_the_solver_which_takes_the_middle() -> None:
         ([[1.0]], [0.5]), ([[1.0], [0.0]], [nan, 0.5]),
     ],
 )  # fmt: skip
-def test_no_answer_where_levels_cannot_be_held_or_no_row_is_free(
-    slopes: list[list[float]], levels: list[float]
-) -> None:
+def test_no_answer_where_levels_cannot_be_held_or_no_row_is_free(slopes: list[list[float]], levels: list[float]):
     assert solve_by_dual_simplex(slopes, [0.0] * len(slopes), levels) is None
 
 

@@ -46,9 +46,7 @@ def test_few_candidates_do_not_show_what_many_actions_can_change(actions: int) -
 
 
 @pytest.mark.parametrize(("actions", "known"), [(1, [[1.0], [0.95]]), (3, [[1.0, 0.0, 0.0]])])
-def test_for_an_actuator_that_saturates_the_corners_count_and_not_the_gradient(
-    actions: int, known: list[list[float]]
-) -> None:
+def test_for_an_actuator_that_saturates_the_corners_count_and_not_the_gradient(actions: int, known: list[list[float]]):
     """What the actions change is 0.1, though the slope at the best of them promises 2: of that little is given away."""
     rest = [0.0] * (actions - 1)
     case = Case(lambda a: [max(a[0] - 0.9, 0.0) - 3.0], [-3.0], [-1.0, *rest], backup=[1.0, *rest])

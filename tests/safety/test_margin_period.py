@@ -12,7 +12,7 @@ from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, stamp, stat
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT as LATENTS
-from safedpa.bus import NOMINAL, TAKEOVER, LatentMessage, ModelMessage, NominalMessage, ReceivedMessage, VerdictMessage
+from safedpa.bus import NOMINAL, TAKEOVER, LatentMessage, ModelMessage, NominalMessage, ReceivedMessage
 from safedpa.bus import STATE as STATES
 from safedpa.bus.messages.codec import encode
 from safedpa.bus.messages.topics import key_of
@@ -40,9 +40,7 @@ OF_QUICK_STEPS = MarginCalibration(EPSILON, 0.99, 500, "2026-11-28", fingerprint
 LONGER = "A step is 10 times as long as those that the margin was calibrated on"
 
 
-def answered(
-    calibration: MarginCalibration | None, period: float = 0.05, settings: FilterSettings = SETTINGS
-) -> tuple[SafetyFilterNode, VerdictMessage]:
+def answered(calibration: MarginCalibration | None, period: float = 0.05, settings: FilterSettings = SETTINGS):
     node, state = SafetyFilterNode(CAR, settings, calibration), state_at(0, period=period)
     return node, asked(node, state, latent_at(state))
 

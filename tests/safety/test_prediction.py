@@ -132,9 +132,7 @@ def slopes_of(x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("unit", [1e-9, 1e-6, 1.0, 1e6, 1e9])
 @pytest.mark.parametrize("state", [(0.7, -0.3), (0.0, 0.0), (0.7, 0.0), (1e-20, 0.3)])
 @pytest.mark.parametrize("moved", [(1.0, 1.0), (0.0, 0.0), (1e-14, 0.3), (0.0, 1.0)])
-def test_in_any_unit_at_any_place_whatever_moves(
-    unit: float, state: tuple[float, ...], moved: tuple[float, ...]
-) -> None:
+def test_in_any_unit_at_any_place_whatever_moves(unit: float, state: tuple[float, ...], moved: tuple[float, ...]):
     x = np.array(state)
     found = central_differences(lambda y: curved(y / unit), unit * x, unit * np.array(moved), np.ones(3))
     np.testing.assert_allclose(found * unit, slopes_of(x), atol=2e-4 if 1e-14 in moved else 2e-6)

@@ -151,9 +151,7 @@ def step(node: SafetyFilterNode, tick: int, robot: str = "r", **changed: Any) ->
     ("period", "relaxed"),
     [(0.05, [False, True, False, *[False] * 4]), (0.005, [False, True, False, True, *[False] * 4])],
 )
-def test_robots_of_one_model_rehearse_the_search_for_the_least_violation_once(
-    verdicts: list[Verdict], period: float, relaxed: list[bool]
-) -> None:
+def test_robots_of_one_model_rehearse_the_search_for_the_least_violation_once(verdicts, period, relaxed):
     """Two hundred that come at once would otherwise wait for one another; over another period each rehearses once."""
     node = SafetyFilterNode(CAR, SETTINGS)
     for tick in range(3):
@@ -175,9 +173,7 @@ def test_a_rehearsal_that_fails_costs_no_verdict_and_is_not_repeated(monkeypatch
     assert len(tried) == 1
 
 
-def test_nothing_is_rehearsed_where_nothing_is_decided_and_a_rehearsal_changes_no_later_decision(
-    verdicts: list[Verdict],
-) -> None:
+def test_nothing_is_rehearsed_where_nothing_is_decided_and_a_rehearsal_changes_no_later_decision(verdicts):
     node = SafetyFilterNode(CAR, SETTINGS)
     assert step(node, 0, values=(0.0, 0.0, 0.0)).status == "fallback", "a state of another size"
     assert len(verdicts) == 1
@@ -240,9 +236,7 @@ def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_a
 
 
 @pytest.mark.parametrize("until_action", [0.03, 0.05, 0.12])
-def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_ones_expected_there(
-    until_action: float,
-) -> None:
+def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_ones_expected_there(until_action: float):
     history, states = followed(CAR, until_action, 10)
     pending = history.pending(until_action)
     assert sum(seconds for _, seconds in pending.queue) == pytest.approx(until_action)

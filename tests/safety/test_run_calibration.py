@@ -139,9 +139,7 @@ def test_a_robot_of_another_rate_gets_a_margin_of_its_own_steps_with_a_corrected
 
 
 @pytest.mark.parametrize("newest", [{"obstacle": 0.01, "field": 0.03}, None])
-def test_the_larger_margin_of_all_and_of_the_newest_half_counts(
-    newest: dict[str, float] | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_larger_margin_of_all_and_of_the_newest_half_counts(newest, monkeypatch):
     """Of the half only stretches that hold a transition; where it is too short, all of the run decides alone."""
     asked: list[tuple[Stretch, ...]] = []
     tables = [{"obstacle": 0.02, "field": 0.01, "speed": 0.05}, newest]

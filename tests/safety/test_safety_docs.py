@@ -12,9 +12,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGE = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("safety.md", "margins.md"))
 
 
-def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_own(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_own(capsys: pytest.CaptureFixture[str]):
     pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
     names: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

@@ -161,9 +161,7 @@ class Posed:
 SIDES = ((-1.0, 1.0, 2.0),)
 
 
-def held_then(
-    then: Posed, now: Posed, later: float = 0.005, sides: Any = SIDES, asked: float | None = None
-) -> ActionCandidate | None:
+def held_then(then: Posed, now: Posed, later: float = 0.005, sides: Any = SIDES, asked: float | None = None):
     """What is held ``later`` of what was found ``then``."""
     searched = HeldSolution()
     searched.store(then.found, 0.0, "")

@@ -12,9 +12,7 @@ from safedpa.systems import System, Variable
 PERIOD = 0.05
 
 
-def stood(
-    seconds: float, nominal_speed: float, driven: float, creep: float = 0.0, noise: float = 0.0
-) -> DeadlockDetector:
+def stood(seconds: float, nominal_speed: float, driven: float, creep: float = 0.0, noise: float = 0.0):
     """After so long at one place; metres a tick that the model promised under the nominal action and under the
     action."""
     standing, x = DeadlockDetector((0, 1)), 1.0

@@ -155,9 +155,7 @@ def test_the_cars_settings_are_refused_around_a_stranger(strangers: dict[str, Ph
 
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("system", ["", "own"])
-def test_barriers_that_read_other_states_are_refused(
-    strangers: dict[str, PhysicsModel], name: str, system: str
-) -> None:
+def test_barriers_that_read_other_states_are_refused(strangers: dict[str, PhysicsModel], name: str, system: str):
     model, settings = strangers[name], FilterSettings(system=name if system else "", **BOUNDS)
     motion = Motion(np.zeros(2), 1.0, 1.0, 1.0)
     for barrier in (*car_scene(), CorridorBarrier(-1.0, 1.0, 0.2), StoppingBarrier(np.ones((1, 3)), motion)):
@@ -334,9 +332,7 @@ def test_a_misspelt_kind_of_margin_in_a_decision() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("settings", ["car", "own"])
-def test_the_filters_own_process_refuses_a_stranger(
-    files: dict[str, Path], tmp_path: Path, name: str, settings: str
-) -> None:
+def test_the_filters_own_process_refuses_a_stranger(files: dict[str, Path], tmp_path: Path, name: str, settings: str):
     chosen = tmp_path / "safety.toml"
     chosen.write_text(write_settings(FilterSettings(system=name, **BOUNDS)))
     options = ["--model", str(files[name]), "--settings", "car" if settings == "car" else str(chosen)]
@@ -351,9 +347,7 @@ def test_the_filters_own_process_refuses_a_stranger(
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_the_command_refuses_a_stranger(
-    files: dict[str, Path], capsys: Any, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_the_command_refuses_a_stranger(files, capsys, monkeypatch, name):
     monkeypatch.setenv("SAFEDPA_EFFECTS", str(OWN))  # the command sets it, for the processes that it starts
     assert safedpa.run(["up", "--headless", "--model", str(files[name]), "--effects", str(OWN), "--json"]) == 2
     notice = capsys.readouterr().err

@@ -125,9 +125,7 @@ LONG = [np.array([0.04 * tick - 0.002 * tick * (tick % 3)]) for tick in range(27
         (_sunk, LONG, 2193, 481.9661938540069), (_waved, LONG, 2629, 351.3391348282158),
     ],
 )  # fmt: skip
-def test_the_search_goes_the_way_that_was_recorded(
-    curve: Callable[[float, float], float], path: list[np.ndarray], asked: int, places: float
-) -> None:
+def test_the_search_goes_the_way_that_was_recorded(curve, path, asked, places):
     """How often h is asked, and where the least values are, over 37 curves: whatever changes the search changes this.
 
     Curves of products and quotients alone, so that every machine has the same digits.

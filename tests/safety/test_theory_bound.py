@@ -29,9 +29,7 @@ def network(random: np.random.Generator, inputs: int, outputs: int, depth: int) 
 
 @given(seeds, some.integers(1, 4), some.integers(1, 3), some.integers(1, 3), some.integers(1, 4))
 @settings(max_examples=150, deadline=None)
-def test_no_step_of_a_random_system_exceeds_the_bound(
-    seed: int, states: int, actions: int, latents: int, depth: int
-) -> None:
+def test_no_step_of_a_random_system_exceeds_the_bound(seed: int, states: int, actions: int, latents: int, depth: int):
     """Truth: another random network of the environment, plus a part that is not affine in the action."""
     random = np.random.default_rng(seed)
     f, g = (network(random, states + latents, rows, depth) for rows in (states, states * actions))
@@ -67,9 +65,7 @@ def test_no_step_of_a_random_system_exceeds_the_bound(
 
 @given(seeds, some.integers(1, 4), some.integers(1, 5), some.integers(1, 4))
 @settings(max_examples=150, deadline=None)
-def test_no_slope_and_no_chord_is_steeper_than_the_lipschitz_bound(
-    seed: int, depth: int, inputs: int, latents: int
-) -> None:
+def test_no_slope_and_no_chord_is_steeper_than_the_lipschitz_bound(seed: int, depth: int, inputs: int, latents: int):
     random = np.random.default_rng(seed)
     layers = network(random, inputs + latents, 3, depth)
     chosen = range(inputs, inputs + latents)

@@ -328,9 +328,7 @@ ETA, EPSILON, STEP = 0.2, 0.02, 0.1
 DEPTH = EPSILON / ETA
 
 
-def driven(
-    lowest: float, error: float, h: float, steps: int, *, at_rest: bool = False
-) -> tuple[list[float], list[float]]:
+def driven(lowest: float, error: float, h: float, steps: int, *, at_rest: bool = False):
     """h measured and predicted of x+ = x + 0.1 a, h = 1 - x, pushed towards the wall by ``error`` in every step.
 
     ``at_rest``: a robot that stands is not pushed.

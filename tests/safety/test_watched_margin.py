@@ -216,9 +216,7 @@ def test_the_clip_level_is_ten_boundary_layers_and_a_margin_that_just_fits_keeps
     eta=st.floats(0.05, 1.0),
     epsilon=st.floats(0.0, 0.3),
 )
-def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(
-    h: list[float], predicted: list[float], measured: list[float], eta: float, epsilon: float
-) -> None:
+def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(h, predicted, measured, eta, epsilon):
     """min(h, H)[t+1] >= (1 - eta) min(h, H)[t], where the conditions held by the prediction and the error is within."""
     count = len(h)
     hoped = [max(value, (1.0 - eta) * now + epsilon) for value, now in zip(predicted, h, strict=False)]

@@ -260,9 +260,7 @@ def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_
         ((0.3, 0.5), (0.24, 0.4), False),
     ],
 )
-def test_the_nominal_action_is_taken_where_it_raises_what_is_short(
-    now: tuple[float, ...], then: tuple[float, ...], taken: bool
-) -> None:
+def test_the_nominal_action_is_taken_where_it_raises_what_is_short(now, then, taken):
     place = here(0, lambda _, ticks: list(now if ticks == 0 else then))
     found = way_out().replace_verdict(verdict(nominal=-3.0), place, 0.0)
     assert bool(found.action[0] == -1.0) is taken, "within its bounds"

@@ -38,9 +38,7 @@ def test_rays_end_at_the_first_thing_and_agree_with_steps_along_them() -> None:
             assert clearance_at(outline, 0.1 + share * reach * cos(angle), 0.2 + share * reach * sin(angle)) > 0.0
 
 
-def driven(
-    laser: Laser, ticks: int, people: tuple[Walks | StepsOut, ...] = ()
-) -> tuple[CarRobot, list[list[ScanMessage]]]:
+def driven(laser: Laser, ticks: int, people: tuple[Walks | StepsOut, ...] = ()):
     scene = Scene(0, None, FIELD, ((2.0, 0.0, 0.5),), (0.0, 0.0, 0.3))
     robot = CarRobot(scene, sensor_inputs=SimulatedSensors((laser,), people))
     reported = []

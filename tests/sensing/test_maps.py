@@ -52,9 +52,7 @@ def covered(places: np.ndarray, discs: np.ndarray) -> np.ndarray:
     seed=st.integers(0, 10**6), resolution=st.sampled_from([0.02, 0.05, 0.1, 0.13, 0.4]), x=st.floats(-30.0, 30.0),
     y=st.floats(-30.0, 30.0), yaw=st.sampled_from([0.0, 0.0, 0.3, -math.pi / 2, 2.5]),
 )  # fmt: skip
-def test_all_that_is_occupied_is_covered_and_nothing_far_beyond(
-    tmp_path: Path, seed: int, resolution: float, x: float, y: float, yaw: float
-) -> None:
+def test_all_that_is_occupied_is_covered_and_nothing_far_beyond(tmp_path, seed, resolution, x, y, yaw):
     random = np.random.default_rng(seed)
     pixels = random.choice([0, 254, 205], size=(random.integers(1, 25), random.integers(1, 25)), p=[0.2, 0.6, 0.2])
     pixels[0, 0] = 0
@@ -135,9 +133,7 @@ def car_state() -> None:
         ("occupied_thresh: 0.65", "occupied_thresh: 1.0", "got no occupied pixel"),
     ],
 )
-def test_what_is_no_map_is_refused_with_its_file_and_the_key(
-    tmp_path: Path, before: str, after: str, notice: str
-) -> None:
+def test_what_is_no_map_is_refused_with_its_file_and_the_key(tmp_path: Path, before: str, after: str, notice: str):
     path = written(tmp_path, np.array([[0, 254], [254, 254]]))
     text = path.read_text(encoding="utf-8")
     assert before in text

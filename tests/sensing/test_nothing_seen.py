@@ -36,9 +36,7 @@ def stamp(state: StateMessage) -> dict[str, object]:
     return {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
 
 
-def asked(
-    node: SafetyFilterNode, state: StateMessage, seen: SurroundingsMessage, model: PhysicsModel = MODEL
-) -> VerdictMessage:
+def asked(node: SafetyFilterNode, state: StateMessage, seen: SurroundingsMessage, model: PhysicsModel = MODEL):
     known, stamped = model.latent, stamp(state)
     latent = LatentMessage(  # type: ignore[arg-type]
         **stamped, model=fingerprint(model), values=tuple(known.tolist()), deviations=(0.1,) * len(known)
@@ -152,18 +150,14 @@ def test_a_speed_that_stays_whatever_is_done_does_not_drive_the_car_backwards() 
 
 @pytest.mark.parametrize("until_action", [0.0, 0.05])
 @pytest.mark.parametrize("wrong", [{"movers": ((3.0, 2.0, 0.1),)}, {"hidden": ((3.0, 2.0),)}])
-def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(
-    wrong: dict[str, object], until_action: float
-) -> None:
+def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(wrong: dict[str, object], until_action: float):
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
     verdict = asked(SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), state, surroundings(state, **wrong))
     assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0))
     assert "rows of other lengths" in verdict.sentence
 
 
-def commands_while_reported(
-    state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True
-) -> list[float]:
+def commands_while_reported(state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True):
     """The commands while the laser is lost and these speeds are reported; one tick in ``every`` comes."""
     node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), []
     for speed in speeds:
@@ -337,9 +331,7 @@ def test_a_robot_that_heads_west_with_a_wrapped_heading_is_believed() -> None:
 @pytest.mark.parametrize(
     ("ahead", "reports_tick"), [(0.3, True), (3.0, True), (100.0, True), (3.0, False), (100.0, False)]
 )
-def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_comes_there(
-    ahead: float, reports_tick: bool
-) -> None:
+def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_comes_there(ahead, reports_tick):
     node = PerceptionNode()
     for tick in range(120):
         time = tick * PERIOD + 0.01 + ahead
@@ -411,9 +403,7 @@ def test_around_the_origin_the_allowed_number_of_discs_covers_everything(most: i
 
 @pytest.mark.parametrize("gap", [1 / 40, 1 / 30, 0.05, 0.06, 0.07, 0.09, 0.1, 0.12])
 @pytest.mark.parametrize("way", [(1, 0), (2, 1), (1, 1)])
-def test_the_front_of_hidden_people_moves_at_their_top_speed_whatever_the_rate_of_scans(
-    gap: float, way: tuple[int, int]
-) -> None:
+def test_the_front_of_hidden_people_moves_at_their_top_speed_whatever_the_rate_of_scans(gap, way):
     """But for the cell that it is in, and 3 % of the way: it goes from cell to cell."""
     hiding, none, alongside = OcclusionMap(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
     alongside[50, 50] = False

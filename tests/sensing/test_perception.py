@@ -246,9 +246,7 @@ def test_empty_room_stays_empty_as_long_as_no_person_can_have_come() -> None:
 
 
 @pytest.mark.parametrize(("gap", "comes"), [(0, False), (2, False), (9, True)])
-def test_behind_walls_all_around_nothing_hides_after_one_look_unless_a_gap_lets_people_through(
-    gap: int, comes: bool
-) -> None:
+def test_behind_walls_all_around_nothing_hides_after_one_look_unless_a_gap_lets_people_through(gap: int, comes: bool):
     hiding = OcclusionMap(81, 0.2, 1.5)
     none = np.zeros((81, 81), dtype=bool)
     wall, inside = none.copy(), none.copy()

@@ -169,9 +169,7 @@ def test_polygons_may_bend_inwards_either_way_round_and_a_file_that_is_not_there
         ("serve robot.toml --headless --policy goal_seeker --perception good.toml", "has no [[scans]]"),
     ],
 )
-def test_a_wrong_file_is_refused_before_any_process_starts(
-    phrase: str, notice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_file_is_refused_before_any_process_starts(phrase, notice, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("[perception]\nfastst = 1")
     Path("good.toml").write_text(DOCK)
@@ -206,9 +204,7 @@ def switch(*switches: str) -> Request:
     return Request(do="switch", switches=switches, who="a test")
 
 
-def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(capfd: pytest.CaptureFixture[str]):
     name = "watched"  # of each kind and robot the log has one event a second
     node, robot = node_that_met_a_car(DOCK + WET, name)
     assert stepped(node, robot, name).problems == ()

@@ -222,9 +222,7 @@ def test_no_period_does_more(name: str) -> None:
     assert (changes[:, :2] <= bounds.reach * swiftness[:, None] * period).all()
 
 
-def test_a_model_that_is_quicker_than_a_car_is_taken_so_and_one_without_a_number_leaves_nothing_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_model_that_is_quicker_than_a_car_is_taken_so_and_one_without_a_number_leaves_nothing_out(monkeypatch):
     """With the bounds of an ordinary car, what it can reach would be left out as far away."""
     assert bounds_of("car") == bounds_of("car_mix") == ORDINARY
     assert bounds_of("car_learned").acceleration > 1.5 * ORDINARY.acceleration, "at the ends of its latents"
@@ -240,9 +238,7 @@ BRAKES, BRAKES_BACK = Braking(2.0, 2.5), ReversalBraking(2.0, 2.5, 0.6)
 OWN = 0.12
 
 
-def barrier(
-    load: str, discs: object, way: float, *, hidden: bool = False, creeps: float = 0.0
-) -> MovingObstacleBarrier:
+def barrier(load: str, discs: object, way: float, *, hidden: bool = False, creeps: float = 0.0):
     table = np.array(discs, dtype=np.float64)
     body, (begin, end, reach) = footprint(load_named(load)), towed_reach(load_named(load))
     towed = TrailerEnvelope(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
@@ -298,9 +294,7 @@ def region(load: str, way: float) -> np.ndarray:
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("way", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("speed", [-0.5, 0.4, 1.2])
-def test_a_person_heading_straight_for_car_or_load_arrives_after_it_stopped(
-    load: str, way: float, speed: float
-) -> None:
+def test_a_person_heading_straight_for_car_or_load_arrives_after_it_stopped(load: str, way: float, speed: float):
     """From every place whose h is 0 or more, at 1.5 m/s, for the nearest point; the car brakes as promised."""
     draw, (rear, front, _) = np.random.default_rng(5), footprint(load_named(load))
     places = draw.uniform(-2.0, 2.0, (400, 2))

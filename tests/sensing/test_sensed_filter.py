@@ -49,9 +49,7 @@ MODEL = load_model("car")
 COUNTER = ReversalBraking(2.0, 2.5, 0.6)
 
 
-def barrier(
-    discs: object, hidden: bool = False, towed: TrailerEnvelope | None = None, period: float = 0.0
-) -> MovingObstacleBarrier:
+def barrier(discs: object, hidden: bool = False, towed: TrailerEnvelope | None = None, period: float = 0.0):
     table = np.array(discs, dtype=np.float64)
     return MovingObstacleBarrier(table, [hidden] * len(table), BODY, BRAKING, COUNTER, 0.0, period, towed=towed)
 
@@ -259,9 +257,7 @@ def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_
         (surroundings(state_of(), points=((1.0, 2.0, -0.1),)), "below 0"),
     ],
 )
-def test_without_believable_surroundings_the_car_brakes_and_reports_why(
-    seen: SurroundingsMessage | Stale, notice: str
-) -> None:
+def test_without_believable_surroundings_the_car_brakes_and_reports_why(seen: SurroundingsMessage | Stale, notice: str):
     verdict = decided(seen)
     assert verdict.status == "fallback"
     assert verdict.action == (-0.6, 0.0), "as hard as it can"

@@ -404,9 +404,7 @@ def test_another_file_is_no_record(holds: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("drives", "coverage", "notice"), [(98, 0.99, "at least 99"), (2, 1.0, "coverage")])
-def test_too_few_drives_are_refused_before_they_are_driven(
-    drives: int, coverage: float, notice: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_few_drives_are_refused_before_they_are_driven(drives, coverage, notice, monkeypatch):
     monkeypatch.setattr(sensing_margins, "driven", lambda *_: pytest.fail("driven"))
     with pytest.raises(InputError, match=notice):
         margins_of_sensing(drives, 1, 8.0, coverage)

@@ -98,9 +98,7 @@ def test_a_car_waits_while_a_person_stands_at_its_load(load: str, side: float) -
 @pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
 @pytest.mark.parametrize("start", [(1.2, -1.6), (1.2, 1.6), (0.6, -2.0), (-1.0, 2.0)])
 @pytest.mark.parametrize("pace", [0.4, 0.65, 1.0, 1.5])
-def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_their_last_position(
-    load: str, start: Point, pace: float
-) -> None:
+def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_their_last_position(load, start, pace):
     place = (-0.26, 0.26 if start[1] > 0.0 else -0.26)
     there = 1.0 + hypot(start[0] - place[0], start[1] - place[1]) / pace
     reported = stands_by(load, GoesTo(start, place, pace=pace), there + 1.5)

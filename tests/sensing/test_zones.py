@@ -112,9 +112,7 @@ def test_an_ignored_zone_in_which_no_ray_ends_hides_no_person() -> None:
 
 
 @pytest.mark.parametrize("frame", ["map", "robot"])
-def test_an_object_remembered_in_a_zone_that_begins_to_count_stays_reported_in_the_robot_s_frame_alone(
-    frame: str,
-) -> None:
+def test_an_object_remembered_in_a_zone_that_begins_to_count_stays_reported_in_the_robot_s_frame_alone(frame: str):
     node, robot = PerceptionNode(with_zones(replace(DOCK, frame=frame, use=False))), car()
     before = [stepped(node, robot, tick) for tick in range(30)][-1]
     node.switches.answer("r", Request(do="switch", switches=("zone dock=on",)))
@@ -202,9 +200,7 @@ def star(corners: list[float], x: float, y: float, size: float) -> tuple[tuple[f
     st.floats(0.05, 6.0),
     st.integers(0, 2**32 - 1),
 )
-def test_every_place_of_a_closed_zone_within_reach_is_covered(
-    corners: list[float], middle: tuple[float, float], size: float, seed: int
-) -> None:
+def test_every_place_of_a_closed_zone_within_reach_is_covered(corners, middle, size, seed):
     """And no disc goes on beyond the zone for more than the diagonal of a cell."""
     reach, here = 3.0, np.array((0.137, -0.214))
     zone = Zone("z", "closed", star(corners, *middle, size))

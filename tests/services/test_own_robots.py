@@ -4,9 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -69,9 +67,7 @@ def test_settings_of_another_robot_are_refused(name: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_up_drives_it_and_its_recording_contains_the_hidden_parameters(
-    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_up_drives_it_and_its_recording_contains_the_hidden_parameters(name, tmp_path, capfd):
     file, out = FILES[name], tmp_path / "runs"
     world = [word for key, value in WORLDS[name].items() for word in ("--world", f"{key}={value}")]
     phrase = ["up", "--robot-file", str(file), "--lockstep", "--headless", "--seconds", "6", "--json"]
@@ -89,9 +85,7 @@ def test_up_drives_it_and_its_recording_contains_the_hidden_parameters(
     assert {"drone": "ax_offset", "cleaner": "pull"}[name] in named
 
 
-def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_line(tmp_path, capsys):
     empty, half = tmp_path / "empty.py", tmp_path / "half.py"
     empty.write_text("from safedpa.effects import general_effects\n", encoding="utf-8")
     half.write_text("from safedpa.robot import AbstractRobot\nclass Half(AbstractRobot):\n    rate = 1.0\n", "utf-8")
@@ -142,13 +136,7 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_l
         ),
     ],
 )
-def test_a_mistake_of_any_sort_is_reported_in_a_line(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
-    notice: str,
-) -> None:
+def test_a_mistake_of_any_sort_is_reported_in_a_line(tmp_path, capsys, old, new, notice):
     source = FILES["cleaner"].read_text(encoding="utf-8")
     assert old in source
     (tmp_path / "cleaner.toml").write_bytes((FILES["cleaner"].parent / "cleaner.toml").read_bytes())
@@ -186,9 +174,7 @@ def _of_another_robot(*_: object) -> list[FunctionBarrier]:
         (_of_another_robot, "reads the states x, y, yaw"),
     ],
 )
-def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
-    broken: Callable[..., Any], notice: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(broken, notice, monkeypatch):
     load_user_file(FILES["drone"])
     robot, model = robot_named("drone"), load_model(str(robot_named("drone").model))
     monkeypatch.setattr(type(robot), "barriers", broken)
@@ -234,9 +220,7 @@ def test_an_unknown_parameter_of_a_simulation_is_refused_by_name() -> None:
         ("stranger_glider:ROBOT", "25.0"),
     ],
 )
-def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_sentence(
-    value: str, notice: str, tmp_path: Path
-) -> None:
+def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_sentence(value, notice, tmp_path):
     """A process looks for installed robots once."""
     info = tmp_path / "stranger-1.0.dist-info"
     info.mkdir()

@@ -52,9 +52,7 @@ def test_shipped_robots_have_margins_for_longer_steps_besides_their_own(name: st
         assert margin.for_period(one.period, model.period)[1] == 1.0, "so the filter promises it"
 
 
-def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others(monkeypatch, tmp_path):
     """Independent of the order of the files; a margin with a larger coverage may replace one with a smaller."""
     model = load_model("car")
     own = replace(MarginCalibration({"obstacle": 0.01}, 0.9, 100, "2026-11-28", fingerprint(model)), period=0.05)
@@ -85,9 +83,7 @@ def test_unknown_names_list_what_ships() -> None:
 
 
 @pytest.mark.parametrize("ending", ["", ".toml"])
-def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_ships(
-    tmp_path: Path, ending: str
-) -> None:
+def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_ships(tmp_path: Path, ending: str):
     """A path with a folder means a file of the user, not a shipped one of the same name."""
     stem = "car_10_hz"
     assert margin_for(load_model("car"), f"{stem}{ending}") is not None
@@ -96,9 +92,7 @@ def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_s
             asked(str(tmp_path / f"{name}{ending}"))
 
 
-def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(monkeypatch, tmp_path):
     class Declared:
         def settings(self) -> FilterSettings:
             return FilterSettings(eta=0.9)

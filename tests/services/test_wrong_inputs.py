@@ -152,9 +152,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(("line", "cure"), WRONG, ids=[line for line, _ in WRONG])
-def test_a_wrong_input_is_answered_by_one_line_that_says_what_to_do(
-    line: str, cure: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_input_is_answered_by_one_line_that_says_what_to_do(line, cure, folder, capsys):
     before = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
     assert safedpa.run(line.split()) == 2
     notice = capsys.readouterr()

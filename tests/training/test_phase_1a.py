@@ -75,9 +75,7 @@ def test_services_and_training_compute_the_same(trained: tuple[Weights, dict[str
         )
 
 
-def test_the_latent_is_zero_in_the_neutral_environment_and_has_unit_spread(
-    trained: tuple[Weights, dict[str, Any]],
-) -> None:
+def test_the_latent_is_zero_in_the_neutral_environment_and_has_unit_spread(trained: tuple[Weights, dict[str, Any]]):
     weights, _ = trained
     networks, cars = affine_networks(weights), BatchedSimulator(SMALL)
     with torch.inference_mode():

@@ -48,9 +48,7 @@ ALONE: dict[str, Any] = {"with_filter": False}
 """Without the filter training takes an eighth of the time; resuming does not depend on it."""
 
 
-def trained(
-    configuration: Configuration, weights: Weights, out: Path, **options: Any
-) -> tuple[Weights, dict[str, Any]]:
+def trained(configuration: Configuration, weights: Weights, out: Path, **options: Any):
     reported: list[tuple[str, int, int, str]] = []
     made, summary = train_policy(
         configuration, weights, out, lambda *reported_now: reported.append(reported_now), **options

@@ -97,9 +97,7 @@ def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path:
 def adding(name: str, calls: list[str]) -> Any:
     """A fake phase that adds one tensor under its network's name and records its input."""
 
-    def train(
-        configuration: Any, weights: Weights, out: Path, report_progress: Any, device: str, **options: Any
-    ) -> Any:
+    def train(configuration: Any, weights: Weights, out: Path, report_progress: Any, device: str, **options: Any):
         del configuration, out, report_progress, device
         calls.append(
             " ".join([name, *sorted(n for n in ("mu", "phi", "policy") if weights.has(n)), *map(str, options)])

@@ -23,7 +23,7 @@ from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems.robots import robot_like
 
-__all__ = ["RecordedBound", "RecordedSteps", "own_errors", "recorded_bound"]
+__all__ = ["RecordedBound", "StepArrays", "own_errors", "recorded_bound"]
 
 
 # Transitions per block; the first of every ten blocks determines the scales.
@@ -31,7 +31,7 @@ _BLOCK = 100
 _SMALLEST_SCALE = 1e-6
 
 
-class RecordedSteps(Protocol):
+class StepArrays(Protocol):
     """n steps of a robot: states (n, states), actions (n, actions) and latents in use (n, latents), in SI units."""
 
     state: FloatArray
@@ -52,7 +52,7 @@ class RecordedBound:
 
 
 def recorded_bound(
-    model: PhysicsModel, settings: FilterSettings, found: RecordedSteps, used: NDArray[np.bool_], coverage: float
+    model: PhysicsModel, settings: FilterSettings, found: StepArrays, used: NDArray[np.bool_], coverage: float
 ) -> RecordedBound:
     """Returns epsilon = P eps with eps the split conformal quantile of |v - v^|_sup over the ``used`` (n,) transitions.
 
@@ -78,7 +78,7 @@ def recorded_bound(
     return RecordedBound({kind: value * step for kind, value in gradients.items()}, constants)
 
 
-def own_errors(model: PhysicsModel, found: RecordedSteps) -> FloatArray:
+def own_errors(model: PhysicsModel, found: StepArrays) -> FloatArray:
     """Returns measured minus predicted increment (n, states) in the robot's own frame, in SI units."""
     frame = frame_of(model.system.name)
     expected = model.step(found.state, found.action, found.latent)

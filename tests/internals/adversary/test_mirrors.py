@@ -12,9 +12,7 @@ from safedpa_lab.experiments.adversary.mirrors import _alongside
      (("passed", "passed"), (1.0, 0.0), 0.25, False), (("passed", "passed"), (0.0, 0.0), 0.0, True),
      (("relaxed", "violated"), (0.0, 0.0), 0.0, False), (("relaxed", "relaxed"), (0.0, 0.0), 0.0, True)],
 )  # fmt: skip
-def test_two_answers_are_apart_by_the_root_of_the_weight(
-    statuses: tuple[str, str], action: tuple[float, float], apart: float, same: bool
-) -> None:
+def test_two_answers_are_apart_by_the_root_of_the_weight(statuses, action, apart, same):
     """Weights of 1 and 4, of which the largest counts as one: 0.25 and 1; ranges of 2."""
     problem = plane(1.0, 1.0, weights=(1.0, 4.0))
     one, other = verdict(statuses[0], (0.0, 0.0)), verdict(statuses[1], action)

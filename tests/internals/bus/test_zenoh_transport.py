@@ -23,9 +23,7 @@ CARD = PemCredentials("router", b"", b"", b"")
     ],
     ids=["plain", "secured", "a peer's own", "in the file system", "a client's"],
 )
-def test_a_plain_text_port_that_was_asked_for_is_guarded(
-    settings: ZenohSettings, opened: set[int], guarded: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plain_text_port_that_was_asked_for_is_guarded(settings, opened, guarded, monkeypatch):
     """At all its ports the kernel holds back silent connections; ports of other sessions of the process are left."""
     others, deferred, retained = {7000}, list[set[int]](), list[set[int]]()
     ports = iter([others, others | opened])
@@ -71,9 +69,7 @@ def test_members_have_the_names_of_their_certificates_and_none_in_plain_text(tra
 
 
 @pytest.mark.parametrize("sessions", [{"two"}, {"one", "three"}, {"four"}, {"unknown"}, set()])
-def test_the_links_of_the_named_sessions_are_cut_off_where_they_have_a_port(
-    sessions: set[str], transport: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_links_of_the_named_sessions_are_cut_off_where_they_have_a_port(sessions, transport, monkeypatch):
     asked: list[Any] = []
     monkeypatch.setattr(module, "cut_off", lambda ends: asked.append(ends) or len(ends))
     ends = {LINKS[name][2] for name in sessions & set(LINKS)} - {None}

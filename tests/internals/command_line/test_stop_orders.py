@@ -28,9 +28,7 @@ STAMP: dict[str, Any] = {"epoch": 7, "tick": 1, "robot_time": 0.05, "publish_tim
         ("stop", "passed", 0.0, True, "still obeys the policy"),
     ],
 )
-def test_a_robot_that_moves_or_obeys_the_policy_has_not_stopped(
-    do: str, status: str | None, speed: float, corridor: bool, does: str
-) -> None:
+def test_a_robot_that_moves_or_obeys_the_policy_has_not_stopped(do, status, speed, corridor, does):
     state = StateMessage(
         **STAMP, values=(0.0, 0.0, 0.0, speed), applied=(1.0, 0.0), applied_by="filter", period=0.05, lockstep=False,
         goal=(), obstacles=(), field=(), footprint=(), corridor=(0.1, 0.1) if corridor else (),

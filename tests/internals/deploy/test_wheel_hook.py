@@ -70,18 +70,14 @@ def test_the_list_is_the_one_that_is_reported_at_run_time(build: types.ModuleTyp
 
 
 @pytest.mark.parametrize("wanted", ["", "1"])
-def test_an_editable_installation_gets_nothing_generated_or_compiled(
-    build: types.ModuleType, monkeypatch: pytest.MonkeyPatch, wanted: str
-) -> None:
+def test_an_editable_installation_gets_nothing_generated_or_compiled(build, monkeypatch, wanted):
     monkeypatch.setenv("SAFEDPA_COMPILE", wanted)
     one, data = hook(build), blank()
     one.initialize("editable", data)
     assert (data, one.notice) == (blank(), [])
 
 
-def test_a_wheel_of_source_holds_the_generated_modules(
-    build: types.ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wheel_of_source_holds_the_generated_modules(build: types.ModuleType, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SAFEDPA_COMPILE", "0")
     one, data = hook(build), blank()
     assert one.dependencies() == ["numpy"]
@@ -92,9 +88,7 @@ def test_a_wheel_of_source_holds_the_generated_modules(
     assert one.notice == []
 
 
-def test_without_a_compiler_the_wheel_is_of_source_with_a_warning(
-    build: types.ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_compiler_the_wheel_is_of_source_with_a_warning(build, monkeypatch):
     monkeypatch.setattr(build.shutil, "which", lambda _: None)
     monkeypatch.delenv("SAFEDPA_COMPILE", raising=False)
     one, data = hook(build), blank()
@@ -115,9 +109,7 @@ def test_a_wheel_for_which_nothing_can_be_generated_is_not_built(build: types.Mo
 
 
 @pytest.mark.parametrize("works", [True, False])
-def test_the_wheel_holds_all_compiled_modules_or_none(
-    build: types.ModuleType, monkeypatch: pytest.MonkeyPatch, works: bool
-) -> None:
+def test_the_wheel_holds_all_compiled_modules_or_none(build, monkeypatch, works):
     def compiler(command: list[str], cwd: Path | None = None, **others: Any) -> Any:
         if cwd is None:
             return run(command, **others)

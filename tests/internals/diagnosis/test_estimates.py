@@ -68,9 +68,7 @@ def test_the_first_noise_is_that_of_the_rows(level: float) -> None:
         ((0, 1, 2, 3, 4, 5), 1.2 * 20 / 576),
     ],
 )  # fmt: skip
-def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_and_runs(
-    runs: tuple[int, ...] | None, square: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_and_runs(runs, square, monkeypatch):
     """Six pieces of one innovation and one number: curvature 6 * 4 = 24; scores are slope times innovation."""
     scores = np.array([2.0, 1.0, -1.0, 3.0, 1.0, 2.0])
     innovations: Any = SimpleNamespace(columns=np.full((6, 1, 1), 2.0), white=scores[:, None] / 2.0)
@@ -82,9 +80,7 @@ def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_
 
 
 @pytest.mark.parametrize(("change", "settled"), [(0.09, True), (-0.09, True), (0.11, False), (-0.11, False)])
-def test_parameters_have_converged_if_none_moves_by_a_tenth_of_its_deviation(
-    change: float, settled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parameters_have_converged_if_none_moves_by_a_tenth_of_its_deviation(change, settled, monkeypatch):
     def model(**values: float) -> Any:
         return SimpleNamespace(settings={name: SimpleNamespace(value=value) for name, value in values.items()})
 
@@ -98,9 +94,7 @@ def test_parameters_have_converged_if_none_moves_by_a_tenth_of_its_deviation(
     [((1.0,), 0.2, None),
      ((1.0, 3.0), 0.2, 3.0), ((0.5, 2.0, 3.0), 0.2, 2.0), ((3.0,), 0.80, 3.0), ((3.0,), 0.81, None)],
 )  # fmt: skip
-def test_the_smallest_detectable_size_passes_by_its_squares_and_by_its_fall(
-    sizes: tuple[float, ...], little: float, enough: float | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_smallest_detectable_size_passes_by_its_squares_and_by_its_fall(sizes, little, enough, monkeypatch):
     """Errors 3 and 0 before, 4 and 1 added at ordinary size: of size 3 sqrt(9 + 144) + 3, a fall of 0.805."""
     asked: list[tuple[list[float], list[float]]] = []
 

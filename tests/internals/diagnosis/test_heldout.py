@@ -204,9 +204,7 @@ def test_the_regularized_inverse_does_not_depend_on_units(sizes: tuple[float, fl
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0), (0.5, 4.0)])
 @pytest.mark.parametrize("counts", [1.0, 0.25])
-def test_reduced_residuals_are_what_least_squares_leaves_in_each_window(
-    scale: tuple[float, float], counts: float
-) -> None:
+def test_reduced_residuals_are_what_least_squares_leaves_in_each_window(scale: tuple[float, float], counts: float):
     """Rows count by the root of their counts over the scale of their state."""
     random, scales = np.random.default_rng(1), np.array(scale)
     weights = np.ones((3, 5, 2))

@@ -64,9 +64,7 @@ def by_table(monkeypatch: pytest.MonkeyPatch, gains: dict[tuple[str, str], float
         (9.0, 0.1, math.nan, False),
     ],
 )  # fmt: skip
-def test_a_trial_passes_with_3_standard_errors_and_3_percent_or_4_5_and_0_4_percent(
-    gain: float, after: float, before: float, added: bool
-) -> None:
+def test_a_trial_passes_with_3_standard_errors_and_3_percent_or_4_5_and_0_4_percent(gain, after, before, added):
     assert passes(gain, error(after), error(before)) is added
     assert not passes(gain, None, error(before))
     one = trial("drag")
@@ -122,9 +120,7 @@ def test_the_simplest_trial_within_two_standard_errors_of_the_best_is_preferred(
     assert simplest_equivalent([best, other, third], searching()).name == chosen  # type: ignore[union-attr]
 
 
-def test_only_trials_within_bounds_and_better_than_the_current_model_are_considered(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_only_trials_within_bounds_and_better_than_the_current_model_are_considered(monkeypatch: pytest.MonkeyPatch):
     by_table(monkeypatch, dict.fromkeys([("a", "a"), ("b", "a"), ("b", "b")], 0.0))
     one, two = trial("a", loss=-2.0), trial("b", loss=-1.0)
     assert simplest_equivalent([one, two], searching()) is one
@@ -165,9 +161,7 @@ def test_while_a_quarter_is_missing_a_trial_with_a_15_percent_larger_reduction_c
         ([True, False, True], ["x"], 0.5, False), ([True, False, True], ["x"], 0.501, True),
     ],
 )  # fmt: skip
-def test_an_effect_at_a_bound_is_rejected_unless_half_of_the_physics_is_missing(
-    free: list[bool], paths: list[str], value: float, reported: bool
-) -> None:
+def test_an_effect_at_a_bound_is_rejected_unless_half_of_the_physics_is_missing(free, paths, value, reported):
     pushed = trial("a", paths=3)
     pushed.fit.free[:] = free
     assert within_bounds(pushed, searching(value=value, paths=paths)) is reported
@@ -191,9 +185,7 @@ def test_among_identical_explanations_the_one_with_the_fewest_parameters_is_chos
         ([5.0, 0.22362], [5.0, 0.0], False), ([1000.0**0.5, 0.0], [1000.0**0.5, 2.003**0.5], False),
     ],
 )  # fmt: skip
-def test_two_trials_are_identical_up_to_1_500_of_the_smaller_square(
-    whole: list[float], other: list[float], same: bool
-) -> None:
+def test_two_trials_are_identical_up_to_1_500_of_the_smaller_square(whole: list[float], other: list[float], same: bool):
     """25 / 500 = 0.05 = 0.22361^2; a 500th of the larger one would be 2.006 in the last case."""
     big, one = trial("big", paths=2, loss=-1, explained=whole), trial("one", loss=-1, explained=other)
     assert (fewest_parameters(big, [one], searching()) is one) is same
@@ -210,9 +202,7 @@ def test_two_trials_are_identical_up_to_1_500_of_the_smaller_square(
         (3.1, None, False, "suspected", "3.1 standard errors: the error falls too little to add it"),
     ],
 )  # fmt: skip
-def test_the_verdict_on_the_best_trial(
-    gain: float, after: float | None, passed: bool, decision: str, reason: str
-) -> None:
+def test_the_verdict_on_the_best_trial(gain: float, after: float | None, passed: bool, decision: str, reason: str):
     one = trial("a")
     stage = of([one], gain, {} if after is None else {("a",): error(after)})
     found = judge_trial(searching(), stage, one, one, passed)
@@ -263,9 +253,7 @@ def test_a_trial_that_the_data_cannot_distinguish_from_the_accepted_one_is_suspe
         (2.99, 0.985, False), (-2.99, 0.986, True), (9.0, -1.0, False), (0.5, -0.99, False),
     ],
 )  # fmt: skip
-def test_two_trials_are_equivalent_if_gains_are_close_and_explanations_correlated(
-    monkeypatch: pytest.MonkeyPatch, apart: float, alike: float, equal: bool
-) -> None:
+def test_two_trials_are_equivalent_if_gains_are_close_and_explanations_correlated(monkeypatch, apart, alike, equal):
     one, other = trial("a", loss=-1.0), trial("b", loss=-2.0)
     by_table(monkeypatch, {("b", "a"): apart}, alike)
     assert judge_trial(searching(), of([one, other], 2.0), one, None, False).equals == (("b",) if equal else ())
@@ -302,9 +290,7 @@ P, Q, R = np.eye(3)
         ([P, Q], [0 * P], "a", ""), ([P], [P], "a", "p"),
     ],
 )  # fmt: skip
-def test_an_effect_that_a_free_parameter_can_absorb_is_rejected_with_its_name(
-    known: list[Any], new: list[Any], effects: str, base: str
-) -> None:
+def test_an_effect_that_a_free_parameter_can_absorb_is_rejected_with_its_name(known, new, effects, base):
     item = trial(*effects, columns=np.column_stack([*known, *new])[:, None, :])
     search = searching(paths=[f"base.{name}" for name in "pq"[: len(known)]])
     found = judge_trial(search, of([item], 9.0), item, item, True)

@@ -60,9 +60,7 @@ def searching(monkeypatch: pytest.MonkeyPatch) -> Any:
         ("ab", {"a": "de"}, "e", 9.0, "ab"),
     ],
 )  # fmt: skip
-def test_an_effect_is_split_into_two_rivals_that_pass_and_are_within_bounds(
-    searching: Any, added: str, rivals: Any, held: str, gain: float, left: str
-) -> None:
+def test_an_effect_is_split_into_two_rivals_that_pass_and_are_within_bounds(searching, added, rivals, held, gain, left):
     search = searching(added, rivals, held, gain)
     backward_revision.split_effect(search, [], NOTHING)
     assert "".join(search.added) == left
@@ -113,9 +111,7 @@ ERRORS = {"d": 0.30, "l": 0.25, "dl": 0.105, "ds": 0.29, "ls": 0.24, "dls": 0.10
 @pytest.mark.parametrize(
     ("spread", "left"), [(0.001, "dls"), (0.02, "dl"), (0.6, "dl")], ids=["sure", "within_one", "runs_that_differ"]
 )
-def test_an_effect_that_helps_by_less_than_one_standard_error_is_removed(
-    spread: float, left: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_that_helps_by_less_than_one_standard_error_is_removed(spread, left, monkeypatch):
     """Without s 0.105: more than 0.100 + 0.001 / sqrt(5), less than 0.100 + 0.02 / sqrt(5).
 
     Without l too 0.30: less than 0.100 + 0.6 / sqrt(5), but in every run far more than with it.
@@ -196,9 +192,7 @@ def test_initial_values_are_within_bounds_and_not_neutral(parameter: Parameter) 
 
 
 @pytest.mark.parametrize(("each", "left"), [((3, 4), 12), ((4, 4), 16), ((5, 5), 9), ((2, 5, 3), 9), ((40,), 9)])
-def test_of_more_than_16_starts_9_are_spread_from_the_first_to_the_last(
-    each: tuple[int, ...], left: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_more_than_16_starts_9_are_spread_from_the_first_to_the_last(each, left, monkeypatch):
     item: Any = SimpleNamespace(parameters=[SimpleNamespace(name=f"p{n}") for n in range(len(each))])
     monkeypatch.setattr(trials, "_grid", lambda parameter, _: list(range(each[int(parameter.name[1:])])))
     every = [tuple(one.values()) for one in initial_values(item)]

@@ -43,9 +43,7 @@ def judged(*effects: str, decision: str = "rejected", after: float | None = 0.5,
 
 
 @pytest.mark.parametrize("elsewhere", [True, False])
-def test_rejected_candidates_keep_their_parameters_and_accepted_ones_get_the_final_ones(
-    elsewhere: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rejected_candidates_keep_their_parameters_and_accepted_ones_get_the_final_ones(elsewhere, monkeypatch):
     """A candidate that was rejected, or accepted and taken out, keeps the numbers of its trial."""
     monkeypatch.setattr(diagnose, "values_of", lambda *_: NUMBERS)
     monkeypatch.setattr(diagnose, "error_with", lambda *_: error(0.9))
@@ -72,9 +70,7 @@ def test_rejected_candidates_keep_their_parameters_and_accepted_ones_get_the_fin
 
 
 @pytest.mark.parametrize(("enough", "wrong"), [(True, False), (False, True), (False, False)])
-def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few(
-    monkeypatch: pytest.MonkeyPatch, *, enough: bool, wrong: bool
-) -> None:
+def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few(monkeypatch, *, enough, wrong):
     monkeypatch.setattr(diagnose, "alternative_formula", lambda *_: None)
     monkeypatch.setattr(diagnose, "find_unexplained_structure", lambda *_: "a formula")
     monkeypatch.setattr(diagnose, "likely_effects", lambda _: [judged("drag"), judged("lag")])
@@ -92,9 +88,7 @@ def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few
 
 
 @pytest.mark.parametrize(("library", "laws", "rounds"), [((), True, 1), (("drag",), False, 1), (("drag",), True, 2)])
-def test_after_a_law_the_search_makes_a_second_round(
-    library: Any, laws: bool, rounds: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_a_law_the_search_makes_a_second_round(library, laws, rounds, monkeypatch):
     did: list[str] = []
     search = SimpleNamespace(added=[], error=error(0.1), current=SimpleNamespace(fit=None), shooting=None)
     monkeypatch.setattr(searching, "initial_search", lambda *_: search)
@@ -125,9 +119,7 @@ GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0
         ({"before": 0.45}, False),  # tried next to an earlier model
     ],
 )  # fmt: skip
-def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(
-    changes: dict[str, Any], retained: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(changes, retained, monkeypatch):
     case: dict[str, Any] = {"names": ("one", "two"), "region": None, "before": None} | GOOD | changes
     before = case["before"] or case["missing"]
     monkeypatch.setattr(pairs, "is_spurious_delay", lambda *_: False)
@@ -209,9 +201,7 @@ def test_terms_within_their_deviations_in_the_rollouts_are_dropped_and_the_rest_
 @pytest.mark.parametrize(
     ("library", "passed", "asked", "rest"), [((), True, 0, "rest"), (("a",), True, 1, None), (("a",), False, 1, "rest")]
 )
-def test_an_interactive_step_looks_for_a_formula_if_no_effect_passes(
-    library: Any, passed: bool, asked: int, rest: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interactive_step_looks_for_a_formula_if_no_effect_passes(library, passed, asked, rest, monkeypatch):
     search: Any = SimpleNamespace(candidates=[], current=None, shooting=None, added=[], region=None)
     did: list[Any] = []
     monkeypatch.setattr(interactive, "_copied", lambda _: SimpleNamespace(**vars(search)))
@@ -247,9 +237,7 @@ def test_a_law_must_satisfy_every_criterion_of_acceptance(lacking: str, monkeypa
     ("laws", "places", "accepted"),
     [("", "", ""), ("a", "", "a"), ("", "p", "p"), ("a", "p", "ap"), ("abcd", "", "abc")],
 )
-def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(
-    laws: str, places: str, accepted: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(laws, places, accepted, monkeypatch):
     did: list[str] = []
     left, floors = list(laws), list(places)
     monkeypatch.setattr(conditional, "_best_law", lambda *_: left.pop(0) if left else None)
@@ -262,9 +250,7 @@ def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(
 
 
 @pytest.mark.parametrize("without", [(), ("viscous_drag",)])
-def test_an_effect_with_a_law_replaces_the_plain_one_and_other_parameters_stay(
-    without: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_with_a_law_replaces_the_plain_one_and_other_parameters_stay(without, monkeypatch):
     base = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
     model = PhysicsModel(KinematicBicycle("throttle"), [], base)
     model = model.with_effect(effect("car", "viscous_drag"), {"coefficient": Setting(0.7)})

@@ -20,9 +20,7 @@ from safedpa_lab.experiments.point.figures import _path
         ((240.0, 359.0), "_SAFE"), ((100.0, 354.0), "_STUCK"),
     ],
 )  # fmt: skip
-def test_a_swing_that_was_in_the_hazard_at_any_moment_is_drawn_as_unsafe(
-    angles: tuple[float, ...], colour: str
-) -> None:
+def test_a_swing_that_was_in_the_hazard_at_any_moment_is_drawn_as_unsafe(angles: tuple[float, ...], colour: str):
     """From 250 to 260 degrees; upright is 0 or 360, to 5 degrees."""
     axes = Figure().add_subplot()
     shown = [[(math.radians(angle), 0.0) for angle in angles]]
@@ -54,9 +52,7 @@ def test_the_filters_with_fixed_latents_are_pooled_with_all_their_episodes() -> 
 
 
 @pytest.mark.parametrize(("reached_at", "drawn"), [([], 1), ([40], 2), ([40, 120, 499], 4), ([40, 120, 500, 700], 3)])
-def test_goals_of_a_path_are_those_it_reached_within_ten_seconds_and_the_next(
-    reached_at: list[int], drawn: int
-) -> None:
+def test_goals_of_a_path_are_those_it_reached_within_ten_seconds_and_the_next(reached_at: list[int], drawn: int):
     goals = [(0.1 * number, 1.0) for number in range(6)]
     shown: dict[str, Any] = {
         "places": np.zeros((900, 2)).tolist(), "within": (np.arange(900) % 10 == 0).tolist(), "hazards": [(0.5, 0.5)],

@@ -50,9 +50,7 @@ def test_the_wanted_person_nearest_to_the_boundary_is_reported(wanted: str, who:
         ((9.0, 9.0, 9.0, 1.35), "", False), ((1.5, 1.5, 1.5, 9.0), "", False), ((9.0, 9.0, 9.0, 1.5), "all", False),
     ],
 )  # fmt: skip
-def test_a_person_is_seen_if_a_ray_ends_on_him_and_not_on_the_robot(
-    ranges: tuple[float, ...], own: str, hit: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_person_is_seen_if_a_ray_ends_on_him_and_not_on_the_robot(ranges, own, hit, monkeypatch):
     """A disc of 0.5 m, 2 m to the right, at the end of the last of four rays; ``own``: the robot itself is there."""
     monkeypatch.setattr(sensing_scores, "within_body", lambda found, *_: np.full(len(found), bool(own)))
     scan: Any = SimpleNamespace(

@@ -21,7 +21,7 @@ def test_lines_that_are_passed_over_are_reported_once_a_second(monkeypatch: pyte
                 raise InterruptedError
 
     class Flooded:
-        passed_over = 0
+        skipped = 0
 
         def lines(self) -> list[str]:
             self.skipped += 1000 if now[0] < 4.0 else 0

@@ -240,9 +240,7 @@ def test_who_notices_is_reported_from_who_fails_anyway(tree: Path, tmp_path: Pat
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_a_fault_after_which_nothing_ends_is_noticed(
-    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_after_which_nothing_ends_is_noticed(tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from safedpa_lab.planted_faults import working_copy as copied
     from safedpa_lab.planted_faults.fault_classes import Fault
 

@@ -30,9 +30,7 @@ def state_of(tick: int, applied: tuple[float, ...], epoch: int = 3) -> StateMess
         ((), (), True),
     ],
 )
-def test_a_filter_sees_whether_the_robot_applied_its_action_of_the_tick_before(
-    action: tuple[float, ...] | None, applied: tuple[float, ...], obeyed: bool
-) -> None:
+def test_a_filter_sees_whether_the_robot_applied_its_action_of_the_tick_before(action, applied, obeyed):
     shown = _Hypothetical({})
     if action is not None:
         shown.done(state_of(6, (1.0, 0.0)), {ACTION: ActionMessage(**stamp(6), values=action)})

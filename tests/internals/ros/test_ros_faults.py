@@ -15,9 +15,7 @@ from safedpa_lab.experiments.ros.faults import _judged
         ({"notice": [], "stood_after": 0.5}, 0, False),
     ],
 )
-def test_a_fault_is_handled_if_the_car_stops_without_a_collision_and_the_right_part_reports_it(
-    mark: dict[str, object], collisions: int, held: bool
-) -> None:
+def test_a_fault_is_handled_if_the_car_stops_without_a_collision_and_the_right_part_reports_it(mark, collisions, held):
     whole = {"speed": 1.0, "stopping_way": 0.3, "told_after": 0.1, **mark}
     found = {"mark": whole, "collisions": collisions, "driver_brakes": 0}
     assert _judged("filter killed", 1, found, "the gateway brakes: no action")["held"] is held

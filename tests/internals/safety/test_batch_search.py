@@ -144,9 +144,7 @@ class Watched:
         return self._program.solve(A, b, nominal)
 
 
-def alone(
-    conditions: Constraints, program: QuadraticProgram, nominal: Any, rounds: int
-) -> tuple[ActionCandidate, bool]:
+def alone(conditions: Constraints, program: QuadraticProgram, nominal: Any, rounds: int):
     """What one robot's search finds, and whether it is the first solution that keeps all, with all programs in closed
     form, after which nothing else was tried, and which is not brought back."""
     asked = conditions.evaluate(np.clip(nominal, program.low, program.high).tolist())

@@ -57,9 +57,7 @@ def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, t
 
 
 @pytest.mark.parametrize(("before", "now"), [((), ("laser",)), (("laser",), ()), (("laser",), ("laser",)), ((), ())])
-def test_a_scene_that_sensors_see_is_another_one_with_each_tick(
-    monkeypatch: pytest.MonkeyPatch, before: tuple[str, ...], now: tuple[str, ...]
-) -> None:
+def test_a_scene_that_sensors_see_is_another_one_with_each_tick(monkeypatch, before, now):
     memory = driven()
     assert memory.decision is not None
     memory.decision = memory.decision._replace(state=replace(memory.decision.state, sources=before))
@@ -71,9 +69,7 @@ def test_a_scene_that_sensors_see_is_another_one_with_each_tick(
 @pytest.mark.parametrize(
     ("pending", "applied_by", "late"), [(True, "filter", True), (True, "watchdog", False), (False, "filter", False)]
 )
-def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
-    monkeypatch: pytest.MonkeyPatch, pending: bool, applied_by: str, late: bool
-) -> None:
+def test_where_the_action_acts_late_the_prediction_is_of_that_moment(monkeypatch, pending, applied_by, late):
     memory = driven(LATE if pending else CAR)
     assert bool(memory.pending) is pending
     delayed_prediction = object()
@@ -121,9 +117,7 @@ def test_without_a_scene_no_margin_rises() -> None:
         ({"speed": 0.1}, {"car": 0.5, "speed": 0.1}, True),
     ],
 )
-def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(
-    monkeypatch: pytest.MonkeyPatch, before: dict[str, float], now: dict[str, float], again: bool
-) -> None:
+def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(monkeypatch, before, now, again):
     memory, state, asked_for = driven(), state_at(1, sources=("laser",), obstacles=()), list[dict[str, float]]()
 
     def around(_state: Any, _ahead: Any, epsilon: dict[str, float], _late: float) -> str:
@@ -177,9 +171,7 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
         ("filter", ("laser",), True, False), ("watchdog", (), False, False),
     ],
 )  # fmt: skip
-def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
-    monkeypatch: pytest.MonkeyPatch, applied_by: str, sources: tuple[str, ...], stood: bool, learns: bool
-) -> None:
+def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(monkeypatch, applied_by, sources, stood, learns):
     memory = driven()
     passed = SimpleNamespace(is_stationary=lambda speeds: stood and speeds == (3,))
     monkeypatch.setattr(CommandHistory, "last_transition", lambda *_: passed)
@@ -233,9 +225,7 @@ def test_a_state_with_another_number_of_values_has_no_path(values: tuple[float, 
 
 
 @pytest.mark.parametrize("latent", [None, LATE.latent])
-def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_action(
-    monkeypatch: pytest.MonkeyPatch, latent: Any
-) -> None:
+def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_action(monkeypatch, latent):
     memory, asked_with = driven(LATE, ticks=2), list[Any]()
     memory.pending = memory.pending._replace(queue=((0.5, 0.0),))
 
@@ -292,9 +282,7 @@ def test_the_last_resort_is_the_backup_of_the_scene_within_the_bounds(backup: An
 
 
 @pytest.mark.parametrize(("can_stop", "speeds"), [(True, (3,)), (False, ())])
-def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(
-    can_stop: bool, speeds: tuple[int, ...]
-) -> None:
+def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(can_stop: bool, speeds: tuple[int, ...]):
     memory = driven()
     memory.scene = SimpleNamespace(can_stop=can_stop)
     assert memory.speeds == speeds

@@ -52,9 +52,7 @@ def test_what_is_promised_under_the_nominal_action_is_asked_of_the_model_where_t
     ("nominal", "known", "interrupted"),
     [((1.0, 0.0), True, False), ((1.0, 0.0), False, True), ((0.0, 0.0), True, True)],
 )
-def test_a_robot_without_a_nominal_action_or_without_a_prediction_is_not_standing_in_vain(
-    nominal: tuple[float, float], known: bool, interrupted: bool
-) -> None:
+def test_a_robot_without_a_nominal_action_or_without_a_prediction_is_not_standing_in_vain(nominal, known, interrupted):
     memory = driven()
     assert memory.decision is not None
     verdict = verdict_of(memory, status=Status.corrected, nominal=np.array(nominal))
@@ -75,9 +73,7 @@ def test_a_robot_without_a_nominal_action_or_without_a_prediction_is_not_standin
         (Status.corrected, 1.0, Status.corrected, False), (Status.corrected, 1.0, Status.relaxed, False),
     ],
 )  # fmt: skip
-def test_a_correction_that_moves_nothing_is_given_up_for_a_rest_that_is_safe(
-    status: Status, failed: float, rests: Status, given_up: bool
-) -> None:
+def test_a_correction_that_moves_nothing_is_given_up_for_a_rest_that_is_safe(status, failed, rests, given_up):
     memory = driven()
     memory.deadlock_detector.failed_displacement = failed
     verdict, resting = verdict_of(memory, status=status), verdict_of(memory, status=rests, action=np.zeros(2))
@@ -150,9 +146,7 @@ def test_for_how_long_it_stood_counts_where_a_robot_is_quick(monkeypatch: pytest
 
 
 @pytest.mark.parametrize("taken", [True, False])
-def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
-    monkeypatch: pytest.MonkeyPatch, taken: bool
-) -> None:
+def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(monkeypatch: pytest.MonkeyPatch, taken: bool):
     """No one can change what happens before the action acts: the car drives at the obstacle until then."""
     memory = driven(CAR, ticks=3)
     state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=reported(memory), until_action=0.12)
@@ -247,9 +241,7 @@ def test_another_model_is_tried_with_the_nominal_action_or_with_the_action_of_a_
         (Status.passed, (), True),
     ],
 )
-def test_a_model_is_refused_where_it_alone_cannot_decide(
-    status: Status, predicted: Any, refused: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_is_refused_where_it_alone_cannot_decide(status, predicted, refused, monkeypatch):
     memory = driven(ticks=3)
     decided, barriers, answer = decided_of(memory), memory.barriers, verdict_of(memory, status=status)
     memory.filter = SimpleNamespace(decide=lambda *_, **__: answer)

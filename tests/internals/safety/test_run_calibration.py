@@ -26,9 +26,7 @@ class Remembers:
         self.begun.append((float(action[0]), float(latent[0])))
         return 1.0
 
-    def advance(
-        self, state: np.ndarray, action: np.ndarray, memory: float, latent: np.ndarray, *, period: float, time: float
-    ) -> tuple[np.ndarray, float]:
+    def advance(self, state, action, memory, latent, *, period, time):
         self.asked.append((float(state[0]), float(latent[0]), memory, round(period, 6), round(time, 6)))
         return state + action, memory + 1.0
 

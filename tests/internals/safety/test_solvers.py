@@ -131,9 +131,7 @@ def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one_and_two_are_n
     nominal=st.tuples(numbers, numbers),
     weights=st.tuples(st.floats(0.1, 3.0), st.floats(0.1, 3.0)),
 )
-def test_what_it_gives_is_what_piqp_gives(
-    conditions: list[tuple[float, float, float]], nominal: tuple[float, float], weights: tuple[float, float]
-) -> None:
+def test_what_it_gives_is_what_piqp_gives(conditions, nominal, weights):
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights))
     table = np.array(conditions)
     quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), nominal)

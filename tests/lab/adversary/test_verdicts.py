@@ -263,9 +263,7 @@ def test_the_filter_follows_the_largest_action_that_keeps_the_condition(monkeypa
      ((-0.9, 0.0), True), ((0.0, -1.5), True), ((1.5, 1.5), True)],
 )  # fmt: skip
 @pytest.mark.parametrize("notice", ["", "beware"])
-def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(
-    action, unsafe, notice, tmp_path, monkeypatch
-) -> None:
+def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(action, unsafe, notice, tmp_path, monkeypatch):
     """Not finite, more than 0.001 beyond the limits, or more than 0.001 of a condition's scale broken."""
     (tmp_path / "peer_filters.py").write_text(f"print({json.dumps([{'action': action, 'notice': notice}])!r})")
     monkeypatch.setattr(peers, "__file__", str(tmp_path / "peers.py"))

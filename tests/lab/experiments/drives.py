@@ -33,9 +33,7 @@ STORY: Sequence[Any] = [
 STATUSES = {"passed": 2, "corrected": 1, "fallback": 1}
 
 
-def follow(
-    patch: pytest.MonkeyPatch, module: ModuleType, own: Any, story: Sequence[Any] = STORY, **robots: Any
-) -> None:
+def follow(patch: pytest.MonkeyPatch, module: ModuleType, own: Any, story: Sequence[Any] = STORY, **robots: Any):
     """Makes an experiment drive ``own`` by the story, in as many periods as the story has.
 
     ``robots`` are names of what builds a robot in the module; by default ``CarRobot``.

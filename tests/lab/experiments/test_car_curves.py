@@ -29,9 +29,7 @@ SETTINGS = settings_named("car")
 NOWHERE = Path("/nowhere")
 
 
-def outcomes(
-    conditions: Conditions, ticks: int = 40, seeds: tuple[int, ...] = (3000,), load: str = LOAD
-) -> list[Outcome]:
+def outcomes(conditions: Conditions, ticks: int = 40, seeds: tuple[int, ...] = (3000,), load: str = LOAD):
     """Of the physics model behind its filter, with the settings' margin."""
     return run_group(EpisodeGroup(METHODS["physics"], load, seeds, NOWHERE, SETTINGS, None, ticks, conditions))
 

@@ -234,9 +234,7 @@ LOADS = {"none": 0.0, "box": 5.0, "chair": 10.0}
 """Each load with its latent; errors stay below 0.1 with it."""
 
 
-def latent_drive(
-    loads: Sequence[str], notice: Sequence[str] | None = None, errors: Sequence[float] | None = None
-) -> Any:
+def latent_drive(loads: Sequence[str], notice: Sequence[str] | None = None, errors: Sequence[float] | None = None):
     latents = np.array([[LOADS[load] + 0.1 * (-1) ** n] for n, load in enumerate(notice or loads)])
     sizes = np.array(errors or [0.1] * (len(loads) - 1))
     return SimpleNamespace(loads=tuple(loads), latents=latents, sizes=sizes, states=np.zeros((len(loads), 4)))

@@ -380,9 +380,7 @@ CAR = "--models TMP/none --out TMP/results/car"
         ("point --methods cppo", "did you mean"),
     ],
 )  # fmt: skip
-def test_what_no_experiment_can_do_is_refused_in_one_line_and_leaves_no_folder(
-    phrase, reported, tmp_path, capsys
-) -> None:
+def test_what_no_experiment_can_do_is_refused_in_one_line_and_leaves_no_folder(phrase, reported, tmp_path, capsys):
     assert safedpa.run(["experiment", *phrase.replace("TMP", str(tmp_path)).split()]) == 2
     shown = capsys.readouterr()
     assert (shown.out, shown.err.count("\n")) == ("", 1)

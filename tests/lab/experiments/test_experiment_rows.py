@@ -151,9 +151,7 @@ PAIRS, CHAIN = [(0.010, 0.004), (0.020, 0.008), (0.030, 0.012)], [250.0, 750.0]
 """Sense to act and the turn of it, s; of a bare chain, microseconds."""
 
 
-def by_ros(
-    patch: pytest.MonkeyPatch, count: int, stalls: int = 0, pairs: Any = PAIRS, chain: Any = CHAIN
-) -> tuple[dict[str, Any], list[int], int]:
+def by_ros(patch: pytest.MonkeyPatch, count: int, stalls: int = 0, pairs: Any = PAIRS, chain: Any = CHAIN):
     """The ROS experiment with so many seeds and three faults, the progress that it reported, and its bare chains."""
     usual = {"collisions": 0, "reached": 1, "moved": 10.0, "commands": 200, "gateway_brakes": 3, "driver_brakes": 4}
     own: dict[int, dict[str, Any]] = {

@@ -126,9 +126,7 @@ def test_contacts_of_a_meeting_are_counted_by_who_moved(monkeypatch: pytest.Monk
     assert (reported["standing_share"], reported["stuck"]) == (0.5, [])
 
 
-def meetings(
-    patch: pytest.MonkeyPatch, own: Callable[[Meeting], dict[str, Any]], *asked: Any, **options: Any
-) -> dict[str, Any]:
+def meetings(patch: pytest.MonkeyPatch, own: Callable[[Meeting], dict[str, Any]], *asked: Any, **options: Any):
     """The experiment with meetings that come to what is given."""
     usual: dict[str, Any] = {
         "moving": [], "into_standing": 0, "both_standing": 0, "solid": [], "standing_share": 0.25, "goals": [1, 2],

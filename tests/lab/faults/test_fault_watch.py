@@ -48,9 +48,7 @@ class Fleet:
         self.bus = Bus(MemoryTransport(broker), "test")
         self.observer = Observer(Bus(MemoryTransport(broker), "test"), "r1")
 
-    def tick(
-        self, tick: int, epoch: int = 5, model: str = "old", status: str = "passed", by: str | None = None
-    ) -> None:
+    def tick(self, tick: int, epoch: int = 5, model: str = "old", status: str = "passed", by: str | None = None):
         stamp = {"epoch": epoch, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
         state = CarRobot(Scene.random(1), epoch=epoch).state_message()
         self.bus.publish(STATE, "r1", replace(state, tick=tick, applied_by="filter"))

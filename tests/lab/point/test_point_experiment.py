@@ -146,9 +146,7 @@ def _row(goals: list[int], safe: str) -> dict[str, Any]:
 MARGINS = {"safedpa": 0.002, "mix": 0.012, "safedpa_17": 0.006}
 
 
-def _found(
-    accounts: dict[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
-) -> tuple[dict[str, Any], list[tuple[str, float | None]]]:
+def _found(accounts: dict[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch):
     """The experiment of those methods in four directions, their margins and accounts as written; what was driven."""
     driven_: list[Work] = []
 
