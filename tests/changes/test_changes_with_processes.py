@@ -300,7 +300,7 @@ def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> Non
     assert "taken by all services" in reported["sentence"]
     loop.until(loop.agreed)
     assert refused("accept", "r1", "wind")[0] == 2, "nothing is proposed for the new model"
-    assert "no candidate" in refused("reject", "r1", "drag")[1]
+    assert "not a candidate" in refused("reject", "r1", "drag")[1]
     code, reported, errors = taken("roll-back", "r1")
     assert (code, reported["model"]) == (0, loop._first["fingerprint"]), errors
     code, errors = refused("roll-back", "r1")

@@ -50,7 +50,7 @@ def test_it_prints_its_address_and_ends_at_once_without_a_viewer(tmp_path):
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--no-viewer",), "--no-viewer: got no --save"),
+        (("--no-viewer",), "--no-viewer: got it without --save"),
         (("--save", "/no/such/folder/a.rrd"), "/no/such/folder/a.rrd"),
         (("--model", "no_such_model"), "no_such_model"),
     ],

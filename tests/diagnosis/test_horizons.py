@@ -349,7 +349,7 @@ def test_the_commands_print_the_check_and_the_rehearsal(log, tmp_path, monkeypat
     assert safedpa.run(["diagnose", str(log.model), *runs, "--check", "--json"]) == 0
     assert {item["effect"] for item in json.loads(capsys.readouterr().out)["sizes"]} == set(LIBRARY)
     assert safedpa.run(["rehearse", str(log.model), *runs, "--effect", "understeer"]) == 0
-    assert "1 of 1 as the check of these runs foretells" in capsys.readouterr().out
+    assert "1 of 1 as 'safedpa diagnose --check' predicts for these runs" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []  # nothing is written
 
 

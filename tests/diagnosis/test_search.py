@@ -56,7 +56,7 @@ def test_an_effect_that_driver_feedback_imitates_is_not_added(tmp_path):
     assert dead_zone.score > 3.0
     assert dead_zone.heldout_error < 0.97 * report.stages[0].heldout_error
     assert dead_zone.decision == "suspected"
-    assert "pushes" in dead_zone.reason
+    assert "lasting disturbances" in dead_zone.reason
 
 
 @pytest.fixture

@@ -123,10 +123,10 @@ def test_everything_by_keyboard_and_saved(browser, serve, drives, short_drive, t
     page.keyboard.press("a")
     watched.wait_for_bars(2)
     page.keyboard.press("s")
-    page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
+    page.wait_for_selector("text=/(Written|Saved): .*model.toml/", timeout=PATIENCE)
     assert "quadratic_drag" in (tmp_path / "out" / "model.toml").read_text(encoding="utf-8")
     page.keyboard.press("?")
-    page.wait_for_selector("text=add the candidate that is open", timeout=PATIENCE)
+    page.wait_for_selector("text=add the open candidate", timeout=PATIENCE)
     page.keyboard.press("Escape")
     page.wait_for_selector(".q-dialog", state="detached", timeout=PATIENCE)  # it keeps the focus until it is gone
     reached = set()

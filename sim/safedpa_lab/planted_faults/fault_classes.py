@@ -29,7 +29,7 @@ from safedpa_lab.planted_faults.ast_changes import (
     unit_lost,
 )
 
-__all__ = ["CLASSES", "Fault", "FaultClass", "faults_in", "places"]
+__all__ = ["CLASSES", "Fault", "FaultClass", "assigned", "faults_in", "places", "written"]
 
 Change = Callable[[ast.AST], Iterator[ast.AST]]
 

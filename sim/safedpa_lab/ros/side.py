@@ -130,7 +130,7 @@ def robot_file(path: Path, endpoint: str, seed: int, tables: dict[str, dict[str,
     }
     for name, keys in (tables or {}).items():
         whole[name] = {**whole.get(name, {}), **keys}
-    lines = ["format = 1", 'robot = "car"', 'name = "r1"']
+    lines = ["format = 2", 'robot = "car"', 'name = "r1"']
     for name, keys in whole.items():
         lines += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

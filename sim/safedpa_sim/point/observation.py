@@ -20,6 +20,7 @@ __all__ = [
     "GOAL_OFFSET",
     "LIDAR_BINS",
     "SENSOR_ENTRIES",
+    "ObservedTask",
     "entries_seen",
     "goal_seen",
     "hazard_lidar",

@@ -20,7 +20,7 @@ from typing import Protocol, final
 
 from safedpa.bus.transport.inbox import Inbox
 
-__all__ = ["MAX_HOLD_SECONDS", "Scheduler", "TimerQueue", "batch_interval"]
+__all__ = ["MAX_HOLD_SECONDS", "ScheduledLoop", "Scheduler", "TimerQueue", "batch_interval"]
 
 # Longest wait for a message; also the interval at which `stopped` and the batch interval are checked.
 _LONGEST_WAIT_SECONDS = 0.25

@@ -131,7 +131,16 @@ class Constraints:
         self.h_at_effect = h_now
         """(rows,) h where the action takes effect; one block of rows for each state that is constrained."""
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
-        share, at_once = 1.0 - eta, barriers.at_once
+        self.affine: bool = prediction.affine
+        """Whether the predicted state is affine in the action; then no actuator saturates."""
+        self.saturated: bool = False
+        """Whether a linearisation was computed where an actuator saturates."""
+        self._last_g: list[list[float]] | None = None
+        self._set_right_hand_side(h_now, epsilon, 1.0 - eta)
+
+    def _set_right_hand_side(self, h_now: list[float], epsilon: Plain, share: float) -> None:
+        """Sets rhs_i = share h_i + epsilon_i (share 0 for ``at_once``), and the scales of the constraints."""
+        at_once = self.barriers.at_once
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         rhs: list[float] = []
@@ -149,11 +158,6 @@ class Constraints:
         """(m,) max(|h_i(x)|, epsilon_i)."""
         self.scales = scales
         """(m,) in the unit of each h; grows by what the actions can change, as soon as a linearisation shows it."""
-        self.affine: bool = prediction.affine
-        """Whether the predicted state is affine in the action; then no actuator saturates."""
-        self.saturated: bool = False
-        """Whether a linearisation was computed where an actuator saturates."""
-        self._last_g: list[list[float]] | None = None
 
     def evaluate(self, action: Plain) -> ActionCandidate:
         """Predicts the next state and h under ``action`` (actions,)."""

@@ -114,7 +114,7 @@ def _texts() -> Iterator[Target]:
     yield Target("margin file", (margin.write().encode(),), _text(type(margin).parse))
     maps = tuple(path.read_bytes() for path in shipped_column_maps().values())
     yield Target("column map", maps, _text(parse_column_map))
-    yield Target("settings", (b"format = 1\neta = 0.4\n[epsilon]\nobstacle = 0.05\n",), _text(parse_settings))
+    yield Target("settings", (b"format = 2\neta = 0.4\n[epsilon]\nobstacle = 0.05\n",), _text(parse_settings))
 
 
 def _files(folder: Path) -> Iterator[Target]:
