@@ -305,7 +305,7 @@ def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> Non
     assert (code, reported["model"]) == (0, loop._first["fingerprint"]), errors
     code, errors = refused("roll-back", "r1")
     assert code == 2
-    assert "none to go back to" in errors
+    assert "there is no earlier one" in errors
     code, _, errors = run("accept", "r2", "steering_offset")
     assert code == 1
     assert "no diagnosis answers" in errors

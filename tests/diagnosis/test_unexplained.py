@@ -142,7 +142,7 @@ def test_report_and_page_show_the_formula_its_map_and_a_warning(cube):
     page = report_page(document, [run], cube.models, "cube")
     assert "It is a formula that fits, not a physical effect" in page
     assert '"id":"unexplained"' in page
-    assert "fitted, straight between" in page
+    assert "fitted function with one standard deviation" in page
 
 
 @pytest.mark.long

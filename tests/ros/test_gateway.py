@@ -91,7 +91,7 @@ def test_a_missing_driver_or_one_of_another_type_is_named_before_anything_moves(
     )
     blind = side.car(_LONG, 0, "--straight")
     blind.send("go")
-    assert "/policy publishes there already; have it publish /drive_in" in refused(file_of(side))
+    assert "/policy publishes there; let it publish to /drive_in" in refused(file_of(side))
     no_one = safedpa.run(["ros", "discover", "tcp/127.0.0.1:9"])
     assert no_one == 1
     assert "no Zenoh router answers" in capsys.readouterr().err
@@ -111,7 +111,7 @@ def test_the_car_brakes_and_reports_why_if_any_process_ends(side: Side, tmp_path
         before = loop.log("ros_gateway").count("the filter drives")
         assert until(lambda: loop.log("ros_gateway").count("the filter drives") > before)  # as the filter does
         side.car(_LONG, 0, "--straight")  # another publisher on the driver's topic
-        loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic")
+        loop.wait_for("ros_gateway", "/policy publishes on /drive, too; remap it to another topic")
         time.sleep(3.0)  # for a busy machine to bring it to rest
         car.send("end")
         found = car.reported()

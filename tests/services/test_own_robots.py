@@ -125,13 +125,13 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_l
         pytest.param(
             "return (FASTEST * max",
             "return 1.0, 'one'\n        return (FASTEST * max",
-            "nominal actions 1.0, wanted 2 numbers",
+            "returned 1.0, wanted 2 numbers",
             marks=pytest.mark.long,
         ),
         pytest.param(
             "return (FASTEST * max",
             "return 'ab', 'ab'\n        return (FASTEST * max",
-            "nominal action: got str",
+            "nominal: got str",
             marks=pytest.mark.long,
         ),
     ],

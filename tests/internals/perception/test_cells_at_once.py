@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests.sensing.test_sensed_far import state_of
 
-from safedpa.perception.occlusion import _FRONT, _reached
+from safedpa.perception.occlusion import _FRONT_STEP, _advance_front
 from safedpa.perception.occupancy_grid import CELL, Grid
-from safedpa.perception.scan import _rolled, _within_a_turn, within_body
+from safedpa.perception.scan import _roll, _within_a_turn, within_body
 from safedpa.perception.surroundings import _own_cells
 
 
@@ -18,8 +18,8 @@ def test_the_front_goes_from_each_cell_to_each_other_at_its_pace() -> None:
     start = np.where(draw.uniform(size=(9, 9)) < 0.6, draw.uniform(0.0, 5.0, (9, 9)), inf)
     start[2, 3] = -inf
     shown = np.where(draw.uniform(size=(9, 9)) < 0.6, draw.uniform(0.0, 5.0, (9, 9)), -inf)
-    found = _reached(start, shown, 1.5)
-    near = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if CELL * hypot(i, j) <= _FRONT + 1e-9]
+    found = _advance_front(start, shown, 1.5)
+    near = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if CELL * hypot(i, j) <= _FRONT_STEP + 1e-9]
     for i in range(9):
         for j in range(9):
             begins = []
@@ -44,7 +44,7 @@ def test_angles_come_within_a_turn_to_the_last_bit() -> None:
 @pytest.mark.parametrize("shift", [0, 1, 3, 7, 8, 20, -1, -7, -20])
 def test_a_row_is_rolled(shift: int) -> None:
     row = np.arange(7.0)
-    np.testing.assert_array_equal(_rolled(row, shift), np.roll(row, shift))
+    np.testing.assert_array_equal(_roll(row, shift), np.roll(row, shift))
 
 
 @pytest.mark.parametrize("towed", [(), (0.1, 0.5, 0.6)])

@@ -232,7 +232,7 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
         assert 0.0 <= counted["steps"] <= 1.0
         assert margin.covered[f"{kind}.corridor"] == counted["drives" if kind == "drive" else "steps"]
     page = (tmp_path / "margins.md").read_text()
-    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2 --skip 5 --kind" in page
+    assert "margins --robot pendulum --drives 4 --fresh 2 --skip 5" in page
     seeds = {path.name.partition("-")[0] for path in tmp_path.glob("pendulum/fresh-*/*.npz")}
     assert seeds == {"2000005", "2000006"}, "of the evaluation seeds the first five are left out"
     assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
