@@ -28,7 +28,7 @@ NOT_OURS = ("docs/results/", "docs/pictures/", "constraints.txt")
 """Measured results and drawings are made by code; their texts come from it."""
 
 WORDS = re.compile(rf"\b({'|'.join(DICTIONARY)})\b", re.IGNORECASE)
-PHRASES = re.compile("|".join(f"(?:{phrase})" for phrase in LIST["phrases"]), re.IGNORECASE)
+PHRASES = re.compile("|".join(f"(?:{phrase})" for phrase in LIST["phrases"]).replace(" ", r"\s+"), re.IGNORECASE)
 PARTS = {*DICTIONARY, *LIST["identifiers"]}
 SAFETY_PARTS = PARTS | set(LIST["safety"])
 NAMES = re.compile(r"(?:``[^`\n]+``|`[^`\n]+`|https?://\S+)")

@@ -70,7 +70,7 @@ def test_the_simulation_does_not_wake_up_for_an_action_that_came() -> None:
         live = [
             when
             for when, name, tick, sensor_inputs in loop._events
-            if sensor_inputs or loop._turning[name].robot.tick == tick
+            if sensor_inputs or loop._scheduled[name].robot.tick == tick
         ]
         assert moment == min(live)
         fleet.drive(0.0025)
