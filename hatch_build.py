@@ -74,11 +74,12 @@ class CompilingHook(BuildHookInterface[Any]):
 
     def _generate(self, work: Path, build_data: dict[str, Any]) -> None:
         """Puts the generated modules into the wheel."""
-        # pip's isolated environments come by PYTHONPATH as well: the sources are put before what is there
+        # Not by PYTHONPATH: pip's isolated environment removes every path that an editable installation has added, and
+        # the sources are one of them.
         sources = str(Path(self.root) / _SOURCES["safedpa"])
-        path = os.pathsep.join(filter(None, (sources, os.environ.get("PYTHONPATH"))))
-        command = [sys.executable, "-m", "safedpa.generate", str(work)]
-        environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+        code = f"import runpy, sys; sys.path.insert(0, {sources!r}); runpy.run_module('safedpa.generate', None, '__main__')"
+        command = [sys.executable, "-c", code, str(work)]
+        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         if done.returncode != 0:
             raise RuntimeError(f"safedpa: python -m safedpa.generate failed: {done.stderr.strip()}")
