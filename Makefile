@@ -59,7 +59,7 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 # Of those that stand in for a compiled class by one of their own, none is among them.
 TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/dynamics/test_recorded_step.py \
 	tests/policy/test_fast_policy.py tests/policy/test_goal_seeker.py tests/robots/test_robot_physics.py \
-	$(addprefix tests/bus/test_,coalescing.py greeting.py inbox.py intake.py joint_transport.py service_loop.py slot.py)
+	$(addprefix tests/bus/test_,coalescing.py handshake.py inbox.py inbox_receiver.py joint_transport.py service_loop.py robot_slot.py)
 
 test-compiled: $(BUILT)  ## the tests of the compiled modules, on a wheel that has them; needs a C compiler
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'

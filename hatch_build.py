@@ -77,7 +77,8 @@ class CompilingHook(BuildHookInterface[Any]):
         # Not by PYTHONPATH: pip's isolated environment removes every path that an editable installation has added, and
         # the sources are one of them.
         sources = str(Path(self.root) / _SOURCES["safedpa"])
-        code = f"import runpy, sys; sys.path.insert(0, {sources!r}); runpy.run_module('safedpa.generate', None, '__main__')"
+        code = f"import runpy, sys; sys.path.insert(0, {sources!r}); "
+        code += "runpy.run_module('safedpa.generate', None, '__main__')"
         command = [sys.executable, "-c", code, str(work)]
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
