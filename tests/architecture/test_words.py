@@ -23,7 +23,22 @@ HERE = Path(__file__).parent
 LIST = tomllib.loads((HERE / "words.toml").read_text("utf-8"))
 DICTIONARY = dict(line.split("->") for line in (HERE / "dictionary.txt").read_text("utf-8").splitlines())
 SAFETY = "shared/safedpa/safety/"
-TEXTS = (".md", ".toml", ".yml", ".yaml", ".js", ".css", ".html", ".cfg", ".sh", ".ipynb", "Makefile", "Dockerfile")
+TEXTS = (
+    ".md",
+    ".cpp",
+    ".mjs",
+    ".toml",
+    ".yml",
+    ".yaml",
+    ".js",
+    ".css",
+    ".html",
+    ".cfg",
+    ".sh",
+    ".ipynb",
+    "Makefile",
+    "Dockerfile",
+)
 NOT_OURS = ("docs/results/", "docs/pictures/", "constraints.txt")
 """Measured results and drawings are made by code; their texts come from it."""
 

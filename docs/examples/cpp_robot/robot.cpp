@@ -1,4 +1,4 @@
-// A robot in C++ that speaks the bus: it tells its state 20 times a second, does what the safety filter says, and brakes
+// A robot in C++ that speaks the bus: it reports its state 20 times a second, does what the safety filter says, and brakes
 // by itself where no action of this very tick comes. Needs zenoh-cpp on zenoh-c (https://github.com/eclipse-zenoh) and
 // msgpack-cxx:
 //
@@ -68,7 +68,7 @@ int main(int count, char** words) {
     auto session = zenoh::Session::open(std::move(config));
 
     Answer answer;
-    answer.epoch = std::random_device{}() | std::uint64_t{1} << 32;  // drawn anew at each start
+    answer.epoch = std::random_device{}() | std::uint64_t{1} << 32;  // drawn again at each start
     auto subscriber = session.declare_subscriber(
         zenoh::KeyExpr(prefix + "action"),
         [&](const zenoh::Sample& sample) { hear(sample.get_payload().as_vector(), answer); }, zenoh::closures::none);

@@ -1,4 +1,4 @@
-// A robot in JavaScript that speaks the bus: it tells its state 20 times a second, does what the safety filter says,
+// A robot in JavaScript that speaks the bus: it reports its state 20 times a second, does what the safety filter says,
 // and brakes by itself where no action of this very tick comes. Needs Node 18 and no package.
 //
 //     safedpa serve robot.toml --policy goal_seeker --listen tcp/127.0.0.1:7447     (robot = "car")
@@ -15,7 +15,7 @@ const LOW = [-0.6, -0.34], HIGH = [2.0, 0.34], BRAKE = [0, 0]; // m/s, rad
 const WHEELBASE = 0.32, GAIN = 5.0, STRONGEST = 4.5; // m, 1/s, m/s2
 const [host, port, fleet, robot, seconds] = process.argv.slice(2);
 
-const epoch = randomBytes(8).readBigUInt64BE() >> 11n; // drawn anew at each start
+const epoch = randomBytes(8).readBigUInt64BE() >> 11n; // drawn again at each start
 const surroundings = {
   goal: [3, 0],
   obstacles: [[1.2, 0.15, 0.3]], // x, y, radius [m]
