@@ -83,7 +83,8 @@ class CompilingHook(BuildHookInterface[Any]):
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         if done.returncode != 0:
-            raise RuntimeError(f"safedpa: python -m safedpa.generate failed: {done.stderr.strip()}")
+            reason = (done.stderr.strip().splitlines() or ["no output"])[-1]
+            raise RuntimeError(f"safedpa: python -m safedpa.generate failed: {reason}")
         build_data["force_include"].update({str(file): str(file.relative_to(work)) for file in work.rglob("*.py")})
 
     def _compiled(self, work: Path, build_data: dict[str, Any]) -> str | None:
