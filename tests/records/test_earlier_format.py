@@ -81,6 +81,9 @@ def test_fields_of_format_1_get_their_current_names_and_others_stay() -> None:
     assert message.expected_effect == "wider"
     newer = msgpack.packb({**stamp, "version": 2, "foretold": "unknown field of a newer program"})
     assert current_payload("takeover", newer) is newer
+    for version in ("1", None, 1.5, [1]):  # a hostile recording
+        odd = msgpack.packb({**stamp, "version": version, "foretold": "x"})
+        assert current_payload("takeover", odd) is odd
     assert current_payload("takeover", b"foretold, but no msgpack") == b"foretold, but no msgpack"
     assert current_key("safedpa/f/r/wish") == "safedpa/f/r/nominal"
     assert current_key("safedpa/f/wish/state") == "safedpa/f/wish/state", "a robot may have that name"
@@ -103,3 +106,22 @@ def test_the_command_converts_what_it_can_and_reports_the_rest(tmp_path: Path, c
     assert "margin, written to" in notice.out
     assert "1 of 2 files were not converted" in notice.err
     assert MarginCalibration.load(tmp_path / "margin.format2.toml").coverage == 0.99
+
+
+@pytest.mark.parametrize(
+    ("text", "converted"),
+    [
+        ("eta = 0.2\n  plausible_wish = 3.0\n \tslack_linear=2.0\n", "eta = 0.2\n  plausible_nominal = 3.0\n"),
+        ('format = 1\nrobot = "car"\nwish = { topic = "/in" }\n', None),
+        ('format = 1\neta = 0.2\n"plausible_wish" = 3.0\n', None),
+    ],
+)
+def test_what_cannot_be_converted_exactly_is_refused(text: str, converted: str | None, tmp_path: Path) -> None:
+    (tmp_path / "old.toml").write_text(text)
+    if converted is None:
+        with pytest.raises(InputError, match="unusual way"):
+            migrate(tmp_path / "old.toml", tmp_path / "new.toml")
+        assert not (tmp_path / "new.toml").exists()
+    else:
+        migrate(tmp_path / "old.toml", tmp_path / "new.toml")
+        assert (tmp_path / "new.toml").read_text() == converted

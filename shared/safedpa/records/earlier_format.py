@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import msgpack
 
+from safedpa.bus.messages.topics import TOPICS
 from safedpa.errors import InputError
 from safedpa.limits import parse_toml, text_of_file
 
@@ -51,13 +52,15 @@ def current_key(key: str) -> str:
 def current_payload(topic: str, payload: bytes) -> bytes:
     """Renames the fields of a recorded message of ``topic`` to those of format 2; returns anything else unchanged."""
     names = _FIELDS.get(topic, {})
+    if len(payload) > TOPICS[topic].largest_bytes:
+        return payload  # the decoder refuses it unparsed
     if topic != "setup" and not any(name.encode() in payload for name in names):
         return payload  # most messages: nothing in them was renamed
     try:
         fields = msgpack.unpackb(payload)
     except (ValueError, msgpack.UnpackException):
         return payload  # the decoder reports what is wrong with it
-    if not isinstance(fields, dict) or fields.get("version", FORMAT) >= FORMAT:
+    if not isinstance(fields, dict) or fields.get("version") != FORMAT - 1:
         return payload
     renamed = {names.get(name, name): value for name, value in fields.items()}
     renamed["version"] = FORMAT
@@ -70,13 +73,13 @@ def current_payload(topic: str, payload: bytes) -> bytes:
 
 def without_removed_settings(text: str) -> tuple[str, list[str]]:
     """Removes keys that no longer exist from settings of the filter; also returns these keys."""
-    removed = [key for key in _REMOVED_SETTINGS if re.search(rf"(?m)^{key}\s*=", text)]
-    return re.sub(rf"(?m)^(?:{'|'.join(_REMOVED_SETTINGS)})\s*=.*\n?", "", text), removed
+    removed = [key for key in _REMOVED_SETTINGS if re.search(rf"(?m)^[ \t]*{key}\s*=", text)]
+    return re.sub(rf"(?m)^[ \t]*(?:{'|'.join(_REMOVED_SETTINGS)})\s*=.*\n?", "", text), removed
 
 
 def _settings(text: str) -> str:
     for earlier, current in _SETTINGS.items():
-        text = re.sub(rf"(?m)^{earlier}(\s*=)", rf"{current}\1", text)
+        text = re.sub(rf"(?m)^([ \t]*){earlier}(\s*=)", rf"\1{current}\2", text)
     return _numbered(text)
 
 
@@ -120,6 +123,35 @@ def migrate(path: Path, target: Path) -> str:
 
 def _converted(path: Path, text: str) -> tuple[str, str]:
     table = parse_toml(text)
+    kind, converted = _converted_text(path, text, table)
+    # The conversion edits text, so that comments stay; the parsed result must be the renamed table, nothing else.
+    if parse_toml(converted) != _renamed(table, kind):
+        raise InputError(
+            f"{path}: a key of format 1 is written in an unusual way; write each key plainly on its own line"
+        )
+    return kind, converted
+
+
+def _renamed(table: Any, kind: str) -> Any:
+    """The parsed table in the names of today."""
+    if kind in ("model", "column map"):
+        return table
+    found = {key: value for key, value in table.items() if kind != "settings" or key not in _REMOVED_SETTINGS}
+    if "format" in found:
+        found["format"] = FORMAT
+    if kind == "margin":
+        found["constants"] = {
+            next(
+                (new + key.removeprefix(old) for old, new in _MARGIN_PREFIXES.items() if key.startswith(old)), key
+            ): value
+            for key, value in table.get("constants", {}).items()
+        }
+        return found if "constants" in table else {key: found[key] for key in table}
+    names = _SETTINGS if kind == "settings" else _ROBOT_TABLES
+    return {names.get(key, key): value for key, value in found.items()}
+
+
+def _converted_text(path: Path, text: str, table: dict[str, Any]) -> tuple[str, str]:
     if "base" in table:
         return "model", text
     if "columns" in table:
