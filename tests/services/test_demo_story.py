@@ -282,7 +282,7 @@ SUMMARY = {"robot_seconds": 61.0, "goals_reached": 4, "collisions": 0, "standsti
 def demonstrated(monkeypatch, tmp_path):
     """demonstrated(...): the document of the command, its error, and when its simulated drive ended."""
 
-    def run(*phrase, seconds=300, after=0.03, takes=True, started=True):
+    def run(*phrase, seconds=300, after=0.03, takes=True, started=True, lost=None):
         ended = [0.0]
 
         def driven(_plan, stop, shown_by):
@@ -301,7 +301,7 @@ def demonstrated(monkeypatch, tmp_path):
                         stage, robot_time=float(t), model=played.model, error=error, report=report() if t >= 50 else ""
                     )
                     turn()
-            return {**SUMMARY, "changed": None if takes else 25.0}
+            return {**SUMMARY, "changed": None if takes else 25.0, "recording_error": lost}
 
         monkeypatch.setattr(demo, "run_plan", driven)
         monkeypatch.setattr("safedpa_services.workbench.screenshots.find_browser", lambda: "chromium")
@@ -320,6 +320,7 @@ def demonstrated(monkeypatch, tmp_path):
         ({"takes": False}, "drove for 61 s, and the model was not changed", 151.0),
         ({"seconds": 58}, "ended before the error of the corrected model was measured", 57.0),
         ({"after": 0.297}, "the error fell by 1 %, wanted 60 %", 71.0),
+        ({"lost": "the disk is full"}, "a.mcap is incomplete: the disk is full", 71.0),
     ],
 )
 def test_a_demonstration_that_does_not_correct_the_model_has_failed(demonstrated, how, failure, ended):

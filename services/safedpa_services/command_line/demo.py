@@ -204,6 +204,8 @@ def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
         return "demo: ended before the error of the corrected model was measured; let it run 20 s after Accept"
     if story.summary.fall < WANTED_FALL:
         return f"demo: the error fell by {100 * story.summary.fall:.0f} %, wanted {100 * WANTED_FALL:.0f} %"
+    if summary.get("recording_error"):
+        return f"demo: the recording {summary.get('recording')} is incomplete: {summary['recording_error']}"
     return ""
 
 

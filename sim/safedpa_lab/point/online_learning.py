@@ -4,7 +4,7 @@
 
 PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of
 policy and filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every
-training with these inputs; nothing is taken off for a step in a hazard. No one is reported the wind.
+training with these inputs; nothing is taken off for a step in a hazard. The wind is known to none of them.
 """
 
 from __future__ import annotations
