@@ -9,7 +9,7 @@ BUILT := $(COMPILED)/.built
 GENERATED := build/.generated
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints clean
+.PHONY: help compiled demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -29,6 +29,8 @@ $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_s
 	@$(PIP) --no-deps --target $(COMPILED) . || { rm -rf $(COMPILED); mkdir -p $(COMPILED); }
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; compiled_modules() or print("Nothing could be compiled (is there a C compiler?): the loop runs from Python source, and a decision takes about twice as long.")'
 	@touch $@
+
+compiled: $(BUILT)  ## the copy of the product that demo and run start, its innermost modules compiled
 
 # One more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
 TESTERS ?= 3

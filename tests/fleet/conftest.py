@@ -11,12 +11,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fleet_containers import LOADS, Fleet, Watch, run
+from fleet_containers import LOADS, SERVICES, Fleet, Watch, run
 
-SERVICES = (
-    *("authority", "router", "safety_filter", "adaptation", "policy"),
-    *("diagnosis", "recorder", "dashboard", "robot"),
-)
 _BASE = "python:3.11.14-slim-bookworm"
 _ROWS = pytest.StashKey[list[tuple[str, ...]]]()
 

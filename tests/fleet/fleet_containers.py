@@ -14,6 +14,10 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = "safedpa-fleet-test"
+SERVICES = (
+    *("authority", "router", "safety_filter", "adaptation", "policy"),
+    *("diagnosis", "recorder", "dashboard", "robot"),
+)
 LOADS = ("none", "box", "chair", "large_chair")
 """Of the robots in turn."""
 ROUTER = "tls/router:7447"
@@ -209,3 +213,7 @@ class Watch:
         self._reader.join(5)
         assert self._process.stdout is not None
         self._process.stdout.close()
+
+
+if __name__ == "__main__":  # builds the images, for deploy/test-fleet --prepare
+    print(f"images built in {Fleet(len(LOADS), ','.join(LOADS)).build(SERVICES):.0f} s")
