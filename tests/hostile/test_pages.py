@@ -183,6 +183,11 @@ def test_the_token_leads_nowhere_else(served: Served, path: str) -> None:
     assert "x" not in headers.get("set-cookie", "").split("=")[0]
 
 
+@pytest.mark.parametrize("path", ["/", "/login", "/rerun/", "/rerun/re_viewer.js"])
+def test_with_the_token_every_page_is_at_its_address(served: Served, path: str) -> None:
+    assert served.ask(path, served.cookie) == (404 if path == "/login" else 200), "the form needs a password"
+
+
 def test_whether_it_lives_may_be_asked_without_a_token(served: Served) -> None:
     assert served.answer("/healthy")[0] == 204
     assert served.ask("/healthy", {"Host": "evil.example"}) == 403
