@@ -105,7 +105,7 @@ def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(started, 
 def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(started, clock, tmp_path):
     """0.1 s, then twice as long each time, 5 s at most; after more than 10 s of life there is no pause."""
     child, pauses = child_of(tmp_path), list[float]()
-    clock.now = 100.0
+    clock.now = -clock.begin  # a clock that is at 0 as it dies
     child.start()
     for life in [0.0] * 9 + [9.0, 11.0, 0.0]:
         clock.now += life

@@ -155,3 +155,19 @@ def test_the_summary_contains_the_robots_summary_and_counts_interventions(tmp_pa
     assert "robots" not in healthy
     with pytest.raises(SafedpaError, match="the robot wrote no summary of its run"):
         run_summary(missing, verdicts, [], {}, recording)
+
+
+@pytest.mark.processes
+def test_a_recording_is_incomplete_if_its_recorder_had_to_be_killed(tmp_path):
+    """Its last heartbeat says that all is well; the end of the file is missing all the same."""
+    account, recorder = (
+        tmp_path / "summary.json",
+        Child("recorder", "timeit", ("-s", "while 1: pass"), tmp_path / "log"),
+    )
+    account.write_text("{}")
+    recorder.start()
+    recorder.end(0.0)
+    found = run_summary(
+        account, Counter(), [recorder], {"recorder": health_of("recorder")}, tmp_path / "recording.mcap"
+    )
+    assert "killed" in found["recording_error"]

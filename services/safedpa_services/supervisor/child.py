@@ -16,8 +16,6 @@ from typing import BinaryIO
 
 from safedpa.bus.security.certificates import PemCredentials
 
-__all__ = ["Child"]
-
 _FIRST_PAUSE_SECONDS = 0.1
 _LONGEST_PAUSE_SECONDS = 5.0
 _STARTING_PRIORITY = 1
@@ -59,7 +57,8 @@ class Child:
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0
-        self._died = 0.0
+        self._died: float | None = None
+        """Time of its death [s], noticed by ``restart_if_due``; None while it runs."""
         self._pause = 0.0
         self._is_terminating = False
         self._is_released = False
@@ -109,7 +108,7 @@ class Child:
             with contextlib.suppress(OSError, AttributeError):  # without the permission it runs at normal priority
                 os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
-        self._died, self._is_terminating = 0.0, False
+        self._died, self._is_terminating = None, False
 
     def _opened_log(self) -> BinaryIO:
         """Opens the log for appending; the null device if that fails, because the loop must run even without logs."""
@@ -133,7 +132,7 @@ class Child:
         The pause before a restart doubles, from 0.1 s to 5 s, while the process dies within 10 s of its start.
         """
         now = time.monotonic()
-        if self._died == 0.0:
+        if self._died is None:
             self._died = now
             lived = now - self._started
             self._pause = (

@@ -29,8 +29,6 @@ from safedpa.errors import SafedpaError
 from safedpa.safety.deadlock.detector import Stand, record_deadlock
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["RunMonitor", "run_summary"]
-
 _WHO = "'safedpa up', which is about to end"
 _ORDER_SECONDS = 2.0
 """Timeout of a stop order. A busy machine answers late; without a filter the request fails at once."""
@@ -128,8 +126,6 @@ def run_summary(
     ``recording_error`` says why the recording is incomplete, None: it is complete. Raises SafedpaError if a robot's
     summary cannot be read.
     """
-    recorder = health.get("recorder")
-    failed = recorder.detail if recorder is not None and recorder.state == "failing" else None
     return {
         **_robot_summary(robot_summary),
         "verdicts": dict(sorted(verdicts.items())),
@@ -137,9 +133,19 @@ def run_summary(
         "interventions": sum(count for status, count in verdicts.items() if status not in _NO_INTERVENTION),
         "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
         "recording": str(recording),
-        "recording_error": failed,
+        "recording_error": _recording_error(health.get("recorder"), children),
         **({"robots": {name: _robot_summary(path) for name, path in others.items()}} if others else {}),
     }
+
+
+def _recording_error(last: HealthMessage | None, children: Sequence[Child]) -> str | None:
+    if last is not None and last.state == "failing":
+        return last.detail
+    # The last heartbeat of a recorder that was killed says nothing about the end of its file.
+    code = next((child.exit_code for child in children if child.name == "recorder"), None)
+    if not code:
+        return None
+    return f"the recorder was killed by signal {-code}" if code < 0 else f"the recorder ended with exit code {code}"
 
 
 def _robot_summary(path: Path) -> dict[str, Any]:
