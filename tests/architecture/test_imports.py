@@ -105,7 +105,7 @@ def test_who_asks_for_settings_loads_no_filter_and_who_drives_a_car_no_other_rob
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert "safedpa.robots.car.effects.payload" in loaded
+    assert "safedpa.robots.car.effects.forces" in loaded
     assert not {name for name in loaded if ".pendulum.effects" in name or ".point.effects" in name}
     assert not {"safedpa.safety.solver.sqp", "safedpa.safety.checks.check_filter", "rich", "subprocess"} & loaded
 

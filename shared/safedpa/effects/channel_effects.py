@@ -1,7 +1,7 @@
 """Effects on commands: gain, offset, dead zone, limit, lag and delay of any actuator channel.
 
-``KINDS`` has the six equations. Each robot declares its effects of these kinds in one table, ``effects/channels.py`` of
-its package; ``general_effects`` declares them for a system of the user's own.
+``KINDS`` has the six equations. Each robot declares its effects of these kinds in one table, ``EFFECTS`` in
+``effects`` of its package; ``general_effects`` declares them for a system of the user's own.
 """
 
 from __future__ import annotations

@@ -121,9 +121,10 @@ def _of_entry_points() -> dict[tuple[str, str], AbstractEffect]:
 
 
 def effects_in_package(name: str) -> tuple[AbstractEffect, ...]:
-    """Returns the effects that the modules of a package define, in the order of the modules' names."""
+    """Returns the effects that a module, or the modules of a package by their names, define."""
     package = importlib.import_module(name)
-    modules = [importlib.import_module(info.name) for info in pkgutil.iter_modules(package.__path__, name + ".")]
+    inside = pkgutil.iter_modules(getattr(package, "__path__", ()), name + ".")
+    modules = [package, *(importlib.import_module(info.name) for info in inside)]
     return tuple(item for module in modules for item in _effects_in(module))
 
 

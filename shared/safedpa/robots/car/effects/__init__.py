@@ -1,5 +1,5 @@
-"""Physical effects that a car model may lack, one per module; ``channels`` is a table of the effects on commands.
+"""Physical effects that a car model may lack: ``forces`` and ``path`` have a class for each, ``channels`` is a table.
 
-To add an effect, copy ``quadratic_drag.py`` and change it; for an effect on a command add a row to ``channels``.
-Effects are found by their module: nothing has to be registered or generated.
+To add an effect, copy ``QuadraticDrag`` in ``forces`` and change it; for one on a command add a row to ``channels``.
+The library finds effects by their package: nothing has to be registered or generated.
 """
