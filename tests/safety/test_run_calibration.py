@@ -221,6 +221,9 @@ def test_each_start_of_each_robot_is_a_drive_with_its_ticks_in_order(tmp_path: P
     path = recorded(tmp_path / "drive.mcap", *mixed, model=fingerprint(CAR))
     made = calibration_from_recordings(CAR, SETTINGS, [path], 0.5, "2024-01-01")
     assert (made.drives, made.transitions, made.period) == (5, 5 * 59, 0.05)
+    few = recorded(tmp_path / "few.mcap", *reported[:240], model=fingerprint(CAR))
+    with pytest.raises(InputError, match="drives: got 4, wanted at least 5 to hold one of them out; record more"):
+        calibration_from_recordings(CAR, SETTINGS, [few], 0.5, "2024-01-01")
 
 
 def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def calibration_from_recordings(
     With enough drives (a drive is one start of one robot), every fifth drive is held out, and there are margins for a
     step near a boundary and for a whole drive. With fewer drives, every fifth block of 5 s is held out, transitions are
     assumed exchangeable, and all of them count whether near a boundary or not; there are no margins for drives. Raises
-    InputError for too few transitions, latents of another model, or robots of several periods.
+    InputError for too few transitions or drives, latents of another model, or robots of several periods.
     """
     scene_of(model, settings)  # raises for settings of another robot before reading the recordings
     drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
@@ -90,6 +90,8 @@ def calibration_from_recordings(
     along = [heights for _, heights in walked if heights]
     found = RecordedTransitions([ticks for ticks, heights in walked if heights])
     if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
+        if len(along) < _SHARE:
+            raise InputError(f"drives: got {len(along)}, wanted at least {_SHARE} to hold one of them out; record more")
         made = _over_drives(along, settings, coverage, date, fingerprint(model))
     else:
         made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
