@@ -63,7 +63,7 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
     from safedpa.safety import FilterSettings, SafetyFilter
 
     model: Any = load_model(model_name)
-    safe = SafetyFilter.for_model(model, FilterSettings())
+    safe = SafetyFilter.for_model(model, FilterSettings.for_robot("car"))
     drawn = problems(safe, model.latent, seed, scenes)
     compiled, reported = len(compiled_modules()), list[tuple[str, list[float], float]]()
     with looked_at(counts := not compiled) as looks:

@@ -53,7 +53,7 @@ from safedpa.safety.barriers.equation import pattern_of, rows_of
 car = load_model("car")
 car.record_scalar_step()
 print(car.scalar_step(0.05)([0.1, 0.2, 0.3, 1.0], [1.0, 0.1], car.latent.tolist(), 0.0))
-parts = car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)])
+parts = car_barriers(FilterSettings.for_robot("car"), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)])
 print(rows_of(pattern_of(parts), 4).__module__)
 """
     blocked = code.splitlines()[2]

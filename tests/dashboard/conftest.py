@@ -32,7 +32,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def look() -> DisplaySettings:
     """Display settings of the car."""
-    return display_settings(load_model("car"), FilterSettings())
+    return display_settings(load_model("car"), FilterSettings.for_robot("car"))
 
 
 @pytest.fixture(scope="session")

@@ -93,7 +93,7 @@ from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.rerun_recording import RerunRecording
 from safedpa_services.dashboard.http_proxy import ViewerServer, choose_port
 
-look = display_settings(load_model("car"), FilterSettings())
+look = display_settings(load_model("car"), FilterSettings.for_robot("car"))
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
 behind = (private_loopback(), grpc)
 recording = RerunRecording(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)

@@ -140,7 +140,7 @@ def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of
     state = replace(tick_of(0)[0][1], values=(0.0, 0.0, 0.0, 2.0))
     swept = _shape(look, STATE, state, "world/swept", Lines)
     farthest = max(x for x, _ in swept.strips[0])
-    assert farthest == pytest.approx(0.4 + 0.15 + braking_of(FilterSettings()).distance(2.0))
+    assert farthest == pytest.approx(0.4 + 0.15 + braking_of(FilterSettings.for_robot("car")).distance(2.0))
 
 
 def test_actions_are_drawn_with_nominal_actions_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):

@@ -124,7 +124,7 @@ def test_a_margin_with_ordered_errors_is_the_one_that_sorts(errors: list[float],
 @given(states=st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 4), min_size=1, max_size=30))
 def test_a_stack_with_a_memory_has_the_values_of_the_stack(states: list[tuple[float, ...]]) -> None:
     obstacles, field = ((0.5, 0.5, 0.2), (1.0, -1.0, 0.3)), (-4.0, 4.0, -4.0, 4.0)
-    stack = make_barrier_set(car_barriers(FilterSettings(), (0.08, 0.4, 0.12), obstacles, field))
+    stack = make_barrier_set(car_barriers(FilterSettings.for_robot("car"), (0.08, 0.4, 0.12), obstacles, field))
     remembering = CachingBarrierSet(stack)
     for values in (*states, *states[-3:]):
         state = np.array(values)

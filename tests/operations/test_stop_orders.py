@@ -82,7 +82,7 @@ def test_answers_say_how_long_an_order_holds(tmp_path: Path) -> None:
 
 
 def car_filter() -> SafetyFilter:
-    chosen = FilterSettings()
+    chosen = FilterSettings.for_robot("car")
     barriers = car_barriers(chosen, (0.08, 0.40, 0.12), [(2.0, 0.0, 0.3)], (-4, 4, -4, 4))
     return SafetyFilter.for_model(CAR, chosen, barriers)
 

@@ -23,7 +23,7 @@ def car() -> PhysicsModel:
 
 @pytest.fixture(scope="session")
 def settings() -> FilterSettings:
-    return FilterSettings()
+    return FilterSettings.for_robot("car")
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_what_is_no_number_is_no_margin_even_where_as_one_it_would_be_kept(margi
 def test_what_is_predicted_comes_from_a_model_or_with_each_decision_and_not_from_both() -> None:
     model = FILTERS["car"].model
     given_ = drawn(0, 2, 1, model.latent)
-    barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
+    barriers = barriers_of_cars(FilterSettings.for_robot("car"), given_.pop("obstacles"), FOOTPRINT)
     affine = np.zeros((2, 4)), np.zeros((2, 4, 2))
     notice = "affine: wanted f and g of each robot where the filter has no model, and nothing where it has"
     with pytest.raises(InputError, match=notice):
@@ -157,7 +157,7 @@ def test_what_is_predicted_comes_from_a_model_or_with_each_decision_and_not_from
 
 def test_a_predicted_state_that_is_no_number_passes_no_nominal_action_though_no_barrier_reads_it() -> None:
     own = FunctionBarrier(lambda x: 1.0 - x[0], names=("x",))
-    many, robots = BatchFilter(load_model("car").system, replace(FilterSettings(), epsilon={})), 3
+    many, robots = BatchFilter(load_model("car").system, replace(FilterSettings.for_robot("car"), epsilon={})), 3
     state, g = np.tile((0.95, 0.0, 0.0, 0.0), (robots, 1)), np.zeros((robots, 4, 2))
     g[:, 0, 0] = 0.01
     f = state.copy()
@@ -203,7 +203,7 @@ def test_where_there_is_no_barrier_all_fall_back_and_say_so(own: list[AbstractBa
 def test_without_a_latent_all_fall_back_and_a_filter_that_is_switched_off_says_so() -> None:
     given_ = {**drawn(2, 3, 2, FILTERS["car"].model.latent), "latent": None}
     assert decided(FILTERS["car"], **given_, footprint=FOOTPRINT).count(Status.fallback) == 3
-    many = BatchFilter(load_model("car"), FilterSettings(enabled=False))
+    many = BatchFilter(load_model("car"), FilterSettings.for_robot("car", enabled=False))
     assert decided(many, **drawn(2, 3, 2, many.model.latent), footprint=FOOTPRINT).count(Status.disabled) == 3
 
 
@@ -238,9 +238,9 @@ def test_shapes_that_are_wrong_are_refused(wrong: dict[str, Any], message: str) 
 
 def test_other_robots_are_refused() -> None:
     with pytest.raises(InputError, match="made for the system 'car', the model is of 'pendulum'"):
-        BatchFilter(load_model("pendulum"))
+        BatchFilter(load_model("pendulum"), FilterSettings.for_robot("car"))
     given_ = drawn(0, 2, 1, FILTERS["car"].model.latent)
-    barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
+    barriers = barriers_of_cars(FilterSettings.for_robot("car"), given_.pop("obstacles"), FOOTPRINT)
     with pytest.raises(InputError, match="those of 1 robots, wanted 2"):
         FILTERS["car"].decide(**given_, barriers=barriers.only(np.array([0])))
     corridor = batch_barriers([[CorridorBarrier(-1.0, 1.0, 0.2)]] * 2, 4)

@@ -248,7 +248,8 @@ def test_barriers_that_differ_between_robots_are_refused() -> None:
     """By kind, by number, and by whether they may be used up at once; though one robot alone differs."""
     corridor, speed = CorridorBarrier(-1.0, 1.0, 0.2), SpeedBarrier(-0.5, 1.0)
     few = [
-        ObstacleBarrier([(1.0, 0.0, 0.1)] * count, (0.1, 0.1, 0.1), braking_of(FilterSettings())) for count in (1, 2)
+        ObstacleBarrier([(1.0, 0.0, 0.1)] * count, (0.1, 0.1, 0.1), braking_of(FilterSettings.for_robot("car")))
+        for count in (1, 2)
     ]
     for parts in ([[speed], [speed], [corridor]], [[few[0]], [few[0]], [few[1]]]):
         with pytest.raises(InputError, match="got others for one robot than for another"):
@@ -270,7 +271,7 @@ def bodies(random: np.random.Generator, cars: int) -> Values:
 
 @pytest.mark.parametrize("walls", [False, True])
 def test_many_cars_have_the_barriers_of_each(walls: bool) -> None:
-    random, cars, settings = np.random.default_rng(5), 12, FilterSettings()
+    random, cars, settings = np.random.default_rng(5), 12, FilterSettings.for_robot("car")
     table = np.c_[random.uniform(-2.0, 2.0, (cars * 3, 2)), random.uniform(0.0, 0.3, cars * 3)].reshape(cars, 3, 3)
     body = bodies(random, cars)
     field = np.c_[random.uniform(-4.0, -2.0, cars), random.uniform(2.0, 4.0, cars)][:, [0, 1, 0, 1]] if walls else None
@@ -307,6 +308,6 @@ def test_many_cars_have_the_barriers_of_each(walls: bool) -> None:
 def test_what_is_wrong_around_one_car_of_three_is_refused(wrong: dict[str, Any], message: str) -> None:
     right = {"obstacles": [(1.0, 0.0, 0.1)], "footprint": (0.1, 0.1, 0.1), "field": (-2.0, 2.0, -2.0, 2.0)}
     tables = {name: np.array([value, {**right, **wrong}[name], value]) for name, value in right.items()}
-    barriers_of_cars(FilterSettings(), **{name: np.array([value] * 3) for name, value in right.items()})
+    barriers_of_cars(FilterSettings.for_robot("car"), **{name: np.array([value] * 3) for name, value in right.items()})
     with pytest.raises(InputError, match=message):
-        barriers_of_cars(FilterSettings(), **tables)
+        barriers_of_cars(FilterSettings.for_robot("car"), **tables)

@@ -71,7 +71,9 @@ def test_the_first_example_of_the_page_is_fine() -> None:
         assert found.states > len(np.atleast_2d(states))
 
 
-@pytest.mark.parametrize("settings", [FilterSettings(), settings_named("car")], ids=["default", "shipped"])
+@pytest.mark.parametrize(
+    "settings", [FilterSettings.for_robot("car"), settings_named("car")], ids=["default", "shipped"]
+)
 def test_the_car_is_fine(settings: FilterSettings) -> None:
     model, random = load_model("car"), np.random.default_rng(0)
     barriers = car_barriers(

@@ -58,7 +58,7 @@ def scene_of(scene: list[tuple[float, float, float]], walls: bool, way: float | 
     towed = (
         None if way is None else TrailerEnvelope(0.1, 0.5, 0.2, way, (pose[0] + 0.03, pose[1] - 0.02, pose[2] + 0.05))
     )
-    return car_barriers(FilterSettings(), FOOTPRINT, scene, FIELD if walls else None, towed)
+    return car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, scene, FIELD if walls else None, towed)
 
 
 @settings(max_examples=200, deadline=None)
@@ -99,7 +99,7 @@ def test_many_robots_at_once_have_what_each_has_alone(scene, drive, walls, way):
 
 
 def test_a_longer_state_has_no_slope_over_what_is_not_read() -> None:
-    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
+    parts = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     state, stack = [0.1, 0.2, 0.3, 0.4], make_barrier_set(parts)
     assert stack.h_floats([*state, 9.0]) == stack.h_floats(state)
     np.testing.assert_array_equal(stack.grad_h(np.array([*state, 9.0]))[:, :4], stack.grad_h(np.array(state)))
@@ -108,30 +108,33 @@ def test_a_longer_state_has_no_slope_over_what_is_not_read() -> None:
 
 @pytest.mark.parametrize("which", [slice(0, 1), slice(None, None, -1), slice(1, 3)])
 def test_any_equations_in_any_order_make_a_stack(which: slice) -> None:
-    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2), (2.0, 0.3, 0.1)], FIELD)[which]
+    parts = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2), (2.0, 0.3, 0.1)], FIELD)[which]
     state = (0.1, 0.2, 0.3, 0.4)
     assert isinstance(make_barrier_set(parts), CompiledBarrierSet)
     assert make_barrier_set(parts).h_floats(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_together_with_a_users_function_all_barriers_are_asked_one_by_one() -> None:
-    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
+    parts = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     assert isinstance(make_barrier_set([*parts, FunctionBarrier(lambda x: 1.0)]), Barriers)
     assert isinstance(make_barrier_set([]), Barriers)
     assert isinstance(batch_barriers([[FunctionBarrier(lambda x: 1.0)]], 4), SequentialBarriers)
 
 
 def test_bodies_that_differ_keep_their_own_numbers() -> None:
-    _, field, speed = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
+    _, field, speed = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     state = (0.1, 0.2, 0.3, 0.9)
-    for body, braking in (((0.08, 0.5, 0.12), braking_of(FilterSettings())), (FOOTPRINT, Braking(1.0, 2.5))):
+    for body, braking in (
+        ((0.08, 0.5, 0.12), braking_of(FilterSettings.for_robot("car"))),
+        (FOOTPRINT, Braking(1.0, 2.5)),
+    ):
         other = ObstacleBarrier([(1.0, 1.0, 0.2)], body, braking)
         parts = [other, field, speed]
         assert make_barrier_set(parts).h_floats(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None:
-    stacks, settings = BarrierSetCache(), FilterSettings()
+    stacks, settings = BarrierSetCache(), FilterSettings.for_robot("car")
     parts: list[AbstractBarrier] = car_barriers(settings, FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     first = stacks.get(parts, 4)
     assert stacks.get(tuple(parts), 4) is first
@@ -144,11 +147,11 @@ def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None
 
 
 def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_made_of_them() -> None:
-    stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)]))
+    stack = make_barrier_set(car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2)]))
     state = (0.1, 0.2, 0.3, 0.4)
     expected = stack.h_floats(state)
     assert pickle.loads(pickle.dumps(stack)).h_floats(state) == expected
-    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD)
+    parts = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD)
     here = np.array([0.3, -0.2, 0.4, 1.1])
     for part in parts:
         before = part.h(here)
@@ -180,7 +183,10 @@ class Branching(AbstractEquationBarrier):
 
 
 def test_the_same_parts_are_refused_again_for_a_state_of_another_size() -> None:
-    parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), BarrierSetCache()
+    parts, stacks = (
+        car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD),
+        BarrierSetCache(),
+    )
     for scene in (parts, stacks.get(parts, 4)):
         assert stacks.get(scene, 4).names
         with pytest.raises(InputError, match="got a state of 5 entries"):

@@ -101,7 +101,7 @@ def test_one_number_that_is_none_is_enough() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
     """Next to the same barriers one by one, which leave no row out."""
-    random, settings = np.random.default_rng(seed), FilterSettings()
+    random, settings = np.random.default_rng(seed), FilterSettings.for_robot("car")
     sides = list(
         zip(settings.low.tolist(), settings.high.tolist(), (settings.high - settings.low).tolist(), strict=True)
     )

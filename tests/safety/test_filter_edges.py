@@ -246,7 +246,7 @@ def decided(low: float, state: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> tupl
     inside = FunctionBarrier(lambda x: low if 0.08 < x[0] < 0.17 else 1.0)
     free = FunctionBarrier(lambda x: 1.0)
     found = [
-        SafetyFilter.for_model(LATE, FilterSettings(epsilon=0.0), barriers=[barrier]).decide(
+        SafetyFilter.for_model(LATE, FilterSettings.for_robot("car", epsilon=0.0), barriers=[barrier]).decide(
             state, HELD, LATE.latent, memory=InFlightCommands(memory, HELD)
         )
         for barrier in (inside, free)

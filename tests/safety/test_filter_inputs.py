@@ -17,7 +17,7 @@ from safedpa.safety.validation import InvalidInput, checked_input
 
 GOOD = np.array([0.0, 0.0, 0.0, 0.5])
 NOMINAL = np.array([0.4, 0.1])
-CAR = FilterSettings()
+CAR = FilterSettings.for_robot("car")
 
 
 class Awkward:
@@ -164,7 +164,7 @@ def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, r
 def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(car: PhysicsModel):
     safe = SafetyFilter.for_model(car, CAR, backup=lambda _: np.array([-9.0, 9.0]))
     np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
-    resting = FilterSettings(backup_action=(-0.2, 0.05))
+    resting = FilterSettings.for_robot("car", backup_action=(-0.2, 0.05))
     np.testing.assert_array_equal(SafetyFilter.for_model(car, resting).decide(None, None).action, [-0.2, 0.05])
     away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
     safe = SafetyFilter(lambda x: (x, np.eye(1)), None, away)

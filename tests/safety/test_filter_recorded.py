@@ -47,7 +47,7 @@ def drawn_state(random: np.random.Generator, barriers: Sequence[AbstractBarrier]
 def record() -> None:
     """Random scenes of 6 to 8 obstacles, random states inside, outside and at the edge of the safe set, ordinary and
     extreme nominal actions."""
-    random, safe = np.random.default_rng(20), SafetyFilter.for_model(load_model("car"), FilterSettings())
+    random, safe = np.random.default_rng(20), SafetyFilter.for_model(load_model("car"), FilterSettings.for_robot("car"))
     scenes = []
     for index in range(SCENES):
         count = 6 + index % 3
@@ -75,7 +75,7 @@ def recorded() -> list[dict[str, Any]]:
 
 
 def test_decisions_are_those_recorded(recorded: list[dict[str, Any]]) -> None:
-    safe = SafetyFilter.for_model(load_model("car"), FilterSettings())
+    safe = SafetyFilter.for_model(load_model("car"), FilterSettings.for_robot("car"))
     for scene in recorded:
         for case in scene["cases"]:
             found, wanted = answer(verdict_on(safe, scene["obstacles"], case)), case["verdict"]

@@ -13,18 +13,19 @@ from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 
 
-def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
-    settings = FilterSettings()
+def test_the_bounds_are_the_robots_and_the_defaults_what_the_page_says() -> None:
+    settings = FilterSettings.for_robot("car")
     np.testing.assert_array_equal(settings.low, [-0.6, -0.34])
     np.testing.assert_array_equal(settings.high, [2.0, 0.34])
     np.testing.assert_array_equal(settings.weight_vector, [1.0, 1.0])
     np.testing.assert_array_equal(settings.resting_action, [0.0, 0.0])
     assert (braking_of(settings).deceleration, braking_of(settings).gain) == (2.0, 2.5)
-    left = FilterSettings()
+    left = FilterSettings.for_robot("car")
     assert (left.eta, left.relinearisations, left.plausible_nominal) == (0.2, 3, 10.0)
     names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance", "own_radius", "creeping")
     assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05, 0.0, 0.0), strict=True))
-    pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
+    pendulum = FilterSettings.for_robot("pendulum")
+    assert parse_settings('system = "pendulum"') == pendulum
     assert pendulum.barriers == {"corridor_seconds": 0.25}
 
 
@@ -33,22 +34,24 @@ def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
     [
         {},
         {"enabled": False, "epsilon": 0.02, "weights": (1.0, 4.0), "backup_action": (0.0, 0.1)},
-        {"action_low": (-1.0,), "action_high": (2.5,), "epsilon": {"own kind": 0.1, "default": 0.0}},
+        {"system": "", "action_low": (-1.0,), "action_high": (2.5,), "epsilon": {"own kind": 0.1, "default": 0.0}},
     ],
     ids=str,
 )
 def test_file_comes_back_the_same(changes: dict[str, Any], tmp_path: Path) -> None:
-    settings = FilterSettings(**changes)
+    settings = FilterSettings.for_robot("car", **changes)
     save_settings(settings, tmp_path / "safety.toml")
     assert load_settings(tmp_path / "safety.toml") == settings
     assert parse_settings(write_settings(settings)) == settings
 
 
 def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_less_than_a_range_outside() -> None:
-    settings = parse_settings("eta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n")
-    assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}).with_barriers(clearance=0.0)
-    assert parse_settings("epsilon = 0.03").epsilon == {"default": 0.03}
-    assert parse_settings("plausible_nominal = 0.5").plausible_nominal == 0.5
+    settings = parse_settings('system = "car"\neta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n')
+    assert settings == replace(FilterSettings.for_robot("car"), eta=0.5, epsilon={"obstacle": 0.03}).with_barriers(
+        clearance=0.0
+    )
+    assert parse_settings('system = "car"\nepsilon = 0.03').epsilon == {"default": 0.03}
+    assert parse_settings('system = "car"\nplausible_nominal = 0.5').plausible_nominal == 0.5
 
 
 @pytest.mark.parametrize(
@@ -85,7 +88,11 @@ def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_
         ("plausible_nominal = 0", "plausible_nominal: got 0, wanted more than 0"),
         ("plausible_nominal = inf", "plausible_nominal: got inf, wanted a finite number"),
         ("speed_high = -0.8", r"speed_high: got -0\.8, wanted more than speed_low -0\.8"),
-        ('system = "pendulum"\nclearance = 0.1', "action_low: got none for the system 'pendulum', wanted its bounds"),
+        (
+            'system = "drone"\neta = 0.1',
+            "action_low: missing; wanted the bounds of the actions, or the name of a robot",
+        ),
+        ('action_low = [-1.0]\nsystem = ""', "action_high: missing; wanted the bounds of the actions"),
         ('system = "pendulum"\netta = 0.1', "etta: unknown key"),
         ("clearance = -0.1", r"clearance: got -0\.1, wanted at least 0"),
         ("clearance = nan", "clearance: got nan, wanted "),
@@ -100,6 +107,7 @@ def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_
     ],
 )
 def test_errors_name_the_key(text: str, phrase: str, tmp_path: Path) -> None:
+    text = text if "system" in text else f'system = "car"\n{text}'
     with pytest.raises(InputError, match=phrase):
         parse_settings(text)
     (tmp_path / "bad.toml").write_text(text)
@@ -114,35 +122,33 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [np.array([0.5, 0.5]), [0.5, 0.5], (0.5, 0.5)])
 def test_arrays_and_lists_become_tuples(value: Any) -> None:
-    assert FilterSettings(weights=value).weights == (0.5, 0.5)
+    assert FilterSettings.for_robot("car", weights=value).weights == (0.5, 0.5)
 
 
 def test_old_files_are_read_and_keys_of_other_robots_or_of_former_settings_say_nothing() -> None:
     """Every file held the numbers of all barriers; those of another robot never said anything."""
     old = "system = 'pendulum'\naction_low = [-1.0]\naction_high = [1.0]\nclearance = 0.2\ncorridor_seconds = 0.4\n"
     assert parse_settings(old).barriers == {"corridor_seconds": 0.4}
-    assert parse_settings("corridor_seconds = 0.4\nclearance = 0.2").barrier("clearance") == 0.2
+    assert parse_settings('system = "car"\ncorridor_seconds = 0.4\nclearance = 0.2').barrier("clearance") == 0.2
 
 
 def test_numbers_of_barriers_that_a_robot_does_not_have_are_refused() -> None:
     with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
-        FilterSettings(barriers={"corridor_seconds": 0.4})
+        FilterSettings.for_robot("car", barriers={"corridor_seconds": 0.4})
     with pytest.raises(InputError, match="settings of 'car': no 'corridor_seconds' among them"):
-        FilterSettings().barrier("corridor_seconds")
+        FilterSettings.for_robot("car").barrier("corridor_seconds")
     with pytest.raises(InputError, match=r"clearence: unknown key; .*clearance"):
-        parse_settings("clearence = 0.2")
+        parse_settings('system = "car"\nclearence = 0.2')
 
 
 def test_settings_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None:
     own = FilterSettings(action_low=(-1.0,), action_high=(1.0,), barriers={"clearance": 0.3})
     assert (own.barriers, own.barrier("clearance"), own.barrier("braking_gain")) == ({"clearance": 0.3}, 0.3, 2.5)
     assert parse_settings(write_settings(own)) == own
-    # With bounds of its own a file speaks of no robot: numbers of any barrier are kept; one bound is enough.
+    # With bounds of its own a file speaks of no robot: numbers of any barrier are kept.
     both = "action_low = [-1.0]\naction_high = [1.0]\n"
     assert parse_settings(both + "corridor_seconds = 0.4").barriers == {"corridor_seconds": 0.4}
-    with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
-        parse_settings("action_low = [-0.5, -0.3]\ncorridor_seconds = 0.4")
-    assert parse_settings("corridor_seconds = 0.4").barriers == FilterSettings().barriers
+    assert parse_settings('system = "car"\ncorridor_seconds = 0.4') == FilterSettings.for_robot("car")
 
 
 @pytest.mark.parametrize(
@@ -156,7 +162,7 @@ def test_settings_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None
     ids=str,
 )
 def test_settings_at_the_ends_of_their_ranges_come_back_from_their_file(changes: dict[str, Any]) -> None:
-    settings = FilterSettings(**changes)
+    settings = FilterSettings.for_robot("car", **changes)
     assert parse_settings(write_settings(settings)) == settings
 
 
@@ -178,12 +184,12 @@ def test_the_resting_action_is_the_admissible_one_nearest_to_zero_unless_a_backu
 @pytest.mark.parametrize("barriers", [1.0, ["clearance"], {"clearanse": 0.1}], ids=str)
 def test_settings_of_barriers_are_known_numbers_by_name(barriers: Any) -> None:
     with pytest.raises(InputError, match=r"barriers: got .*, wanted numbers by name|clearanse: .*clearance"):
-        FilterSettings(barriers=barriers)
+        FilterSettings.for_robot("car", barriers=barriers)
 
 
 @pytest.mark.parametrize("backup", [(-0.6, -0.34), (2.0, 0.34)])
 def test_what_lies_on_a_limit_is_within_it(backup: tuple[float, float]) -> None:
-    settings = FilterSettings(backup_action=backup, eta=1.0, relinearisations=20, margin=0.0)
+    settings = FilterSettings.for_robot("car", backup_action=backup, eta=1.0, relinearisations=20, margin=0.0)
     assert settings.resting_action.tolist() == list(backup)
     assert parse_settings(write_settings(settings)) == settings
-    assert FilterSettings(margin=0.5).margin == 0.5
+    assert FilterSettings.for_robot("car", margin=0.5).margin == 0.5

@@ -214,7 +214,7 @@ def test_double_integrator_stays_left_of_the_wall() -> None:
 
 
 def test_disabled_hands_on_what_the_actuator_can_do(car: PhysicsModel) -> None:
-    settings = FilterSettings(enabled=False)
+    settings = FilterSettings.for_robot("car", enabled=False)
     safe = SafetyFilter.for_model(car, settings, car_barriers(settings, FOOTPRINT, [(2.0, 0.0, 0.3)]))
     verdict = safe.decide(NEAR, [2.5, 0.1])
     assert verdict.status is Status.disabled

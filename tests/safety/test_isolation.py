@@ -342,7 +342,7 @@ def test_a_barrier_that_asks_its_own_filter_gets_a_refusal() -> None:
 
 
 def test_many_threads_never_get_each_others_barriers() -> None:
-    model, settings = load_model("car"), FilterSettings()
+    model, settings = load_model("car"), FilterSettings.for_robot("car")
     safe = SafetyFilter.for_model(model, settings)
     footprint = (0.08, 0.4, 0.12)
     scenes = {

@@ -235,7 +235,7 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
     assert smaller.epsilon["a"] == pytest.approx(0.81), "half of the steps are errors of 0"
     assert smaller.drive["a"] == pytest.approx(0.9)
     assert smaller.select("drive").epsilon == smaller.drive
-    assert smaller.select(parse_settings('margin = "drive"').margin).epsilon == smaller.drive
+    assert smaller.select(parse_settings('system = "car"\nmargin = "drive"').margin).epsilon == smaller.drive
     with pytest.raises(InputError, match="margin 'drive': the calibration has it for no kind, wanted a, b"):
         dataclasses.replace(smaller, drive={}).select("drive")
     with pytest.raises(InputError, match=r"drives: got 98, wanted at least 99 for a coverage of 0\.99"):
@@ -306,7 +306,8 @@ EPSILON = {"obstacle": 0.1, "default": 0.02}
 def test_margins_follow_the_request_and_the_barriers() -> None:
     margins = ActiveMargins(EPSILON)
     one, other = (
-        make_barrier_set(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)] * n)) for n in (1, 2)
+        make_barrier_set(car_barriers(FilterSettings.for_robot("car"), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)] * n))
+        for n in (1, 2)
     )
     asked: dict[str, float] = {}
     for _ in range(2):
@@ -322,7 +323,7 @@ def test_margins_follow_the_request_and_the_barriers() -> None:
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -0.1])
 def test_a_bad_margin_is_refused_every_time_and_forgotten(bad: float) -> None:
     margins = ActiveMargins(EPSILON)
-    stack = make_barrier_set(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)]))
+    stack = make_barrier_set(car_barriers(FilterSettings.for_robot("car"), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)]))
     asked = {"speed": bad}
     for _ in range(2):
         with pytest.raises(DecisionError, match="not a finite number >= 0"):

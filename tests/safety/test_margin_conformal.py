@@ -90,7 +90,7 @@ def transitions(model: PhysicsModel, count: int, seed: int) -> tuple[np.ndarray,
 
 def test_calibration_covers_a_world_that_differs_from_the_model(car: PhysicsModel, tmp_path: Path) -> None:
     world = car.with_settings({"base.speed_gain": Setting(3.2)})
-    settings = FilterSettings()
+    settings = FilterSettings.for_robot("car")
     barriers = car_barriers(settings, FOOTPRINT, [(1.0, 0.5, 0.3), (-2.0, 0.0, 0.2)], (-4, 4, -4, 4))
     found = calibrate_margin(car, barriers, *transitions(world, 800, 1), coverage=0.9, date="2026-11-21")
     assert set(found.epsilon) == {"obstacle", "field", "speed"}
@@ -103,7 +103,7 @@ def test_calibration_covers_a_world_that_differs_from_the_model(car: PhysicsMode
         assert found.epsilon[kind] > 0.0
     found.save(tmp_path / "margin.toml")
     assert MarginCalibration.load(tmp_path / "margin.toml") == found
-    assert FilterSettings(epsilon=found.epsilon).epsilon == found.epsilon
+    assert FilterSettings.for_robot("car", epsilon=found.epsilon).epsilon == found.epsilon
 
 
 def test_a_fingerprint_that_is_given_is_kept_whatever_predicted(car: PhysicsModel) -> None:

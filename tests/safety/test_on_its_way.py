@@ -254,8 +254,10 @@ def test_a_model_without_memory_is_judged_where_it_is(name: str) -> None:
 
 
 def test_several_states_in_a_row_are_the_same_barriers_at_each() -> None:
-    scene = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), [(2.0, 0.3, 0.3), (1.0, -1.0, 0.2)], (-4, 4, -4, 4))
-    filter_ = SafetyFilter.for_model(CAR, FilterSettings(), scene)
+    scene = car_barriers(
+        FilterSettings.for_robot("car"), (0.08, 0.4, 0.12), [(2.0, 0.3, 0.3), (1.0, -1.0, 0.2)], (-4, 4, -4, 4)
+    )
+    filter_ = SafetyFilter.for_model(CAR, FilterSettings.for_robot("car"), scene)
     plain = filter_.tools.barrier_sets.get(scene, 4).scalar_rows(4)
     random = np.random.default_rng(0)
     states = random.uniform((-1, -1, -3, 0), (1, 1, 3, 2), (3, 4)).tolist()
@@ -278,7 +280,7 @@ def test_several_states_in_a_row_are_the_same_barriers_at_each() -> None:
 
 
 def scene_ahead(distance: float) -> list[object]:
-    settings = FilterSettings()
+    settings = FilterSettings.for_robot("car")
     return list(car_barriers(settings, (0.08, 0.40, 0.12), [(distance, 0.0, 0.3)], (-20, 20, -20, 20)))
 
 
@@ -290,7 +292,7 @@ def test_passed_never_hides_a_collision_that_is_on_its_way() -> None:
     memory = model.initial_memory(np.array((0.0, 0.0)), latent)
     for _ in range(8):
         memory = model.felt((2.0, 0.0), memory, LATENT, period=model.period)[1]
-    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    filter_ = SafetyFilter.for_model(model, FilterSettings.for_robot("car"))
     pending = InFlightCommands(memory, (2.0, 0.0))
     state = (0.0, 0.0, 0.0, 0.0)
     barriers = scene_ahead(0.95)
@@ -308,7 +310,7 @@ def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
     """One step cannot see an action that acts later: every condition near an obstacle seemed impossible to keep."""
     model, latent = late("actuator_delay", seconds), np.array(LATENT)
     memory = model.initial_memory(np.array((1.0, 0.0)), latent)
-    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    filter_ = SafetyFilter.for_model(model, FilterSettings.for_robot("car"))
     statuses = set()
     for distance in np.linspace(1.7, 2.6, 10):
         pending = InFlightCommands(memory, (1.0, 0.0))
@@ -321,7 +323,7 @@ def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
 
 def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
     """Commands may still accelerate; all that counts is h >= epsilon / eta where the action begins to act."""
-    settings = FilterSettings()
+    settings = FilterSettings.for_robot("car")
     random = np.random.default_rng(3)
     kept = tried = 0
     for _ in range(400):
@@ -358,7 +360,7 @@ def test_a_learned_model_with_a_delay_looks_as_far() -> None:
     latent = tuple(model.latent.tolist())
     assert tuple(ActuatorModel(model).dead_time_periods(latent)) == (4, 4)
     memory = model.initial_memory(np.array((1.0, 0.0)), np.array(latent))
-    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    filter_ = SafetyFilter.for_model(model, FilterSettings.for_robot("car"))
     found = [
         filter_.decide(
             (0.0, 0.0, 0.0, 1.0), [2.0, 0.0], np.array(latent), memory=InFlightCommands(memory, (1.0, 0.0)),

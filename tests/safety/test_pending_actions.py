@@ -111,7 +111,7 @@ def test_it_holds_any_model_of_the_project(name: str) -> None:
 
 
 def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
-    model, settings = load_model("car"), FilterSettings()
+    model, settings = load_model("car"), FilterSettings.for_robot("car")
     scene = car_barriers(settings, (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4))
     late = PendingActions(model, 2, (0.0, 0.0))
     barriers = [late.barrier(part, model.latent) for part in scene]
@@ -133,7 +133,7 @@ def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
 def test_the_gradient_by_the_chain_rule_is_that_of_its_values() -> None:
     model, random = load_model("car"), np.random.default_rng(1)
     late = PendingActions(model, 2, (0.0, 0.0))
-    for part in car_barriers(FilterSettings(), (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4)):
+    for part in car_barriers(FilterSettings.for_robot("car"), (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4)):
         barrier = late.barrier(part, model.latent)
         for _ in range(5):
             xi = late.state(random.uniform((-1, -1, -3, 0.2), (1, 1, 3, 1.5)), random.uniform(-0.3, 0.3, (2, 2)))

@@ -23,7 +23,7 @@ from safedpa.safety.prediction.command_history import CommandHistory
 from safedpa.safety.prediction.dead_time import MAX_PERIODS, ActuatorModel
 
 FOOTPRINT = (0.08, 0.40, 0.12)
-PARTS = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], (-4.0, 4.0, -4.0, 4.0))
+PARTS = car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(1.0, 1.0, 0.2)], (-4.0, 4.0, -4.0, 4.0))
 
 
 class Counting:
@@ -108,7 +108,7 @@ def test_the_shortest_way_gives_what_the_stack_gives() -> None:
 
 def test_distances_as_large_and_as_small_as_floats_can_be() -> None:
     """There their squares are infinite or nothing."""
-    stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(0.0, 0.0, 0.0)]))
+    stack = make_barrier_set(car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(0.0, 0.0, 0.0)]))
     for state in ((1e200, 0.0, 0.0, 0.0), (-1e200, 1e180, 0.3, 0.0), (0.0, 1e-200, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
         reference = stack.sequential.h_floats(state)
         np.testing.assert_allclose(stack.h_floats(state), reference, rtol=1e-12)
@@ -118,7 +118,7 @@ def test_distances_as_large_and_as_small_as_floats_can_be() -> None:
 
 
 def test_a_verdict_has_all_its_fields() -> None:
-    safe = SafetyFilter.for_model(load_model("car"), FilterSettings(), PARTS)
+    safe = SafetyFilter.for_model(load_model("car"), FilterSettings.for_robot("car"), PARTS)
     for verdict in (safe.decide([0.0, 0.0, 0.0, 0.5], [0.5, 0.0], [0.5, 0.5]), safe.decide(None, None, None)):
         assert list(vars(verdict)) == [field.name for field in fields(Verdict)]
         assert Verdict(**vars(verdict)).as_dict() == verdict.as_dict()

@@ -232,7 +232,7 @@ def test_only_of_models_whose_free_parameters_are_the_latent() -> None:
 
 def test_numbers_beyond_single_precision_are_no_motion_that_is_believed() -> None:
     """As before: networks that overflow predict infinity or NaN, and the filter brakes."""
-    model, options = load_model("car_learned"), FilterSettings()
+    model, options = load_model("car_learned"), FilterSettings.for_robot("car")
     safe = SafetyFilter(
         Prediction.of_model(model), car_barriers(options, (0.08, 0.4, 0.12), [(2.0, 0.0, 0.3)]), options
     )

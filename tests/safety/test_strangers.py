@@ -69,35 +69,34 @@ def files(tmp_path: Path) -> dict[str, Path]:
 
 
 def car_scene() -> list[AbstractBarrier]:
-    return car_barriers(FilterSettings(), FOOTPRINT, [(2.0, 0.0, 0.3)], (-4.0, 4.0, -4.0, 4.0))
+    return car_barriers(FilterSettings.for_robot("car"), FOOTPRINT, [(2.0, 0.0, 0.3)], (-4.0, 4.0, -4.0, 4.0))
 
 
-def test_settings_name_their_system_the_defaults_are_the_cars_and_come_back_from_a_file() -> None:
+def test_settings_name_their_system_and_come_back_from_a_file() -> None:
     assert {name: settings_named(name).system for name in NAMES} == {name: name for name in NAMES}
-    assert FilterSettings().system == "car"
-    assert FilterSettings(system="car") == FilterSettings()
-    assert FilterSettings(action_high=(1.0, 0.2)).system == "car"
+    assert {name: FilterSettings.for_robot(name).system for name in NAMES} == {name: name for name in NAMES}
     assert FilterSettings(**BOUNDS).system == ""
-    assert FilterSettings(system="drone", **BOUNDS).system == "drone"
-    assert parse_settings("eta = 0.5").system == "car"
+    assert parse_settings('eta = 0.5\nsystem = "car"') == FilterSettings.for_robot("car", eta=0.5)
     assert parse_settings("action_low = [-1.0]\naction_high = [1.0]").system == ""
     settings = FilterSettings(system="drone", **BOUNDS)
     assert parse_settings(write_settings(settings)) == settings
-    assert replace(FilterSettings(), eta=0.5).system == "car"
 
 
-@pytest.mark.parametrize(
-    ("given", "phrase"),
-    [
-        ({"system": "drone"}, r"action_low: got none for the system 'drone', wanted its bounds"),
-        ({"system": "drone", "action_low": (0.0,)}, r"action_high: got none for the system 'drone'"),
-        ({"system": 3}, r"system: got 3, wanted the name of a system"),
-        ({"action_low": (), "action_high": ()}, r"action_high: got 0 numbers"),
-    ],
-)
-def test_settings_of_no_known_bounds(given: dict[str, Any], phrase: str) -> None:
-    with pytest.raises(InputError, match=phrase):
-        FilterSettings(**given)
+def test_settings_without_bounds_are_refused_and_no_robot_lends_its_own(strangers: dict[str, PhysicsModel]) -> None:
+    for given in ({}, {"system": "car"}, {"action_low": (0.0,)}):
+        with pytest.raises(TypeError, match=r"missing .*'action_high'"):
+            FilterSettings(**given)
+    for text in ("eta = 0.5", 'system = "nobody"', 'action_low = [-1.0]\nsystem = ""'):
+        with pytest.raises(InputError, match=r"action_(low|high): missing; wanted the bounds"):
+            parse_settings(text)
+    drone = strangers["drone"].system
+    assert FilterSettings.for_robot(drone).action_high == tuple(each.high for each in drone.action)
+    for wrong, phrase in (
+        ({"system": 3}, "system: got 3, wanted the name"),
+        ({"action_low": ()}, "action_high: got 1 numbers"),
+    ):
+        with pytest.raises(InputError, match=phrase):
+            FilterSettings(**{"action_low": (-1.0,), "action_high": (1.0,), **wrong})
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -148,9 +147,9 @@ def test_many_at_once_are_refused_as_one_is() -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_the_cars_settings_are_refused_around_a_stranger(strangers: dict[str, PhysicsModel], name: str) -> None:
     with pytest.raises(InputError, match=f"made for the system 'car', the model is of '{name}'"):
-        SafetyFilter.for_model(strangers[name], FilterSettings())
+        SafetyFilter.for_model(strangers[name], FilterSettings.for_robot("car"))
     with pytest.raises(InputError, match=f"for the system '{name}', x, y"):
-        SafetyFilterNode(strangers[name], FilterSettings())
+        SafetyFilterNode(strangers[name], FilterSettings.for_robot("car"))
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -208,14 +207,14 @@ def test_names_of_a_range_are_those_of_the_states_and_each_barrier_names_what_it
 def test_default_settings_around_a_users_functions_are_refused() -> None:
     one = [FunctionBarrier(lambda x: 1.0 - x[0])]
     with pytest.raises(InputError, match=r"made for the system 'car' \(x, y, yaw, speed; target_speed, steer\), which"):
-        SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings())
+        SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings.for_robot("car"))
     with pytest.raises(InputError, match="made for the system 'pendulum'"):
         SafetyFilter(lambda x: (x, np.eye(1)), None, settings_named("pendulum"))
     for reported in (
         {"barriers": car_scene()},
         {"barriers": one, "state_range": Plausible(CAR.state_low, CAR.state_high, CAR.state_names)},
     ):
-        SafetyFilter(lambda x: (x, np.zeros((4, 2))), settings=FilterSettings(), **reported)  # type: ignore[arg-type]
+        SafetyFilter(lambda x: (x, np.zeros((4, 2))), settings=FilterSettings.for_robot("car"), **reported)  # type: ignore[arg-type]
     SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings(system="my cart", action_low=(0,), action_high=(1,)))
 
 
@@ -230,13 +229,13 @@ def test_default_settings_around_a_users_functions_are_refused() -> None:
 )
 def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], phrase: str) -> None:
     with pytest.raises(InputError, match=phrase):
-        SafetyFilter.for_model(load_model("car"), FilterSettings(**changed))
+        SafetyFilter.for_model(load_model("car"), FilterSettings.for_robot("car", **{"system": "", **changed}))
 
 
 def test_a_backup_that_answers_no_numbers_is_refused() -> None:
     car = load_model("car")
     with pytest.raises(InputError, match="backup: got"):
-        SafetyFilter.for_model(car, FilterSettings(), backup=lambda state: np.array([0.0, np.nan]))
+        SafetyFilter.for_model(car, FilterSettings.for_robot("car"), backup=lambda state: np.array([0.0, np.nan]))
 
 
 def test_a_robot_without_an_action_cannot_be_filtered() -> None:
@@ -272,12 +271,14 @@ def test_a_backup_that_needs_a_state_is_no_mistake() -> None:
     assert own(backup=lambda state: -0.5 * state).decide(np.array([0.4]), None).action == [-0.2]
 
 
-@pytest.mark.parametrize("barriers", [[], (), [ObstacleBarrier([], FOOTPRINT, braking_of(FilterSettings()))]])
+@pytest.mark.parametrize(
+    "barriers", [[], (), [ObstacleBarrier([], FOOTPRINT, braking_of(FilterSettings.for_robot("car")))]]
+)
 def test_a_filter_without_barriers(barriers: Any) -> None:
     with pytest.raises(InputError, match="barriers: got none, wanted at least one, or None"):
         own(barriers=barriers)
     with pytest.raises(InputError, match="barriers: got none"):
-        SafetyFilter.for_model(load_model("car"), FilterSettings(), barriers)
+        SafetyFilter.for_model(load_model("car"), FilterSettings.for_robot("car"), barriers)
 
 
 def test_barriers_that_come_with_every_decision() -> None:
@@ -304,14 +305,14 @@ def test_what_are_no_settings() -> None:
 def test_a_misspelt_kind_of_margin() -> None:
     with pytest.raises(InputError, match=r"epsilon\.clif: no barrier is of this kind.*did you mean 'cliff'\?"):
         own(epsilon={"clif": 0.1})
-    obstacles = FilterSettings(epsilon={"obstcle": 0.05})
+    obstacles = FilterSettings.for_robot("car", epsilon={"obstcle": 0.05})
     for barriers in (car_scene(), None):
         with pytest.raises(InputError, match=r"epsilon\.obstcle: .*did you mean 'obstacle'\?"):
             SafetyFilter.for_model(load_model("car"), obstacles, barriers)
     with pytest.raises(InputError, match=r"epsilon\.obstcle: .*did you mean 'obstacle'\?"):
         SafetyFilterNode(load_model("car"), obstacles)
     with pytest.raises(InputError, match=r"epsilon\.cliff"):
-        SafetyFilterNode(load_model("car"), FilterSettings(epsilon={"cliff": 0.05}))
+        SafetyFilterNode(load_model("car"), FilterSettings.for_robot("car", epsilon={"cliff": 0.05}))
     own(epsilon={"cliff": 0.1, "obstacle": 0.1, "default": 0.0})
     own(epsilon={"cliff": 0.1}, barriers=None)
 
@@ -369,8 +370,8 @@ def test_a_users_car_with_the_same_states_and_actions_is_driven() -> None:
     car = load_model("car")
     other = replace_system(car, replace(CAR, name="my_car"))
     with pytest.raises(InputError, match="made for the system 'car', the model is of 'my_car'"):
-        SafetyFilter.for_model(other, FilterSettings())
-    settings = replace(FilterSettings(), system="my_car")
+        SafetyFilter.for_model(other, FilterSettings.for_robot("car"))
+    settings = replace(FilterSettings.for_robot("car"), system="my_car")
     assert SafetyFilter.for_model(other, settings, car_scene()).decide(np.zeros(4), [0.0, 0.0], car.latent).known
 
 
@@ -386,7 +387,7 @@ def replace_system(model: PhysicsModel, system: System) -> Any:
 
 def test_barriers_that_are_made_of_others_read_what_these_read(strangers: dict[str, PhysicsModel]) -> None:
     model, drone = load_model("car"), strangers["drone"]
-    obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, braking_of(FilterSettings()))
+    obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, braking_of(FilterSettings.for_robot("car")))
     rollout = RolloutBarrier(model, (0.0, 0.0), obstacles, 5, latent=model.latent)
     assert rollout.reads == rollout.starting_at(np.zeros(4)).reads == CAR.state_names
     assert RolloutBarrier(drone, (0.0, 0.0), lambda x: 1.0 - x[0], 5).reads == drone.system.state_names
@@ -407,5 +408,5 @@ def test_a_filter_over_pending_actions_is_of_its_models_system() -> None:
     late = PendingActions(load_model("car"), 2, (0.0, 0.0))
     with pytest.raises(InputError, match="made for the system 'pendulum', the model is of 'car'"):
         SafetyFilter(late.prediction, None, settings_named("pendulum"))
-    safe = SafetyFilter(late.prediction, [late.barrier(part) for part in car_scene()], FilterSettings())
+    safe = SafetyFilter(late.prediction, [late.barrier(part) for part in car_scene()], FilterSettings.for_robot("car"))
     assert safe.decide(late.state(np.zeros(4)), [0.1, 0.0], load_model("car").latent).status is Status.passed

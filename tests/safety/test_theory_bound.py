@@ -218,7 +218,7 @@ SCALE = np.array([0.03, 0.01, 0.02, 0.1])
 def test_sampled_gradients_stay_below_the_largest(seed: int, rear: float, front: float) -> None:
     """Also where the gradient belongs to the state after the step, and the frame to the one before."""
     random = np.random.default_rng(seed)
-    chosen, footprint = FilterSettings(), (rear, front, 0.2)
+    chosen, footprint = FilterSettings.for_robot("car"), (rear, front, 0.2)
     limits = largest_gradients(chosen, footprint, SCALE)
     obstacles = np.column_stack([random.uniform(-3, 3, (20, 2)), random.uniform(0.1, 0.4, 20)])
     for _ in range(20):
@@ -232,7 +232,7 @@ def test_sampled_gradients_stay_below_the_largest(seed: int, rear: float, front:
 
 def test_the_formula_is_not_far_above_what_occurs() -> None:
     random = np.random.default_rng(1)
-    chosen, footprint = FilterSettings(), (0.08, 0.4, 0.12)
+    chosen, footprint = FilterSettings.for_robot("car"), (0.08, 0.4, 0.12)
     limits = largest_gradients(chosen, footprint, SCALE)
     largest = dict.fromkeys(limits, 0.0)
     for _ in range(3000):
@@ -246,10 +246,10 @@ def test_the_formula_is_not_far_above_what_occurs() -> None:
 def test_the_arm_is_the_longer_end_of_what_is_swept() -> None:
     """Behind it reaches as far as the stopping distance of the way back, in front as that of the way forth."""
     for chosen, footprint in (
-        (FilterSettings().with_barriers(speed_low=-2.0, speed_high=0.2), (0.5, 0.1, 0.2)),
-        (FilterSettings().with_barriers(speed_low=0.1), (0.1, 0.6, 0.2)),
-        (FilterSettings().with_barriers(speed_low=0.1, speed_high=0.2), (0.6, 0.1, 0.2)),
-        (FilterSettings().with_barriers(speed_low=-2.0, speed_high=-0.1), (0.1, 0.9, 0.2)),
+        (FilterSettings.for_robot("car").with_barriers(speed_low=-2.0, speed_high=0.2), (0.5, 0.1, 0.2)),
+        (FilterSettings.for_robot("car").with_barriers(speed_low=0.1), (0.1, 0.6, 0.2)),
+        (FilterSettings.for_robot("car").with_barriers(speed_low=0.1, speed_high=0.2), (0.6, 0.1, 0.2)),
+        (FilterSettings.for_robot("car").with_barriers(speed_low=-2.0, speed_high=-0.1), (0.1, 0.9, 0.2)),
     ):
         rear, front, _ = footprint
         stop = braking_of(chosen).distance
@@ -263,7 +263,7 @@ def test_the_arm_is_the_longer_end_of_what_is_swept() -> None:
 
 def test_a_wrong_footprint_is_refused() -> None:
     with pytest.raises(InputError, match="footprint"):
-        largest_gradients(FilterSettings(), (0.1, np.nan, 0.1), SCALE)
+        largest_gradients(FilterSettings.for_robot("car"), (0.1, np.nan, 0.1), SCALE)
 
 
 ETA = 0.3

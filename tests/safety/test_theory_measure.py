@@ -197,7 +197,7 @@ def test_branches_that_do_not_fit_are_refused() -> None:
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 MODEL = load_model("car")
-SETTINGS = FilterSettings()
+SETTINGS = FilterSettings.for_robot("car")
 
 
 @dataclasses.dataclass
@@ -303,13 +303,13 @@ def test_all_tables_are_kept_in_the_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("margin", ["conformal", "theorem", 0.03])
 def test_the_setting_is_kept_in_its_file(margin: str | float) -> None:
-    assert parse_settings(write_settings(FilterSettings(margin=margin))).margin == margin
+    assert parse_settings(write_settings(FilterSettings.for_robot("car", margin=margin))).margin == margin
 
 
 @pytest.mark.parametrize(("margin", "message"), [("theorm", "theorem"), (-0.1, "margin"), (float("nan"), "margin")])
 def test_wrong_margins_are_refused(margin: str | float, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        FilterSettings(margin=margin)
+        FilterSettings.for_robot("car", margin=margin)
 
 
 def test_the_filters_node_uses_the_chosen_margin(car: PhysicsModel) -> None:
@@ -317,11 +317,11 @@ def test_the_filters_node_uses_the_chosen_margin(car: PhysicsModel) -> None:
 
     calibration = dataclasses.replace(CALIBRATION, fingerprint=fingerprint(car))
     for margin, wanted in (("conformal", 0.03), ("theorem", 0.06), (0.07, 0.07)):
-        node = SafetyFilterNode(car, FilterSettings(margin=margin), calibration)
+        node = SafetyFilterNode(car, FilterSettings.for_robot("car", margin=margin), calibration)
         state = state_at(0)
         assert asked(node, state, latent_at(state, car)).margin == wanted, "the widest of all kinds"
     with pytest.raises(InputError, match="theorem"):
-        SafetyFilterNode(car, FilterSettings(margin="theorem"))
+        SafetyFilterNode(car, FilterSettings.for_robot("car", margin="theorem"))
 
 
 ETA, EPSILON, STEP = 0.2, 0.02, 0.1

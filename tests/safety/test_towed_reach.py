@@ -192,7 +192,7 @@ def test_lengths_at_their_limits() -> None:
 
 @pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.5, 0.4), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
 def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
-    found = CarScene(FilterSettings()).of(message(0, 0.0, towed=wrong))
+    found = CarScene(FilterSettings.for_robot("car")).of(message(0, 0.0, towed=wrong))
     assert isinstance(found, str)
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):
@@ -215,7 +215,7 @@ def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() 
     assert new.way == pytest.approx(TOWED[1] - 0.1), "no number: it counts itself"
 
 
-DEFAULTS, BODY = FilterSettings(), (0.08, 0.40, 0.12)
+DEFAULTS, BODY = FilterSettings.for_robot("car"), (0.08, 0.40, 0.12)
 ROOM, OBSTACLES = (-3.0, 3.0, -3.0, 3.0), [(1.0, 0.5, 0.3), (-2.0, 0.0, 0.2)]
 MESSAGE = StateMessage(
     epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
@@ -345,7 +345,7 @@ def test_an_invalid_scene_is_described_every_time(other: dict[str, Any], message
 
 
 def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
-    answer = CarScene(FilterSettings()).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
+    answer = CarScene(FilterSettings.for_robot("car")).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
     assert isinstance(answer, str)
     assert "a robot with obstacles" in answer
 

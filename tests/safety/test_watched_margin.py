@@ -182,7 +182,7 @@ def test_the_least_of_a_kind_counts() -> None:
 
 
 def test_the_clip_level_is_never_below_the_boundary_layer_of_the_margin_in_force() -> None:
-    clip = ErrorClip.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
+    clip = ErrorClip.of_settings(FilterSettings.for_robot("car", eta=0.2, epsilon={"function": 0.01}))
     assert clip.level("function", 0.01) == pytest.approx(0.5)
     assert clip.level("function", 0.3) == pytest.approx(1.5)
     assert clip.level("other", 0.3) == np.inf
@@ -194,12 +194,14 @@ def test_the_clip_level_is_never_below_the_boundary_layer_of_the_margin_in_force
     assert clip.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
     assert NO_CLIP.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
     assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the clip level the boundary is far away"
-    assert ErrorClip.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
+    assert ErrorClip.of_settings(FilterSettings.for_robot("car", epsilon={"function": 0.0})).by_kind == {}, (
+        "no margin, no layer"
+    )
 
 
 def test_the_clip_level_is_ten_boundary_layers_and_a_margin_that_just_fits_keeps_it() -> None:
     """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
-    clip = ErrorClip.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
+    clip = ErrorClip.of_settings(FilterSettings.for_robot("car", eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
     assert clip.error("a", HSample(2.1, 2.1), 0.0) is None
     assert clip.error("a", HSample(2.1, 1.9), 0.0) == pytest.approx(0.1)
     assert clip.error("b", HSample(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)

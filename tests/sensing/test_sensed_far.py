@@ -396,7 +396,7 @@ def test_a_stationary_car_reports_no_delay_and_one_without_settings_for_creeping
     assert not Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.2), commands).is_stationary((3,))
     assert not Transition((0.0, 0.0), (0.0, 0.0), commands).is_stationary(())
     # Driving on towards unseen room has to be enabled.
-    assert FilterSettings().barrier("creeping") == 0.0
+    assert FilterSettings.for_robot("car").barrier("creeping") == 0.0
     state = np.array([0.0, 0.0, 0.0, 0.0])
     known = np.array([(0.75, 0.0, 0.25, 1.5)]), [True], (0.08, 0.40, 0.12), BRAKES, BRAKES_BACK
     still, creeping = MovingObstacleBarrier(*known), MovingObstacleBarrier(*known, creeps=CREEPS)

@@ -95,7 +95,7 @@ def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_s
 def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(monkeypatch, tmp_path):
     class Declared:
         def settings(self) -> FilterSettings:
-            return FilterSettings(eta=0.9)
+            return FilterSettings.for_robot("car", eta=0.9)
 
     known = {"own": Declared(), "car": Declared()}
     monkeypatch.setattr(defaults, "robots", lambda: known)

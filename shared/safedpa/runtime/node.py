@@ -82,7 +82,7 @@ class SafetyFilterNode(AbstractNode):
     ) -> None:
         self.orders = orders or StopOrders()
         """The stop orders in force."""
-        self._settings = settings or FilterSettings()
+        self._settings = settings or FilterSettings.for_robot(model.system)
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = CalibratedModel(
             model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings)

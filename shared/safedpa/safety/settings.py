@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from safedpa.barrier_setting import BarrierSetting
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import finite_number, parse_toml, text_of_file
-from safedpa.systems.robots import DEFAULT_ROBOT, robot_named, robots
+from safedpa.systems.robots import robot_named, robots
+from safedpa.systems.system import System
 
 __all__ = [
     "FilterSettings",
@@ -30,20 +31,15 @@ MARGINS = ("conformal", "drive", "theorem")
 _BOUNDS = ("action_low", "action_high")
 
 
-class _LeftOut(tuple[float, ...]):
-    """Marks bounds that were not given; an empty tuple that a user gives is a mistake."""
-
-
-_LEFT_OUT: tuple[float, ...] = _LeftOut()
-
-
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FilterSettings:
-    """The settings of the filter, checked at construction; the defaults are those of the default robot.
+    """The settings of the filter, checked at construction; the bounds of the actions are required.
 
-    Without action bounds they are the default robot's, and ``system`` names it. Raises InputError naming the key, what
-    was got and what was wanted.
+    ``for_robot`` takes the bounds of a known robot. Raises InputError naming the key, what was got and what was wanted.
+
+    >>> FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.3).resting_action
+    array([0.])
     """
 
     system: str = ""
@@ -58,10 +54,10 @@ class FilterSettings:
     margin: str | float = "conformal"
     """Which margin of a calibration the filter uses: ``conformal`` (for a step), ``drive``, ``theorem``, or this
     number."""
-    action_low: tuple[float, ...] = _LEFT_OUT
-    """(actions,) hard actuator bounds; if not given, those of the default robot."""
-    action_high: tuple[float, ...] = _LEFT_OUT
-    """(actions,) likewise."""
+    action_low: tuple[float, ...]
+    """(actions,) lower actuator bounds, in the units of the actions; hard constraints."""
+    action_high: tuple[float, ...]
+    """(actions,) upper actuator bounds, likewise."""
     weights: tuple[float, ...] = ()
     """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
@@ -74,8 +70,26 @@ class FilterSettings:
     """Parameters of the robot's barriers by name (``AbstractRobot.barrier_settings``); others have their default. In a
     file they are keys next to the others."""
 
+    @classmethod
+    def for_robot(cls, robot: str | System, **changes: Any) -> FilterSettings:
+        """Settings with the actuator bounds of a robot, by its name or system; ``changes`` sets other fields.
+
+        The remaining fields keep the general defaults; ``settings_named`` reads the settings that ship for a robot.
+        Raises InputError for an unknown name.
+
+        >>> FilterSettings.for_robot("pendulum", eta=0.3).system
+        'pendulum'
+        """
+        system = robot_named(robot).system if isinstance(robot, str) else robot
+        known = robots()[system.name].of_system(system) if system.name in robots() else None
+        # By name and system: another robot with the same names of actions has other actuators.
+        own = () if known is None or known.system != system else known.nominal_range
+        low, high = zip(*(own or [(each.low, each.high) for each in system.action]), strict=True)
+        return cls(**{"system": system.name, "action_low": low, "action_high": high, **changes})
+
     def __post_init__(self) -> None:
-        self._name_the_system()
+        if not isinstance(self.system, str):
+            raise InputError(f"system: got {self.system!r}, wanted the name of a system, or '' for one of your own")
         # A frozen dataclass: the validated values replace those that were given, such as lists by tuples.
         for name in ("action_low", "action_high", "weights", "backup_action"):
             object.__setattr__(self, name, _numbers(name, getattr(self, name)))
@@ -91,22 +105,6 @@ class FilterSettings:
         if isinstance(self.relinearisations, bool) or not isinstance(self.relinearisations, int):
             raise InputError(f"relinearisations: got {self.relinearisations!r}, wanted a whole number")
         _number("relinearisations", self.relinearisations, 0, 20)
-
-    def _name_the_system(self) -> None:
-        """Replaces bounds that were not given by the default robot's, and names it as the system."""
-        if not isinstance(self.system, str):
-            raise InputError(f"system: got {self.system!r}, wanted the name of a system, or '' for one of your own")
-        missing = [name for name in _BOUNDS if isinstance(getattr(self, name), _LeftOut)]
-        # The default bounds on another robot would be a limit that its actuators do not have.
-        if missing and self.system not in ("", DEFAULT_ROBOT):
-            raise InputError(
-                f"{missing[0]}: got none for the system '{self.system}', wanted its bounds: the defaults are those of "
-                f"the {DEFAULT_ROBOT}"
-            )
-        for name in missing:
-            own = robot_named(DEFAULT_ROBOT).nominal_range
-            object.__setattr__(self, name, tuple(pair[_BOUNDS.index(name)] for pair in own))
-            object.__setattr__(self, "system", DEFAULT_ROBOT)
 
     def _check_actions(self) -> None:
         count = len(self.action_low)
@@ -187,14 +185,18 @@ def load_settings(path: str | Path) -> FilterSettings:
 
 
 def parse_settings(text: str) -> FilterSettings:
-    """Reads settings from a TOML text; missing keys keep their defaults. Raises InputError naming the key."""
+    """Reads settings from a TOML text; missing keys keep their defaults.
+
+    Bounds that are missing are those of the robot that ``system`` names. Raises InputError naming the key.
+    """
     table = parse_toml(text)
+    system = str(table.get("system", ""))
     known = [item.name for item in fields(FilterSettings) if item.name != "barriers"]
     if table.pop("format", FORMAT) != FORMAT:
         raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
     # Barrier parameters are plain keys of the file, so they are separated from the filter's own by the robot's
     # declaration.
-    own = {item.name for item in _declared(_system_of(table))}
+    own = {item.name for item in _declared(system)}
     barriers = {key: table.pop(key) for key in list(table) if key in own and key not in known}
     for key in list(table):
         if key in known:
@@ -202,13 +204,13 @@ def parse_settings(text: str) -> FilterSettings:
         if key not in _ONCE_IN_EVERY_FILE:
             raise InputError(f"{key}: unknown key; {did_you_mean(key, [*known, *own])}")
         del table[key]
-    return FilterSettings(**table, barriers=barriers)
-
-
-def _system_of(table: Mapping[str, Any]) -> str:
-    """The system whose barriers a file configures; without bounds it is the default robot's."""
-    system = table.get("system", "")
-    return DEFAULT_ROBOT if not system and not any(name in table for name in _BOUNDS) else str(system)
+    missing = [name for name in _BOUNDS if name not in table]
+    if not missing:
+        return FilterSettings(**table, barriers=barriers)
+    # Bounds of another robot would be limits that these actuators do not have.
+    if system not in robots():
+        raise InputError(f"{missing[0]}: missing; wanted the bounds of the actions, or the name of a robot as system")
+    return FilterSettings.for_robot(system, **table, barriers=barriers)
 
 
 def _declared(system: str) -> tuple[BarrierSetting, ...]:

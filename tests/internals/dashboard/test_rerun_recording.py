@@ -25,7 +25,7 @@ class Slow:
 
 @pytest.mark.parametrize("never", [False, True])
 def test_pending_rows_are_written_first_for_a_second_at_most_and_then_all_is_closed(never: bool) -> None:
-    look = display_settings(load_model("car"), FilterSettings())
+    look = display_settings(load_model("car"), FilterSettings.for_robot("car"))
     painter = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
     painter._stream = stream = Slow(never)
     painter.close()

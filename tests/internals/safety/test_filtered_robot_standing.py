@@ -296,7 +296,9 @@ def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: py
 
 
 def test_its_memory_is_bounded() -> None:
-    barriers = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), ((0.5, 0.5, 0.2),), (-4.0, 4.0, -4.0, 4.0))
+    barriers = car_barriers(
+        FilterSettings.for_robot("car"), (0.08, 0.4, 0.12), ((0.5, 0.5, 0.2),), (-4.0, 4.0, -4.0, 4.0)
+    )
     remembering = CachingBarrierSet(make_barrier_set(barriers))
     for x in np.linspace(-1.0, 1.0, 50):
         remembering.h(np.array([x, 0.0, 0.0, 0.0]))

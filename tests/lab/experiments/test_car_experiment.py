@@ -56,7 +56,10 @@ def test_an_unknown_load_is_refused():
 
 def test_no_seed_serves_two_ends():
     loads = tuple(CONFIGURATIONS)
-    earnest = [earnest_orders(loads, 20, kind, "physics", Path(), FilterSettings()) for kind in ("margin", "fresh")]
+    earnest = [
+        earnest_orders(loads, 20, kind, "physics", Path(), FilterSettings.for_robot("car"))
+        for kind in ("margin", "fresh")
+    ]
     opened = [open_orders(loads, 20, 400, kind) for kind in ("errors", "latent")]
     kinds = [*earnest, *opened, hitching_orders(loads, 20, 400)]
     seeds = [{order.seed for order in orders} for orders in kinds]

@@ -86,9 +86,9 @@ class BatchFilter:
     """
 
     def __init__(self, model: PhysicsModel | System, settings: FilterSettings | None = None) -> None:
-        self.settings = settings or FilterSettings()
         self.model = model if isinstance(model, PhysicsModel) else None
         self._system = model.system if isinstance(model, PhysicsModel) else model
+        self.settings = settings or FilterSettings.for_robot(self._system)
         check_settings(self.settings, self._system)
         if not 1 <= len(self.settings.action_low) <= _ACTIONS:
             raise InputError(f"model: got {len(self.settings.action_low)} actions, wanted 1 or 2; filter it one by one")
