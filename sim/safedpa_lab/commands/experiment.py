@@ -12,8 +12,6 @@ from safedpa.extras import need
 from safedpa_lab.experiments.record import JSON, Experiment, resolve
 from safedpa_lab.experiments.table import EXPERIMENTS
 
-__all__ = ["EXPERIMENTS", "ExperimentCommand", "command"]
-
 
 @final
 class ExperimentCommand(click.Command):

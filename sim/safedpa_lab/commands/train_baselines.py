@@ -14,8 +14,6 @@ from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_lab.point.plan import BASELINES, COST_LIMIT, INPUTS, MULTIPLIERS
 
-__all__ = ["command"]
-
 
 @click.command(name="train-baselines")
 @click.option(

@@ -13,12 +13,6 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = [
-    "FILE_OUT", "FOLDER_OUT", "JSON", "MODEL", "PAGE_OUT", "PROCESSES", "RECORD", "SETTINGS", "Experiment",
-    "Options", "Parameter", "ReportProgress", "Result", "integer", "named_folder", "number", "path", "repeated",
-    "resolve", "silent", "switch", "text",
-]  # fmt: skip
-
 Options = Mapping[str, Any]
 """The parameters of a run by their names."""
 Result = dict[str, Any]

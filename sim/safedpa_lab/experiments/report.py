@@ -11,8 +11,6 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.record import Experiment, Options, Result, resolve
 from safedpa_lab.provenance.record import KEY, provenance, write_result
 
-__all__ = ["interval", "made_by", "markdown_table", "output_folder", "percent", "report_text", "write_report"]
-
 
 def markdown_table(head: str, rows: Iterable[str], *, above: str = "") -> str:
     """A Markdown table. ``head`` and each row hold cells separated by " | "; ``above`` is a paragraph before it."""

@@ -24,8 +24,6 @@ from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.experiments.table import EXPERIMENTS
 from safedpa_lab.provenance.check import Standing, standings
 
-__all__ = ["ELSEWHERE", "PARTS", "Part", "chosen", "is_made", "listing", "make", "report", "run", "verdict"]
-
 _ACCOUNT: Final = "all.json"
 _LAST_TEXT: Final = 500
 

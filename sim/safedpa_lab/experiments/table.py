@@ -21,8 +21,6 @@ from safedpa_lab.experiments import (
 )
 from safedpa_lab.experiments.record import Experiment, path, repeated, switch
 
-__all__ = ["EXPERIMENTS"]
-
 _ALL = Experiment(
     name="all",
     help="""Run every experiment whose figures the pages quote, one after the other.

@@ -10,8 +10,6 @@ import click
 
 from safedpa_lab.experiments.record import Experiment, Parameter, integer, path, repeated, switch
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="adversary",

@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-__all__ = ["AbstractAttack", "Result", "Row", "WholeAttack"]
-
 
 @final
 @dataclass(frozen=True)

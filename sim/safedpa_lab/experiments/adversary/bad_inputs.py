@@ -14,19 +14,6 @@ import numpy as np
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Verdict
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 
-__all__ = [
-    "CLOCKS",
-    "FUNCTIONS",
-    "MARGINS",
-    "STALE",
-    "BadInputs",
-    "Treated",
-    "cases",
-    "treated",
-    "two_threads",
-    "vectors",
-]
-
 
 @final
 class _Unreadable:

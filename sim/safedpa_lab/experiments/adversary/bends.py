@@ -13,9 +13,6 @@ from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
 
-__all__ = ["Bends", "BentAnswer", "bent_answer"]
-
-
 _FULL: Final = 20_000
 _SMALL: Final = 200
 _PIECE: Final = 200

@@ -11,8 +11,6 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 
-__all__ = ["BENT_SHAPES", "BentProblem", "bent_problem"]
-
 Random = np.random.Generator
 
 _PLANE: Final = 2

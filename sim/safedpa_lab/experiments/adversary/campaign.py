@@ -25,18 +25,6 @@ from safedpa_lab.experiments.common.workers import Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, silent
 from safedpa_lab.provenance.record import write_result
 
-__all__ = [
-    "adversary",
-    "adversary_markdown",
-    "all_attacks",
-    "attacks_named",
-    "digest_of_code",
-    "listing",
-    "run",
-    "with_parts_before",
-    "write_adversary",
-]
-
 _SAME = ("experiment", "seed", "small", "code")
 
 

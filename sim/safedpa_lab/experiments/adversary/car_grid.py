@@ -16,8 +16,6 @@ from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge, CarQuestion
 
-__all__ = ["CarGrid", "car_question", "odd_question"]
-
 _PIECE: Final = 100
 _FAR: Final = 0.1
 """Weighted ranges beyond the grid's nearest."""

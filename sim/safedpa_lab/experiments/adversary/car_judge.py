@@ -12,9 +12,6 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.safety import FilterSettings
 
-__all__ = ["FIELD", "FOOTPRINT", "CarJudge", "CarQuestion"]
-
-
 FOOTPRINT: Final = (0.08, 0.40, 0.12)
 """m; the segment's rear and front end and its radius."""
 FIELD: Final = (-4.0, 4.0, -4.0, 4.0)

@@ -33,8 +33,6 @@ from safedpa_sim.robots.pendulum.robot import PendulumRobot
 from safedpa_sim.robots.pendulum.task import task_named
 from safedpa_sim.robots.pendulum.world import wind_towards
 
-__all__ = ["KINDS", "Driven", "Drives", "LateDrives", "Standing"]
-
 _PERIOD: Final = 0.05
 _EVERY: Final = ("none", "box", "chair", "large_chair")
 _LOADS: Final = {"forward": _EVERY, "any direction": _EVERY, "killed": _EVERY, "reversing": TOWED}

@@ -19,25 +19,6 @@ from safedpa.safety import (
 )
 from safedpa.safety.barriers.base import AbstractBarrier
 
-__all__ = [
-    "PERIOD",
-    "ControlSystem",
-    "adaptive_cruise",
-    "chased",
-    "corridor",
-    "disc_by_higher_order",
-    "disc_by_rollout",
-    "disc_of_degree_two",
-    "double_integrator",
-    "late_by_pending_actions",
-    "late_drive",
-    "pendulum",
-    "quadrotor",
-    "room_before_the_wall",
-    "thin_disc",
-    "unicycle",
-]
-
 PERIOD = 0.05
 """s."""
 

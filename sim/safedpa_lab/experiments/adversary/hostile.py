@@ -12,8 +12,6 @@ import numpy as np
 
 from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 
-__all__ = ["HostileNode", "NominalPolicy", "at_nearest", "falling", "rocking", "thrusting"]
-
 NominalPolicy = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]
 
 _SPEED: Final = (-0.6, 2.0)

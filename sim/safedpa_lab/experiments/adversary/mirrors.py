@@ -16,8 +16,6 @@ from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 
-__all__ = ["MIRRORS", "Mirrors", "Reflected"]
-
 Random = np.random.Generator
 Back = Callable[[FloatArray], FloatArray]
 Mirrored = tuple[LinearProblem, Back]

@@ -10,8 +10,6 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.example_systems import ControlSystem
 
-__all__ = ["NOMINAL_POLICIES"]
-
 NominalPolicy = Callable[[FloatArray], FloatArray]
 
 _HELD: Final = 8

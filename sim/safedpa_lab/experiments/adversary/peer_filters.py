@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["PEERS", "main"]
-
 Problem = Mapping[str, Any]
 Decide = Callable[[Problem], tuple[Any, str]]
 

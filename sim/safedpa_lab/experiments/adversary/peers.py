@@ -17,8 +17,6 @@ from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 
-__all__ = ["OWN", "PEER_PACKAGES", "Peers", "peer_problems"]
-
 OWN: Final = "safedpa"
 PEER_PACKAGES: Final[Mapping[str, str]] = {
     "cbfpy, qpax": "cbfpy",

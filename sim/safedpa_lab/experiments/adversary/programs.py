@@ -12,8 +12,6 @@ from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear.judge import BROKEN, FAR, Judged, judged
 from safedpa_lab.experiments.adversary.linear.problem import random_problem, shape_of
 
-__all__ = ["Programs"]
-
 _FULL: Final = 100_000
 _SMALL: Final = 330
 _PIECE: Final = 500

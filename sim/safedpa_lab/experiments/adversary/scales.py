@@ -11,8 +11,6 @@ import numpy as np
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 
-__all__ = ["Drive", "Scales", "Units", "drive"]
-
 _STEPS: Final = 400
 _WALL: Final = 1.0
 _SAME: Final = 1e-6

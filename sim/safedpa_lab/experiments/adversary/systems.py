@@ -31,9 +31,6 @@ from safedpa_lab.experiments.adversary.example_systems import (
 )
 from safedpa_lab.experiments.adversary.nominal_policies import NOMINAL_POLICIES
 
-__all__ = ["SYSTEMS", "Systems", "Tally"]
-
-
 SYSTEMS: Final[tuple[Callable[[], ControlSystem], ...]] = (
     double_integrator,
     unicycle,

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from safedpa_lab.experiments.record import SETTINGS, Experiment, integer, path, repeated, text
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="car",

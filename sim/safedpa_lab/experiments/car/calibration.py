@@ -25,8 +25,6 @@ from safedpa_lab.experiments.car.margin import COVERAGE, coverage_of, margin_of,
 from safedpa_lab.experiments.car.methods import Method, named_model
 from safedpa_lab.experiments.common.workers import Workers
 
-__all__ = ["Calibration", "recorded", "with_margins_of"]
-
 Margins = dict[str, MarginCalibration]
 """By name of the filter's model."""
 _PURPOSES = ("margin", "fresh")

@@ -21,8 +21,6 @@ from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.changes import PlannedChange
 
-__all__ = ["PERIOD", "TOWING", "Conditions", "LoadOnTheWay", "NoisyRobot", "QuickerPolicyNode"]
-
 PERIOD: Final = 0.05
 """s; one tick."""
 TOWING: Final = ("always", "never", "from_a_third", "to_a_third")

@@ -26,8 +26,6 @@ from safedpa_lab.experiments.common.workers import Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_sim.robots.car.loads import LOADS
 
-__all__ = ["LOAD", "METHODS_OF", "SWEEPS", "CarCurves", "Place", "Sweep", "car_curves", "chosen_sweeps", "run"]
-
 LOAD: Final = "chair"
 """What is towed where the sweep is not about the load: no policy of the paper's family has met it."""
 

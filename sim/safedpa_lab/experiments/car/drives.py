@@ -33,22 +33,6 @@ from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = [
-    "EARNEST",
-    "FIRST_SEEDS",
-    "Drive",
-    "DriveOrder",
-    "ExploringPolicyNode",
-    "check_episode_seeds",
-    "cut_at_contact",
-    "earnest_orders",
-    "hitching_orders",
-    "open_orders",
-    "open_scene",
-    "path_orders",
-    "recorded_drive",
-]
-
 _OPEN = 60.0
 """m from the middle to the walls of the open field, which no drive reaches."""
 _GOALS = 5.0

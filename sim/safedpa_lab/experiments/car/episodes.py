@@ -21,8 +21,6 @@ from safedpa_lab.experiments.car.scenes import TICKS
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_sim.closed_loop import drive
 
-__all__ = ["Cell", "EpisodeGroup", "Outcome", "as_rows", "run_cells", "run_group"]
-
 
 @dataclass(frozen=True)
 class EpisodeGroup:

@@ -13,9 +13,6 @@ from safedpa.networks import frame_of
 from safedpa_lab.experiments.car.drives import Drive
 from safedpa_lab.experiments.car.predictor import predictor_of
 
-__all__ = ["OWN_STATES", "STEPS", "error_ratios", "errors_of_model", "increment_scale"]
-
-
 STEPS = 20
 """One second at 20 Hz."""
 OWN_STATES = ("along", "across", "yaw", "speed")

@@ -35,8 +35,6 @@ from safedpa_lab.experiments.car.table import OWN, advantages, cell_of
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 
-__all__ = ["PARTS", "CarExperiment", "car_experiment", "run"]
-
 PARTS = ("table", "errors", "latent", "equal-margin")
 """Parts that can be run alone."""
 

@@ -16,8 +16,6 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
 from safedpa.safety.defaults import settings_named
 
-__all__ = ["FAMILIES", "Family", "family_named"]
-
 _FORCE: Final = "constant_force."
 _PRACTICE: Final = {"shelter": False, "loads": False, "footprint": False}
 """What the configuration's ``practice`` says of the paper's world."""

@@ -21,18 +21,6 @@ from safedpa_lab.experiments.common.figures import BLACK, GREY, LOADS, METHOD_CO
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "curves_figure",
-    "errors_figure",
-    "latent_figure",
-    "margin_figure",
-    "paths_figure",
-    "table_figure",
-    "write_figure",
-    "write_figures",
-    "write_recording",
-]
-
 
 def write_figures(result: dict[str, Any], out: Path) -> list[Path]:
     """Five PNGs in the folder, ``car_table.png`` and others, and the recording ``car.rrd``.

@@ -18,9 +18,6 @@ from safedpa_lab.experiments.car.margin import latents_along
 from safedpa_lab.experiments.car.predictor import predictor_of
 from safedpa_lab.experiments.common.statistics import wilson_interval
 
-__all__ = ["WITHIN", "LinearDiscriminant", "latent_result", "principal_plane"]
-
-
 _FULL = 60
 """Tick from which a history is as long as it ever will be."""
 WITHIN = 50

@@ -33,18 +33,6 @@ from safedpa.safety.margins.conformal import smallest_sample, split_conformal_ma
 from safedpa_lab.experiments.car.drives import Drive
 from safedpa_lab.experiments.common.statistics import wilson_interval
 
-__all__ = [
-    "COVERAGE",
-    "CoverageCount",
-    "StepErrors",
-    "coverage_of",
-    "latents_along",
-    "margin_of",
-    "step_errors",
-    "worst_errors",
-]
-
-
 COVERAGE = 0.99
 """Share of steps that a margin covers, for each kind of barrier."""
 

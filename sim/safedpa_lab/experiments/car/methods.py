@@ -19,18 +19,6 @@ from safedpa.safety import FilterSettings
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car.family import FAMILIES, Family
 
-__all__ = [
-    "METHODS",
-    "BlindFilterNode",
-    "FixedLatentNode",
-    "Method",
-    "chosen_methods",
-    "drivable_methods",
-    "model_path",
-    "named_model",
-    "nodes_of",
-]
-
 
 @dataclass(frozen=True)
 class Method:

@@ -11,8 +11,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa_lab.experiments.car.drives import Drive
 from safedpa_lab.experiments.car.predictor import predictor_of
 
-__all__ = ["FIRST_STEPS", "PREDICTED_STEPS", "predicted_paths"]
-
 FIRST_STEPS = 10
 """Steps of a drive that are known when the prediction starts."""
 PREDICTED_STEPS = 50

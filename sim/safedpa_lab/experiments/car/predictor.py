@@ -18,8 +18,6 @@ from safedpa.networks import HistoryEncoder
 from safedpa_lab.experiments.car.drives import Drive
 from safedpa_lab.experiments.car.margin import latents_along
 
-__all__ = ["Predictor", "predictor_of"]
-
 
 class Predictor(Protocol):
     """Predictions of one model along one recorded drive of n transitions."""

@@ -9,8 +9,6 @@ from safedpa_lab.experiments.car.scenes import CONFIGURATIONS
 from safedpa_lab.experiments.car.table import MEASURES, advantage_entry, share_with_interval, table_markdown
 from safedpa_lab.experiments.report import markdown_table
 
-__all__ = ["MODEL_TITLES", "advantages_markdown", "curves_markdown", "margin_markdown", "markdown_of"]
-
 MODEL_TITLES = {
     "car_learned": "tuned",
     "car_simulated": "untuned",

@@ -14,8 +14,6 @@ from safedpa_sim.robots.car.footprint import footprint
 from safedpa_sim.robots.car.loads import Load, load_named
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["CONFIGURATIONS", "FIELD", "HEAVIER", "PASSAGE", "TICKS", "car_scene", "towed_named"]
-
 CONFIGURATIONS = {"box": "Box", "chair": "Chair", "none": "Car", "large_chair": "Large Chair"}
 """Name of the load and the paper's name of the configuration, in the order of the paper's table."""
 

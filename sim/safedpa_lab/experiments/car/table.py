@@ -15,18 +15,6 @@ from safedpa_lab.experiments.car.methods import METHODS, Method
 from safedpa_lab.experiments.car.scenes import CONFIGURATIONS
 from safedpa_lab.experiments.common.statistics import holm, mcnemar_exact, wilson_interval
 
-__all__ = [
-    "MEASURES",
-    "OWN",
-    "PAPER",
-    "SIGNIFICANT",
-    "advantage_entry",
-    "advantages",
-    "cell_of",
-    "share_with_interval",
-    "table_markdown",
-]
-
 MEASURES = {"success": "success", "safe": "safety", "both": "both"}
 """Key of a cell and its word: goal reached in time; no contact; goal reached without any contact."""
 

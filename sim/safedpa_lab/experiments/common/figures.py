@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BLACK", "LOADS", "METHOD_COLOURS", "MODELS", "WIDTH", "bare", "figure", "heading"]
 
 WIDTH = 8.6
 """Inches; at 150 dots per inch a README's column on a fine screen."""

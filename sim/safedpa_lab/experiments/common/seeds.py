@@ -11,8 +11,6 @@ from typing import Any, Final
 
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["SEEDS", "seeds_for", "seeds_of"]
-
 SEEDS: Final = {
     "development": range(100_000),
     "calibration": range(1_000_000, 1_100_000),

@@ -11,20 +11,6 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import BoolArray
 
-__all__ = [
-    "advantages",
-    "clopper_pearson_interval",
-    "cluster_interval",
-    "coverage_row",
-    "holm",
-    "mcnemar_exact",
-    "mean_interval",
-    "ratio_interval",
-    "seeds_interval",
-    "sign_flip_exact",
-    "wilson_interval",
-]
-
 _NORMAL_95 = 1.959963984540054
 
 

@@ -16,8 +16,6 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.record import ReportProgress, silent
 from safedpa_lab.provenance.code import digests
 
-__all__ = ["Workers", "check_record", "driven", "each_result"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -22,8 +22,6 @@ from safedpa_lab.experiments.record import (
 )
 from safedpa_services.command_line.names import complete_models
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="controllers",

@@ -8,8 +8,6 @@ from abc import abstractmethod
 from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 from safedpa.policy import PolicyNode
 
-__all__ = ["ChangedNominal"]
-
 
 class ChangedNominal(AbstractNode):
     """Replaces the policy's node on the bus and publishes ``changed`` of each of its nominal actions."""

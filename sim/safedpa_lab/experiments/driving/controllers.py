@@ -25,8 +25,6 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["LOADS", "controllers_experiment", "report", "run", "timed_drive"]
-
 LOADS = ("none", "box", "chair", "large_chair")
 _PERIOD = 0.05
 

@@ -30,8 +30,6 @@ from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["CHANNELS", "DelayedDrives", "Lateness", "delayed_drives", "margin_with_delay", "model_with_delay"]
-
 CHANNELS = ("both", "drive", "steer")
 """Which commands arrive late."""
 _EFFECTS = {"both": "actuator_delay", "drive": "drive_delay", "steer": "steering_delay"}

@@ -28,8 +28,6 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 
-__all__ = ["POLICIES", "WheelsDrive", "report", "run", "run_drive", "wheels_experiment"]
-
 _ROBOT = "differential_drive"
 POLICIES = ("straight", "goal_seeker")
 _UNFILTERED = 4

@@ -18,8 +18,6 @@ from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
 
-__all__ = ["HIDDEN", "PERIOD", "Hidden", "hidden_robot", "incomplete_model", "oracle_model", "training_runs"]
-
 PERIOD: Final = 0.05
 """s"""
 _OPEN: Final = (-200.0, 200.0, -200.0, 200.0)

@@ -24,8 +24,6 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["LONG", "LongDrive", "LongOutcome", "long_summary", "run_long_drive"]
-
 LONG = 10.0
 """s; the longest accepted stop."""
 _PERIOD = 0.05

@@ -25,8 +25,6 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["TOWED", "ReversingDrive", "ReversingNode", "ReversingOutcome", "run_reversing_drive"]
-
 TOWED = ("box", "chair", "large_chair")
 _PERIOD = 0.05
 _REVERSE = -0.6

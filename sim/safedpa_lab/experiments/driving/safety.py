@@ -27,8 +27,6 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["LOADS", "Episode", "Outcome", "report", "run", "run_episode", "safety_experiment"]
-
 LOADS = ("none", "box", "chair", "large_chair")
 _PERIOD = 0.05
 

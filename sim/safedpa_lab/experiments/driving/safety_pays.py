@@ -38,8 +38,6 @@ from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["MODELS", "SafetyPays", "report", "run", "safety_pays"]
-
 MODELS = ("incomplete", "diagnosed", "oracle")
 _TRAINING_SEED = 7000
 _DATE = "2024-01-01"

@@ -15,8 +15,6 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.theory.measure import error_constants, lipschitz_constants, measured_errors
 from safedpa_sim.training.configuration import Configuration, load_configuration
 
-__all__ = ["report", "run", "theory_experiment"]
-
 _ACTIONS = 8
 """From each state: three would tell F* and G*, the others tell what is not affine."""
 

@@ -18,9 +18,6 @@ from safedpa_lab.theory.measure import Branches
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
-__all__ = ["simulated_branches"]
-
-
 _LONGER = 30
 """Transitions beyond a full history, at most: drives end at different times of their held actions."""
 _CHANGE = 1.0 / 30.0

@@ -9,8 +9,6 @@ import click
 
 from safedpa_lab.experiments.record import Experiment, Parameter, integer, path, switch, text
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="faults",

@@ -9,8 +9,6 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-__all__ = ["BAG_BOMBS"]
-
 _MEBI = 1 << 20
 _ULOG = b"ULog\x01\x12\x35\x01" + bytes(8)
 _ROS1 = b"#ROSBAG V2.0\n"

@@ -14,8 +14,6 @@ from pathlib import Path
 from safedpa.errors import InputError
 from safedpa_lab.experiments.hostile.bag_bombs import BAG_BOMBS
 
-__all__ = ["BOMBS", "Bomb", "attempt"]
-
 _MAGIC = b"\x89MCAP0\r\n"
 _MEBI = 1 << 20
 

@@ -20,8 +20,6 @@ from safedpa_lab.experiments.hostile.recordings import recording_targets
 from safedpa_lab.experiments.hostile.roads import pairs, walk
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 
-__all__ = ["report", "run", "verdict"]
-
 _SECONDS = {"mutations": 60.0, "roads": 0.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}
 """Default duration. Roads take as long as they take."""
 

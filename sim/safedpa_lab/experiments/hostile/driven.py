@@ -18,8 +18,6 @@ from safedpa_lab.experiments.hostile.targets import messages
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.fleet.loop import FleetLoop
 
-__all__ = ["DrivenLoop"]
-
 _TURN_SECONDS = 0.0025
 _MESSAGES = 4
 """Hostile ones a turn."""

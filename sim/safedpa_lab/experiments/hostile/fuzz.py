@@ -15,8 +15,6 @@ from safedpa_lab.experiments.hostile.driven import DrivenLoop
 from safedpa_lab.experiments.hostile.mutations import mutated
 from safedpa_lab.experiments.hostile.targets import Target, targets
 
-__all__ = ["MOST_STEP_SECONDS", "Tally", "fuzz"]
-
 MOST_STEP_SECONDS = 0.05
 """For one turn of the loop while it is attacked."""
 _AT_A_TIME = 20

@@ -5,8 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 
-__all__ = ["mutated"]
-
 _TOKENS = (
     b"\x00", b"\xff" * 4, b"\xff" * 8, b"\x7f\xff\xff\xff", b"\x80\x00\x00\x00", b"\xdd\xff\xff\xff\xff", b"\xc1",
     b"nan", b"inf", b"-1e309", b"9" * 400, b"[" * 60, b"{" * 60, b"." * 60, b'"""', b"'''", b"\\u202e", b"\x1b[2J",

@@ -15,8 +15,6 @@ from safedpa_services.web.guard import AccessPolicy, Guard
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.upload_store import FileStore
 
-__all__ = ["page_targets"]
-
 _TOKEN = "a-token-that-cannot-be-guessed"
 _GOOD = (
     b"GET / HTTP/1.1\nHost: 127.0.0.1:8080\nCookie: safedpa_8080=x\n",

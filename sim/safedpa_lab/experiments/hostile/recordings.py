@@ -22,8 +22,6 @@ from safedpa.records.readers.mcap import read_payloads
 from safedpa.robots.car.system import CAR
 from safedpa_lab.experiments.hostile.targets import Target
 
-__all__ = ["driven_again", "misspoken", "recorded_drive", "recording_targets", "replayed", "written"]
-
 Recorded = tuple[str, int, bytes]
 """Key, ns, payload."""
 _SECONDS = 2.0

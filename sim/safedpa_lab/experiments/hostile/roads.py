@@ -24,21 +24,6 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.hostile.bombs import BOMBS, Bomb
 from safedpa_lab.experiments.record import ReportProgress, silent
 
-__all__ = [
-    "MOST_MEBIBYTES",
-    "MOST_SECONDS",
-    "ROADS",
-    "Outcome",
-    "Road",
-    "good_recording",
-    "pairs",
-    "placed",
-    "prepare",
-    "sample",
-    "tried",
-    "walk",
-]
-
 MOST_SECONDS = 2.0
 """Of processor time, for one command; one in ten is importing."""
 MOST_MEBIBYTES = 200.0

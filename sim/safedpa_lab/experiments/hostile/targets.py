@@ -28,8 +28,6 @@ from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings
 
-__all__ = ["Target", "messages", "state_at", "targets"]
-
 
 @dataclass(frozen=True)
 class Target:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from safedpa_lab.experiments.record import Experiment, integer, number, path, repeated
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="margins",

@@ -34,9 +34,6 @@ from safedpa_sim.robots.pendulum.world import wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 
-__all__ = ["DRIVERS", "DriveOrder", "DriveResult", "Driver", "driven"]
-
-
 LOADS: Final = ("none", "box", "chair", "large_chair")
 _MOST_WIND: Final = 5.0
 """m/s"""

@@ -36,8 +36,6 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result, sile
 from safedpa_lab.experiments.report import made_by
 from safedpa_lab.theory.boundary_layer import Stay, stays_in_layer
 
-__all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment", "margins_page", "run"]
-
 KINDS = ("conformal", "drive")
 """Margins of a step and of a whole drive."""
 SHIPPED = "shipped"

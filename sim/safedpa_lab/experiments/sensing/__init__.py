@@ -19,8 +19,6 @@ from safedpa_lab.experiments.record import (
     text,
 )
 
-__all__ = ["EXPERIMENTS"]
-
 EXPERIMENTS = (
     Experiment(
         name="meeting",

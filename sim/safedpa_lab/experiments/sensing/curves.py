@@ -19,8 +19,6 @@ from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.sensing.experiment import Drive, row_of, run_drive
 
-__all__ = ["CURVES", "curves_experiment", "curves_page", "draw_curves", "run"]
-
 CURVES: Final[Mapping[str, tuple[float, ...]]] = {
     "walking": (0.0, 0.5, 1.0, 1.5, 2.0, 3.0),
     "coming": (0.0, 0.25, 0.5, 1.0, 1.5),

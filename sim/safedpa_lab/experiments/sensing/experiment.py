@@ -37,19 +37,6 @@ from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-__all__ = [
-    "GUARDS",
-    "LOADS",
-    "POLICIES",
-    "SCENES",
-    "Drive",
-    "page_of",
-    "row_of",
-    "run",
-    "run_drive",
-    "sensing_experiment",
-]
-
 GUARDS = ("safedpa", "reported", "reported-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
 """The guard between policy and car: the filter with the laser; the filter with perfect knowledge; with
 everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with

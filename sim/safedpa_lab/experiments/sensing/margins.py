@@ -41,8 +41,6 @@ from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-__all__ = ["SCENES", "SensedDrive", "margins_of_sensing", "margins_page", "order", "run", "run_sensed"]
-
 SCENES: Final = ("people", "rooms", "steps-out")
 """Six pillars among three people; two rooms with a door, boxes and up to six people; someone behind a box."""
 ODOMETRY: Final = 0.02

@@ -39,22 +39,6 @@ from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Point
 
-__all__ = [
-    "GUARDS",
-    "LASER",
-    "MOST_ROBOTS",
-    "Meeting",
-    "Piece",
-    "meeting_experiment",
-    "meeting_field",
-    "meeting_scenes",
-    "page_of",
-    "pieces_of",
-    "run",
-    "run_meeting",
-    "stuck_pairs",
-]
-
 MOST_ROBOTS: Final = 8
 LASER: Final = LaserSettings(rays=720)
 """Half a degree from ray to ray: cars are slimmer than people, and with twice that too few rays pass the middle of a

@@ -31,9 +31,6 @@ from safedpa.bus import (
 from safedpa.perception.odometry import OdometryBuffer
 from safedpa.perception.scan import ScanRays
 
-__all__ = ["CollisionMonitor", "NoFilter", "TimeToCollision"]
-
-
 _WHEELBASE = 0.32
 """m; from the wheels' angle to the turning rate that the monitor knows."""
 

@@ -16,8 +16,6 @@ from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing.shapes import Outline, Point
 
-__all__ = ["Disc", "ReportsAllButWhoHides", "ReportsEverything"]
-
 _APART = 0.1
 """m between the points of an edge: between two of them a car's body gets up to 7 mm nearer to it."""
 _RADIUS = 0.01

@@ -18,8 +18,6 @@ from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing.shapes import Outline, Point, clearances_at
 
-__all__ = ["Misjudges", "WaysAround", "placed"]
-
 _CELL: Final = 0.05
 """m"""
 _STEPS: Final = tuple(

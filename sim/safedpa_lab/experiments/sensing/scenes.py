@@ -16,8 +16,6 @@ from safedpa_sim.sensing import Person, StepsOut
 from safedpa_sim.sensing.people import walkers
 from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box, clearance_at
 
-__all__ = ["SCENES", "scene_and_people"]
-
 SCENES = ("pillars", "people", "rooms", "steps-out")
 """Six pillars; the same among three people; two rooms with a door, boxes and up to six people; someone behind a
 box."""

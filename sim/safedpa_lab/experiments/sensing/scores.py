@@ -56,9 +56,6 @@ from safedpa_sim.closed_loop import Tick
 from safedpa_sim.sensing import Person
 from safedpa_sim.sensing.shapes import Outline, cast
 
-__all__ = ["NEAR", "Score", "Scores"]
-
-
 NEAR: Final = {"obstacle": 0.5, "mover": 1.0, "hidden": 1.0, "model": 0.5, "stood": 1.0}
 """By kind, m of h: farther from the boundary no margin has to cover anything."""
 _RETAINED_FROM: Final = 1.5

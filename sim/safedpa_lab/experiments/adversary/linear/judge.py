@@ -16,8 +16,6 @@ from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem
 
-__all__ = ["BROKEN", "FAR", "Judged", "LinearJudge", "Nearest", "judged"]
-
 _ROUNDED = 16.0 * float(np.finfo(np.float64).eps)
 """Share of the terms |P| |x| + |q| that their sum may have lost."""
 _UNMOVED = 1e-12

@@ -11,8 +11,6 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Verdict
 
-__all__ = ["SHAPES", "LinearProblem", "random_problem", "shape_of"]
-
 
 @final
 @dataclass(frozen=True, eq=False)
