@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from safedpa.bus import TOPICS, Answer, Message, Request, decode, encode
-from safedpa.bus.messages.codec import LARGEST_BYTES, decode_by_field
+from safedpa.bus.messages.codec import LARGEST_BYTES
 from safedpa.bus.messages.messages import LARGEST_NUMBER
 from safedpa.errors import MessageError
 
@@ -42,11 +41,6 @@ WRONG: dict[str, list[Any]] = {
                [True, 0.5], [0.5, [1.0]], [0.5, None], [BEYOND]],
     "Rows": [None, 1.0, [1.0], [[math.nan]], [[0.0], 1.0], [["1"]], [[0.5], [-BEYOND]], [[0.5], [True]]],
     "tuple[str, ...]": [None, "text", [1], [None], [b"x"]],
-}  # fmt: skip
-WANTED = {
-    "Count": "a non-negative integer", "Number": "(a finite number|at most 1e)", "str": "text", "bool": "true or false",
-    "Positive": "(a number above 0|a finite number|at most 1e)", "Vector": "(a list|a finite number|at most 1e)",
-    "Rows": "(a list|a finite number|at most 1e)", "tuple[str, ...]": "(a list|text)",
 }  # fmt: skip
 KINDS = [topic.message for topic in TOPICS.values()]
 FIELDS = [(kind, field) for kind in KINDS for field in dataclasses.fields(kind)]
@@ -82,23 +76,6 @@ def test_a_flipped_byte_is_refused_or_yields_a_message(data: some.DataObject, ki
     assert decode(kind, encode(message)) == message
 
 
-@given(some.data(), some.sampled_from(KINDS))
-def test_the_quick_road_reads_what_the_reference_reads(data: some.DataObject, kind: type[Message]) -> None:
-    payload = bytearray(encode(data.draw(messages(kind))))
-    for _ in range(data.draw(some.integers(0, 2))):
-        payload[data.draw(some.integers(0, len(payload) - 1))] ^= data.draw(some.integers(1, 255))
-    expected, got = read(decode_by_field, kind, bytes(payload)), read(decode, kind, bytes(payload))
-    if got != expected:  # only within fields that no one knows does the quick road look less
-        assert expected.startswith(f"{kind.__name__}: no msgpack")
-
-
-def read(road: Callable[..., Message], kind: type[Message], payload: bytes) -> str:
-    try:
-        return repr(road(kind, payload))
-    except MessageError as reason:
-        return str(reason)
-
-
 def test_numbers_of_numpy_are_sent_as_numbers(samples: dict[str, Message]) -> None:
     message = samples["action"]
     values = tuple(np.array([0.25, -0.5]))
@@ -107,19 +84,15 @@ def test_numbers_of_numpy_are_sent_as_numbers(samples: dict[str, Message]) -> No
     )
 
 
-@pytest.mark.parametrize("road", [decode, decode_by_field])
 @pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
-def test_wrong_values_are_refused_by_the_name_of_the_field(kind, field, road, samples):
+def test_wrong_values_are_refused_by_the_name_of_the_field(kind, field, samples):
     good = table_of(next(message for message in samples.values() if type(message) is kind))
-    wanted = rf"^{kind.__name__}\.{field.name}: got .*, wanted {WANTED[str(field.type)]}"
     for wrong in WRONG[str(field.type)]:
-        payload = msgpack.packb({**good, field.name: wrong})
-        with pytest.raises(MessageError, match=wanted):
-            road(kind, payload)
+        with pytest.raises(MessageError, match=rf"^{kind.__name__}\.{field.name}(\[[.\d]+\])*: Expected "):
+            decode(kind, msgpack.packb({**good, field.name: wrong}))
 
 
-@pytest.mark.parametrize("road", [decode, decode_by_field])
-def test_values_just_within_the_limits_are_taken(road: Callable[..., Any], samples: dict[str, Message]) -> None:
+def test_values_just_within_the_limits_are_taken(samples: dict[str, Message]) -> None:
     taken: dict[str, tuple[Any, ...]] = {
         "tick": (0, 1, 2**40), "robot_time": (0.0, -5.0, LARGEST_NUMBER, -LARGEST_NUMBER, 3, 5e-324),
         "period": (5e-324, LARGEST_NUMBER, 1), "lockstep": (True, False), "applied_by": ("", "ä\n"),
@@ -128,7 +101,7 @@ def test_values_just_within_the_limits_are_taken(road: Callable[..., Any], sampl
     good = table_of(samples["state"])
     for name, values in taken.items():
         for value in values:
-            assert getattr(road(type(samples["state"]), msgpack.packb({**good, name: value})), name) == value
+            assert getattr(decode(type(samples["state"]), msgpack.packb({**good, name: value})), name) == value
 
 
 @pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
@@ -136,7 +109,7 @@ def test_a_missing_field_is_refused_unless_it_has_a_default(kind, field, samples
     table = table_of(next(message for message in samples.values() if type(message) is kind))
     del table[field.name]
     if field.default is dataclasses.MISSING:
-        with pytest.raises(MessageError, match=rf"{kind.__name__}\.{field.name}: missing"):
+        with pytest.raises(MessageError, match=rf"{kind.__name__}: .* missing required field `{field.name}`"):
             decode(kind, msgpack.packb(table))
     else:
         assert getattr(decode(kind, msgpack.packb(table)), field.name) == field.default
@@ -146,13 +119,13 @@ def test_a_missing_field_is_refused_unless_it_has_a_default(kind, field, samples
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [
-        (b"", "no msgpack"),
-        (b"\xc1", "no msgpack"),
-        (msgpack.packb([1, 2, 3]), "wanted a map"),
-        (msgpack.packb(None), "wanted a map"),
-        (msgpack.packb({1: 2}), "no msgpack"),
-        (b"\x81\xa1\xff\x01", "no msgpack"),
-        (b"\x91" * 5000, "no msgpack"),
+        (b"", "truncated"),
+        (b"\xc1", "malformed"),
+        (msgpack.packb([1, 2, 3]), "Expected `object`"),
+        (msgpack.packb(None), "Expected `object`"),
+        (msgpack.packb({1: 2}), "Expected `str`"),
+        (b"\x81\xa1\xff\x01", "missing"),
+        (b"\x91" * 5000, "Expected `object`"),
     ],
 )
 def test_a_payload_that_is_no_map_of_fields_is_refused(kind: type[Message], payload: bytes, reason: str) -> None:
@@ -164,7 +137,7 @@ def test_a_payload_that_is_no_map_of_fields_is_refused(kind: type[Message], payl
 def test_a_payload_that_is_too_large_is_refused_unread(kind: type[Message]) -> None:
     with pytest.raises(MessageError, match=rf"{kind.__name__}: got \d+ bytes, wanted at most"):
         decode(kind, b"\xc1" * (LARGEST_BYTES[kind] + 1))
-    with pytest.raises(MessageError, match="no msgpack"):
+    with pytest.raises(MessageError, match="malformed"):
         decode(kind, b"\xc1")
 
 
@@ -177,41 +150,13 @@ def test_a_question_is_short_and_an_answer_holds_two_models_with_their_margins()
         decode(Request, encode(dataclasses.replace(filled, who="x" * (4_001 + left))))
 
 
-@pytest.mark.parametrize("road", [decode, decode_by_field])
 @pytest.mark.parametrize("number", [-LARGEST_NUMBER, LARGEST_NUMBER, int(LARGEST_NUMBER), -int(LARGEST_NUMBER), 1, 0])
-def test_on_both_roads_the_largest_number_is_carried_as_a_float(road, number, samples):
+def test_the_largest_number_is_carried_as_a_float(number, samples):
     kind, good = TOPICS["action"].message, table_of(samples["action"])
     for values in ([number], [number, 0.5], [0.5, number]):
-        message = road(kind, msgpack.packb({**good, "values": values, "robot_time": number}))
+        message = decode(kind, msgpack.packb({**good, "values": values, "robot_time": number}))
         assert message.values == tuple(map(float, values))
         assert {type(value) for value in (*message.values, message.robot_time)} == {float}
-
-
-@pytest.mark.parametrize(
-    ("wrong", "shown"),
-    [
-        ("x" * 38, repr("x" * 38)),  # forty letters with its quotes
-        ("x" * 39, "'" + "x" * 36 + "..."),
-        ("x" * 5_000, "'" + "x" * 36 + "..."),
-    ],
-)
-def test_the_beginning_of_a_long_wrong_value_is_reported(wrong: str, shown: str, samples: dict[str, Message]) -> None:
-    good = table_of(samples["action"])
-    with pytest.raises(MessageError) as refused:
-        decode(TOPICS["action"].message, msgpack.packb({**good, "robot_time": wrong}))
-    assert str(refused.value) == f"ActionMessage.robot_time: got {shown}, wanted a finite number"
-
-
-@pytest.mark.parametrize(("size", "by_field"), [(65_536, True), (65_537, False)])
-def test_an_error_in_64_kib_is_reported_by_field_and_a_larger_payload_is_not_opened(size: int, by_field: bool) -> None:
-    table = {"ok": 1, "sentence": "so be it", "document": "x" * 65_000}
-    padding = size - len(msgpack.packb(table))
-    payload = msgpack.packb({**table, "document": "x" * (65_000 + padding)})
-    assert len(payload) == size
-    with pytest.raises(MessageError) as refused:
-        decode(Answer, payload)
-    assert ("Answer.ok: got 1, wanted true or false" in str(refused.value)) is by_field
-    assert str(refused.value).startswith("Answer")
 
 
 def test_requests_and_answers_come_back_as_they_were_sent() -> None:
@@ -219,7 +164,7 @@ def test_requests_and_answers_come_back_as_they_were_sent() -> None:
     answer = Answer(ok=True, sentence="change 3 is offered", change=3, fingerprint="0123456789ab", from_tick=7)
     assert decode(Request, encode(request)) == request
     assert decode(Answer, encode(answer)) == answer
-    with pytest.raises(MessageError, match=r"Request\.finding: got -1, wanted a non-negative integer"):
+    with pytest.raises(MessageError, match=r"Request\.finding: Expected `int` >= 0"):
         decode(Request, msgpack.packb({"do": "accept", "finding": -1}))
 
 

@@ -213,7 +213,7 @@ class TransportContract(ABC):
         assert refused == Answer(ok=False, sentence="refused: effect 'none': no candidate of that name")
         malformed = pair[0].ask(request_key("f", "r"), b"\xc1", PATIENCE)
         assert malformed is not None
-        assert b"Request: no msgpack" in malformed
+        assert b"Request: MessagePack data is malformed" in malformed
 
     def test_messages_travel(self, pair: tuple[AbstractTransport, AbstractTransport], samples: dict[str, Message]):
         one, other = Bus(pair[0], "f"), Bus(pair[1], "f")
