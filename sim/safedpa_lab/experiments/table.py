@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from safedpa_lab import log_faults
 from safedpa_lab.experiments import (
     adversary,
     car,
@@ -41,7 +42,9 @@ _ALL = Experiment(
     extras=("sim", "diagnosis"),
 )
 
-_PACKAGES = (adversary, car, diagnosis, driving, fleet, hostile, margins, pendulum, point, ros, sensing, tuning)
+_PACKAGES = (
+    adversary, car, diagnosis, driving, fleet, hostile, log_faults, margins, pendulum, point, ros, sensing, tuning,
+)  # fmt: skip
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {
     each.name: each
