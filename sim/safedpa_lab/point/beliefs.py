@@ -1,23 +1,36 @@
-"""What the models that are compared make of many point robots: learned networks, a physics model.
+"""What the models that are compared make of many point robots: learned networks, by name, or a physics model.
 
 Their stopping manoeuvre is what they say at six probe states.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.dynamics.learned_base import LearnedBase
+from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN
 from safedpa_sim.point.point_model import ACTION_SCALE, TASK_TURN, PointPrediction
 
-__all__ = ["PROBES", "LearnedBelief", "ModelBelief", "from_task_action", "motion_of", "scale_of"]
+
+def weights_named(name: str, folder: Path = Path()) -> Weights:
+    """The weights of ``point_<name>`` in the folder, or else of the one that ships. Raises InputError for none."""
+    file = folder / f"point_{name}.toml"
+    try:
+        model = load_model(file if file.exists() else f"point_{name}")
+    except InputError as error:
+        raise InputError(f"{file}: {error}; train it with 'safedpa train point'") from error
+    if not isinstance(model.base, LearnedBase):
+        raise InputError(f"point_{name}: got a model without networks, wanted one of 'safedpa train point'")
+    return model.base.weights
 
 
 _HEADINGS: Final = 0.5 * np.pi * np.arange(4)

@@ -20,8 +20,8 @@ from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
+from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.plan import INPUTS
-from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.body_steps import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen

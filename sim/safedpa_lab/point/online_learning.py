@@ -4,7 +4,8 @@
 
 PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of
 policy and filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every
-training with these inputs; nothing is taken off for a step in a hazard. The wind is known to none of them.
+training with these inputs; nothing is taken off for a step in a hazard. The wind is known to none of them. Every step
+of the learning counts, in rows of so many steps.
 """
 
 from __future__ import annotations
@@ -13,25 +14,57 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, final
 
+import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
+from safedpa.arrays import BoolArray
 from safedpa_lab.experiments.common.statistics import mean_interval, wilson_interval
-from safedpa_lab.point.baseline_set import baseline_named
+from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named
 from safedpa_lab.point.baselines import algorithm_of, policy_of
-from safedpa_lab.point.driven import driven, windy_task
-from safedpa_lab.point.drivers import ShieldedDriver
+from safedpa_lab.point.drivers import ShieldedDriver, driven, windy_task
 from safedpa_lab.point.inputs import inputs_of
-from safedpa_lab.point.learning_tally import Tally
 from safedpa_lab.point.plan import Plan
-from safedpa_lab.point.policy_file import BaselinePolicy
-from safedpa_lab.point.shield import Shield, shield_of
+from safedpa_lab.point.shield import DIRECTIONS, LearningShield, Shield, shield_of
 from safedpa_lab.point.vector_environment import PointEnvironment
-from safedpa_lab.point.windy_shield import DIRECTIONS, WindyShield
-from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.task import PointTask, StepResult
 
-__all__ = ["RATE", "STARTS", "WARMING", "Learning", "Start", "learned", "learning_environment"]
+COUNTS: Final = ("unsafe", "goals", "reward", "corrected", "relaxed", "episodes", "safe_episodes", "episode_goals")
+"""Sums of a row: steps in a hazard, goals, the benchmark's reward, steps that the filter changed, steps in which not
+every condition could be kept; whole episodes that ended, those of them without an unsafe step, their goals."""
+
+
+@final
+class Tally:
+    """Of ``count`` robots. An episode counts among the whole ones when it was seen from its first step on."""
+
+    def __init__(self, count: int) -> None:
+        self.rows: list[dict[str, Any]] = []
+        """``steps``: of all robots together, since the learning began; then ``COUNTS``."""
+        self._count, self._steps = count, 0
+        self._whole = np.zeros(count, bool)
+        self._paid, self._reached = np.zeros(count), np.zeros(count)
+        self._sums = dict.fromkeys(COUNTS, 0.0)
+
+    def add(self, stepped: StepResult, corrected: BoolArray, relaxed: BoolArray) -> None:
+        """One step of every robot."""
+        self._steps += self._count
+        self._paid += stepped.cost
+        self._reached += stepped.reached
+        over = stepped.timed_out & self._whole
+        each = (stepped.cost, stepped.reached, stepped.reward, corrected, relaxed)
+        ended = (over, over & (self._paid == 0.0), self._reached * over)
+        for name, values in zip(COUNTS, (*each, *ended), strict=True):
+            self._sums[name] += float(values.sum())
+        self._whole |= stepped.timed_out
+        self._paid[stepped.timed_out] = self._reached[stepped.timed_out] = 0.0
+
+    def close_row(self) -> None:
+        """What came since the last row becomes one."""
+        self.rows.append({"steps": self._steps, **{name: round(value, 4) for name, value in self._sums.items()}})
+        self._sums = dict.fromkeys(COUNTS, 0.0)
+
 
 RATE: Final = 3e-4
 """Of learning; it does not fall, since a policy that goes on adapting has no last step."""
@@ -99,10 +132,10 @@ def learned(learning: Learning) -> dict[str, Any]:
     return {**reported, "rows": counting.tally.rows, "judged": _judged(policy_of(algorithm, plan), learning)}
 
 
-def learning_environment(learning: Learning) -> tuple[PointEnvironment, WindyShield]:
+def learning_environment(learning: Learning) -> tuple[PointEnvironment, LearningShield]:
     """The robots with their goals from sequences of their own, and what stands between them and the policy."""
     task = PointTask(learning.robots, learning.layout_seed, paired=True)
-    between = WindyShield(task, _shield(task, learning.epsilon), learning.force, learning.layout_seed)
+    between = LearningShield(task, _shield(task, learning.epsilon), learning.force, learning.layout_seed)
     environment = PointEnvironment(task, learning.layout_seed, STARTS[learning.start].inputs, between)
     environment.filtered = True
     return environment, between
@@ -146,7 +179,7 @@ def _judged(policy: BaselinePolicy, learning: Learning) -> dict[str, Any]:
 class _Counting(BaseCallback):
     """Counts every step; holds the actor still for the first ``warming`` steps."""
 
-    def __init__(self, environment: PointEnvironment, between: WindyShield, warming: int) -> None:
+    def __init__(self, environment: PointEnvironment, between: LearningShield, warming: int) -> None:
         super().__init__()
         self.tally = Tally(environment.num_envs)
         self._environment, self._between, self._warming = environment, between, warming

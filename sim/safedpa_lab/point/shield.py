@@ -1,9 +1,17 @@
-"""The safety filter of one method before all robots of a task, with the histories and latents that belong to it."""
+"""The safety filter of one method before all robots of a task, with the histories and latents that belong to it.
+
+What the networks of the sensed state make of many point robots: SafeDPA with 17 numbers for the same filter.
+
+They predict what will be sensed; the filter's barriers live in the world. So the prediction is decoded as what is
+sensed is, and made affine in the action about none:
+
+    drift = decoded(s + f(s, z)),   gain = d decoded / d s at s + f(s, z) times g(s, z)
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, Protocol, final
+from typing import Any, Final, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +19,11 @@ from numpy.typing import NDArray
 from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError, did_you_mean
-from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
-from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
-from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.body_steps import centre_state
+from safedpa.networks import LearnedNetworks, Weights, load_weights
+from safedpa.safety.barriers.stopping import Motion
+from safedpa_lab.point.baseline_set import SHIPPED
+from safedpa_lab.point.beliefs import PROBES, LearnedBelief, from_task_action, motion_of, scale_of, weights_named
+from safedpa_sim.point.body_steps import centre_state, put_state
 from safedpa_sim.point.filtering import FilteredActions, PointFilter
 from safedpa_sim.point.point_model import (
     ACTION_SCALE,
@@ -23,9 +32,111 @@ from safedpa_sim.point.point_model import (
     SimulatedPointModel,
     to_task_action,
 )
+from safedpa_sim.point.policy_task import EPSILON as TRAINING_EPSILON
+from safedpa_sim.point.sensor_state import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
+from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "shield_of"]
+_FILE: Final = "point_17.safetensors"
+_SETTLING: Final = 3
+"""Times that a probe's accelerometer is asked for."""
+_PROBE_GOAL: Final = 1.0
+"""m ahead of a probe: any place would do."""
+
+
+def sensed_weights(folder: Path = Path()) -> Weights:
+    """Those in the folder, or else those that ship. Raises InputError for weights of another state."""
+    own = folder / _FILE
+    weights = load_weights(own if own.exists() else SHIPPED / _FILE)
+    if weights.description.states != SENSED_FRAME.feature_names:
+        raise InputError(f"{weights.source}: got weights of another state, wanted those of --phases 17; train again")
+    return weights
+
+
+@final
+class TwoHistories:
+    """``BatchHistoryEstimator`` of the filter's state, whose latents the policy gets, and those of what is sensed."""
+
+    def __init__(self, policy: BatchHistoryEstimator, weights: Weights, task: PointTask) -> None:
+        self._policy, self._task = policy, task
+        self._sensed = BatchHistoryEstimator(weights, task.count, SENSED_FRAME)
+
+    @property
+    def latent(self) -> FloatArray:
+        """The policy's."""
+        return self._policy.latent
+
+    @property
+    def sensed_latent(self) -> FloatArray:
+        """(robots, 2), of the networks that predict what is sensed."""
+        return self._sensed.latent
+
+    def see(self, state: FloatArray) -> FloatArray:
+        """The policy's latents at states (robots, 5); the sensors are read as well."""
+        self._sensed.see(without_goal(self.seen()))
+        return self._policy.see(state)
+
+    def seen(self) -> FloatArray:
+        """(robots, 15), now."""
+        task = self._task
+        return sensed(task.simulation, task.control, task.layout.goal)
+
+    def acted(self, action: FloatArray) -> None:
+        """Takes the actions (robots, 2) that act from now on, in N and rad/s."""
+        self._policy.acted(action)
+        self._sensed.acted(action)
+
+    def reset(self, which: NDArray[np.intp]) -> None:
+        """Those robots begin again."""
+        self._policy.reset(which)
+        self._sensed.reset(which)
+
+
+@final
+class SensedBelief:
+    """f and g of what is sensed, decoded; the manoeuvre's motion as for ``LearnedBelief``, at the same probe states.
+
+    What a probe's accelerometer reads depends on the wind, which z encodes: what the networks say that it reads after a
+    period without an action. Reading nothing, it would speak of another wind than z does.
+    """
+
+    def __init__(self, weights: Weights, histories: TwoHistories, task: PointTask) -> None:
+        self.networks = LearnedNetworks(weights, SENSED_FRAME)
+        self._histories, self._task = histories, task
+        self._probes, self._probe_goal = _probes()
+
+    def predict(self, state: FloatArray, latent: FloatArray) -> PointPrediction:
+        """By its own latents, not by ``latent``, which is the policy's."""
+        del latent
+        own, goal = self._histories.sensed_latent, self._task.layout.goal
+        change, gain = self._decoded(self._histories.seen(), goal, own)
+        motion = self._motion(own)
+        return PointPrediction(state + change, gain, motion, scale_of(motion))
+
+    def _motion(self, latent: FloatArray) -> Motion:
+        probes = np.broadcast_to(self._probes, (len(latent), *self._probes.shape)).copy()
+        for _ in range(_SETTLING):
+            f, _ = self.networks.increment(probes, latent[:, np.newaxis])
+            probes[..., :2] += f[..., :2]
+        return motion_of(*self._decoded(probes, self._probe_goal, latent[:, np.newaxis]))
+
+    def _decoded(self, seen: FloatArray, goal: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The change (..., 5) of the filter's state without an action, and its slopes (..., 5, 2) over [-1, 1]."""
+        f, g = self.networks.increment(seen, latent)
+        following = seen + f
+        change = decode_state(following, goal) - decode_state(seen, goal)
+        change[..., 2] = (change[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
+        return change, decoding_jacobian(following) @ (g * ACTION_SCALE)
+
+
+def _probes() -> tuple[FloatArray, FloatArray]:
+    """What is sensed (6, 15) at the probe states, in no wind, and where the goals lie then (6, 2)."""
+    simulation = PointSimulation(len(PROBES))
+    put_state(simulation, PROBES, np.zeros(len(PROBES)))
+    heading = np.stack((np.cos(PROBES[:, 2]), np.sin(PROBES[:, 2])), axis=1)
+    goal = centre_state(simulation)[:, :2] + _PROBE_GOAL * heading
+    seen = sensed(simulation, np.zeros((2, len(PROBES))), goal)
+    return seen, goal
 
 
 EPSILON: Final = 0.005
@@ -141,14 +252,10 @@ def shield_of(
     if method in ("safedpa", "safedpa_17") and adaptation is None:
         raise InputError(f"method '{method}': got no model to adapt with, wanted adapts='learned' or another with phi")
     if method == "safedpa_17" and adaptation is not None:
-        return _sensed(adaptation, task, epsilon, folder)
+        weights = sensed_weights(folder)
+        histories = TwoHistories(adaptation, weights, task)
+        return Shield(task.count, SensedBelief(weights, histories, task), histories, epsilon)
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
-
-
-def _sensed(policy: BatchHistoryEstimator, task: PointTask, epsilon: float, folder: Path) -> Shield:
-    weights = sensed_weights(folder)
-    histories = TwoHistories(policy, weights, task)
-    return Shield(task.count, SensedBelief(weights, histories, task), histories, epsilon)
 
 
 def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> AbstractPointModel | None:
@@ -157,3 +264,45 @@ def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> Abstract
     if method in ("oracle", "physics"):
         return SimulatedPointModel(task.simulation, wind=method == "oracle")
     return LearnedBelief(weights_named(adapts if method == "safedpa" else method, folder))
+
+
+DIRECTIONS: Final = 24
+"""Of the wind, evenly around."""
+
+
+@final
+class LearningShield:
+    """A method's filter before robots that learn: what is carried out is the shield's.
+
+    With a ``force`` [N] each episode has a wind towards one of the directions, drawn from ``seed`` in the order of the
+    beginnings: anyone who begins at the same steps meets the same. Without one episodes are as the task draws them.
+    """
+
+    def __init__(self, task: PointTask, shield: Shield, force: float | None = None, seed: int = 0) -> None:
+        self._task, self._shield, self._force = task, shield, force
+        self._random = np.random.default_rng([seed, 71])
+        self.corrected = self.relaxed = np.zeros(task.count, bool)
+        """(robots,): where the last action is not the nominal action; where not every condition could be kept."""
+        self._blow(np.arange(task.count))
+
+    def safe(self, chosen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Actions (robots, 2) of ``PointTask`` for those that were chosen, to be carried out at once."""
+        found = self._shield.act(self._task, chosen)
+        self.corrected, self.relaxed = found.corrected, found.relaxed
+        return found.action
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New episodes for the robots of those indices; the filter forgets what it knew of the old ones."""
+        self._task.restart(which)
+        self._blow(which)
+        self._shield.reset(which)
+
+    def _blow(self, which: NDArray[np.intp]) -> None:
+        if self._force is not None:
+            towards = 2.0 * np.pi / DIRECTIONS * self._random.integers(0, DIRECTIONS, len(which))
+            self._task.simulation.force[:, which] = self._force * np.stack((np.cos(towards), np.sin(towards)))
+
+
+def true_shelter(task: PointTask) -> LearningShield:
+    """The filter that knows the simulated physics: a stand-in of SafeDPA's filter in training."""
+    return LearningShield(task, Shield(task.count, SimulatedPointModel(task.simulation), None, TRAINING_EPSILON))

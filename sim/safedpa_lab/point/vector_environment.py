@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from safedpa.arrays import Float32Array
 from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
-from safedpa_lab.point.sheltered import Shelter, Sheltering
+from safedpa_lab.point.shield import LearningShield, true_shelter
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
 __all__ = ["PointEnvironment"]
@@ -34,7 +34,7 @@ class PointEnvironment(VecEnv):
     """
 
     def __init__(
-        self, task: PointTask, seed: int = 0, inputs: str = "lidar", shelter: Sheltering | None = None
+        self, task: PointTask, seed: int = 0, inputs: str = "lidar", shelter: LearningShield | None = None
     ) -> None:
         self.task = task
         self.weight = 0.0
@@ -49,7 +49,7 @@ class PointEnvironment(VecEnv):
         self._chosen: Float32Array = np.zeros((task.count, 2), np.float32)
         self._way = None if inputs == "lidar" else WayAhead(task)
         self._inputs = inputs_of(inputs, task, way=self._way)
-        self._shelter = Shelter(task) if shelter is None else shelter
+        self._shelter = true_shelter(task) if shelter is None else shelter
         self.last: StepResult
         self.begin()
         seen = gymnasium.spaces.Box(-np.inf, np.inf, (entries_of(inputs),), np.float32)

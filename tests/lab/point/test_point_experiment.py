@@ -23,15 +23,14 @@ from safedpa_lab.experiments.point.experiment import PointExperiment, point_expe
 from safedpa_lab.experiments.point.learning import PointLearning, driven_table
 from safedpa_lab.experiments.point.report import against_table, short_table
 from safedpa_lab.point import drivers, margin
-from safedpa_lab.point.driven import Driven, PolicyDriver, driven, windy_task
-from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
+from safedpa_lab.point.baseline_set import BaselinePolicy, save_policy
+from safedpa_lab.point.drivers import Driven, PolicyDriver, ShieldedDriver, Wheel, driven, driver_of, windy_task
 from safedpa_lab.point.gym_environment import PointGoalEnvironment
 from safedpa_lab.point.inputs import inputs_of
 from safedpa_lab.point.margin import NEAR, Calibration, measured_margins
 from safedpa_lab.point.methods import METHODS, Method
 from safedpa_lab.point.online_learning import Learning
-from safedpa_lab.point.policy_file import BaselinePolicy, save_policy
-from safedpa_lab.point.relinearised_drives import FilteredDriver
+from safedpa_lab.point.relinearised import FilteredDriver
 from safedpa_lab.point.shield import shield_of
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.layout import draw_layouts

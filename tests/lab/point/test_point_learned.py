@@ -18,19 +18,13 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of, load_weights
 from safedpa.records.writers.tables import write_columns
-from safedpa_lab.experiments.point.heat_map import heat_map_markdown, write_figure
-from safedpa_lab.experiments.point.story import PointStory, point_story, point_story_markdown
-from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action
-from safedpa_lab.point.driven import driven, windy_task
-from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
-from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
-from safedpa_lab.point.hidden import HIDDEN, point_logs
-from safedpa_lab.point.margin import one_step_errors
+from safedpa_lab.experiments.point.heat_map import HeatMap, agreement, heat_map, heat_map_markdown, write_figure
+from safedpa_lab.experiments.point.story import HIDDEN, PointStory, point_logs, point_story, point_story_markdown
+from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action, weights_named
+from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driven, driver_of, windy_task
+from safedpa_lab.point.margin import drawn_moments, one_step_errors
 from safedpa_lab.point.methods import METHODS
-from safedpa_lab.point.moments import drawn_moments
-from safedpa_lab.point.sensed_belief import sensed_weights
-from safedpa_lab.point.shield import Shield, shield_of
-from safedpa_lab.point.weights import weights_named
+from safedpa_lab.point.shield import Shield, sensed_weights, shield_of
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
@@ -407,7 +401,7 @@ def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict[str
 @pytest.mark.long
 def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Path, dict[str, Any]]) -> None:
     from safedpa.networks import save_weights
-    from safedpa_lab.point.weights import weights_named
+    from safedpa_lab.point.beliefs import weights_named
 
     save_weights(weights_named("learned"), tmp_path / "point_17.safetensors")
     with pytest.raises(InputError, match=r"point_17.*another state"):

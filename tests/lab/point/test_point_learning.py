@@ -23,14 +23,11 @@ from safedpa_lab.experiments.point.learning import (
     smoothed,
 )
 from safedpa_lab.point import online_learning
-from safedpa_lab.point.baseline_set import baseline_named
+from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named
 from safedpa_lab.point.baselines import policy_of
-from safedpa_lab.point.driven import driven
-from safedpa_lab.point.learning_tally import COUNTS, Tally
-from safedpa_lab.point.online_learning import STARTS, Learning, learned, learning_environment
-from safedpa_lab.point.policy_file import BaselinePolicy
-from safedpa_lab.point.shield import Shield, shield_of
-from safedpa_lab.point.windy_shield import WindyShield
+from safedpa_lab.point.drivers import driven
+from safedpa_lab.point.online_learning import COUNTS, STARTS, Learning, Tally, learned, learning_environment
+from safedpa_lab.point.shield import LearningShield, Shield, shield_of
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
@@ -94,15 +91,15 @@ def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest
 def test_the_same_seed_requests_the_same_until_the_filter_changes_something(short, monkeypatch) -> None:
     nominal_actions: list[NDArray[Any]] = []
     changed: list[NDArray[Any]] = []
-    safe = WindyShield.safe
+    safe = LearningShield.safe
 
-    def watched(self: WindyShield, chosen: NDArray[Any]) -> NDArray[np.float64]:
+    def watched(self: LearningShield, chosen: NDArray[Any]) -> NDArray[np.float64]:
         nominal_actions.append(chosen.copy())
         action = safe(self, chosen)
         changed.append(self.corrected.copy())
         return action
 
-    monkeypatch.setattr(WindyShield, "safe", watched)
+    monkeypatch.setattr(LearningShield, "safe", watched)
     found = []
     for epsilon in (MARGIN, None, None):
         nominal_actions, changed = [], []

@@ -20,11 +20,18 @@ from safedpa_lab.experiments.point.relinearised import (
     thrust_configuration,
     train_networks,
 )
-from safedpa_lab.point.action_models import COMMANDS, SimulatedBody
 from safedpa_lab.point.free_model import FreeModel, load_free, save_free
 from safedpa_lab.point.free_training import free_hidden, train_free
-from safedpa_lab.point.relinearised_drives import NETWORKS, affine_weights, free_model, model_of, windy
-from safedpa_lab.point.relinearised_filter import RelinearisedFilter
+from safedpa_lab.point.relinearised import (
+    COMMANDS,
+    NETWORKS,
+    RelinearisedFilter,
+    SimulatedBody,
+    affine_weights,
+    free_model,
+    model_of,
+    windy,
+)
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.point_model import to_task_action

@@ -15,19 +15,17 @@ from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments.point.baselines import markdown_of
-from safedpa_lab.point import baselines, constrained, fisher
-from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
-from safedpa_lab.point.baselines import algorithm_of, evaluate_policy
-from safedpa_lab.point.constrained import constrained_step
+from safedpa_lab.point import baselines, trust_region
+from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named, baselines_in, seeds_of, train_baselines
+from safedpa_lab.point.baselines import STANDING_STILL, Multiplier, algorithm_of, evaluate_policy
+from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.drivers import Wheel, driver_of
 from safedpa_lab.point.inputs import OBSERVATION_SCALE, WayAhead, entries_of, inputs_of
 from safedpa_lab.point.methods import METHODS
-from safedpa_lab.point.multiplier import STANDING_STILL, Multiplier
 from safedpa_lab.point.plan import Plan, score
-from safedpa_lab.point.policy_file import BaselinePolicy
 from safedpa_lab.point.shield import shield_of
+from safedpa_lab.point.trust_region import constrained_step
 from safedpa_lab.point.vector_environment import PointEnvironment
-from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.body_steps import actions_of, controls_of
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
@@ -40,7 +38,7 @@ def environment_of(plan: Plan) -> PointEnvironment:
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
     """After an update whose line search takes no step, so that the policy is still the one of the matrix."""
-    monkeypatch.setattr(fisher, "EVERY", 1)
+    monkeypatch.setattr(trust_region, "EVERY", 1)
     plan = Plan(robots=16)
     algorithm = algorithm_of("trpo", environment_of(plan), plan)
     algorithm.line_search_max_iter = 0
@@ -131,7 +129,7 @@ def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(known, limit,
         asked.append(given[2])
         return constrained_step(*given)
 
-    monkeypatch.setattr(constrained, "constrained_step", step)
+    monkeypatch.setattr(trust_region, "constrained_step", step)
     plan = Plan(robots=16, limit=limit)
     environment = environment_of(plan)
     algorithm = algorithm_of("cpo", environment, plan)

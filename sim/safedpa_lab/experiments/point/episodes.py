@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import mean_interval, seeds_interval, wilson_interval
-from safedpa_lab.point.driven import Driven, driven, windy_task
-from safedpa_lab.point.drivers import Wheel, driver_of
+from safedpa_lab.point.drivers import Driven, Wheel, driven, driver_of, windy_task
 from safedpa_lab.point.methods import METHODS, Method
 
 __all__ = ["DEVELOPMENT", "Work", "account_of", "best_penalty", "over_seeds"]

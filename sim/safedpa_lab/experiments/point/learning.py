@@ -22,8 +22,7 @@ from safedpa_lab.experiments.common.workers import check_record, driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
-from safedpa_lab.point.learning_tally import COUNTS
-from safedpa_lab.point.online_learning import STARTS, WARMING, Learning, learned
+from safedpa_lab.point.online_learning import COUNTS, STARTS, WARMING, Learning, learned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

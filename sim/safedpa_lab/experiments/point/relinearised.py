@@ -24,20 +24,20 @@ from safedpa_lab.experiments.common.statistics import holm, mcnemar_exact, mean_
 from safedpa_lab.experiments.common.workers import check_record, driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, named_folder, silent
 from safedpa_lab.experiments.report import markdown_table
-from safedpa_lab.point.action_models import COMMANDS
-from safedpa_lab.point.driven import driven as drive
+from safedpa_lab.point.drivers import driven as drive
 from safedpa_lab.point.free_model import save_free
 from safedpa_lab.point.free_training import train_free
 from safedpa_lab.point.margin import COVERAGE
-from safedpa_lab.point.relinearised_drives import (
+from safedpa_lab.point.relinearised import (
+    COMMANDS,
     FilteredDriver,
+    RelinearisedFilter,
     affine_weights,
     free_model,
     model_of,
     nominal_policy_of,
     windy,
 )
-from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import EPISODE_STEPS
 from safedpa_sim.training import progress as training_progress
@@ -86,7 +86,7 @@ def train_networks(
     pairs: int | None = None,
     report_progress: training_progress.ReportProgress = training_progress.silent,
 ) -> None:
-    """Trains ``safedpa_lab.point.relinearised_drives.NETWORKS`` into the folder, with the same pairs for both forms."""
+    """Trains ``safedpa_lab.point.relinearised.NETWORKS`` into the folder, with the same pairs for both forms."""
     out.mkdir(parents=True, exist_ok=True)
     for thrust in COMMANDS:
         save_free(

@@ -1,4 +1,6 @@
-"""The whole story on a third robot: logs, compare, diagnose, add; and is the point robot safer for it?
+"""Point robots with something about them that no model knows, logs that show it, and what a diagnosis is worth.
+
+The whole story on a third robot: logs, compare, diagnose, add; and is the point robot safer for it?
 
 A force pushes and the slides drag, and no model has either. The filter keeps robots out of hazards under random nominal
 actions with the shipped model, the one that the diagnosis corrected, and the true one.
@@ -7,6 +9,7 @@ actions with the shipped model, the one that the diagnosis corrected, and the tr
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -15,17 +18,73 @@ import numpy as np
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError, did_you_mean
+from safedpa.records.run import Run, Stretch
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.diagnosis.diagnosing import alongside_the_truth
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.beliefs import ModelBelief
-from safedpa_lab.point.hidden import HIDDEN, HiddenPoint, hide, point_logs
 from safedpa_lab.point.shield import EPSILON, Shield
-from safedpa_sim.point.point_model import SimulatedPointModel
+from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
+from safedpa_sim.point.body_steps import centre_state, controls_of
+from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel
+from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["PointStory", "point_story", "point_story_markdown", "run"]
+_LOGGED_HELD: Final = 25
+"""Periods for which an action is held."""
+_NOISE: Final = np.array([0.001, 0.001, 0.002, 0.005, 0.005])
+"""m, rad, m/s; standard deviations of what the sensors add."""
+
+
+@final
+@dataclass(frozen=True)
+class HiddenPoint:
+    """A robot as it is, and what the library calls it; the shipped model knows its mass alone."""
+
+    force: tuple[float, float]
+    """N, constant in the world."""
+    effects: Mapping[str, Mapping[str, float]]
+
+
+_SLOPE: Final = (-0.0042, 0.0042)
+HIDDEN: Final = {
+    "force and drag": HiddenPoint(
+        force=_SLOPE,
+        effects={
+            "constant_force": {"ax": _SLOPE[0] / POINT_BODY.mass, "ay": _SLOPE[1] / POINT_BODY.mass},
+            "viscous_drag": {"coefficient": POINT_BODY.slide_damping / POINT_BODY.mass},
+        },
+    ),
+}
+"""By name: 0.006 N towards 135 degrees, as on a sloping table, and the damping of the slides."""
+
+
+def hide(hidden: HiddenPoint, simulation: PointSimulation) -> None:
+    """Makes all robots of a simulation like this."""
+    simulation.force[:] = np.array(hidden.force)[:, np.newaxis]
+
+
+def point_logs(hidden: HiddenPoint, seed: int, count: int, seconds: float) -> list[Run]:
+    """Runs in open space under thrust and turn at random, each held for half a second, read by noisy sensors."""
+    random, rows = np.random.default_rng([seed, 47]), round(seconds / CONTROL_SECONDS)
+    simulation = PointSimulation(count)
+    hide(hidden, simulation)
+    simulation.pose[2] = random.uniform(-np.pi, np.pi, count)
+    states, actions = np.empty((rows, count, 5)), np.empty((rows, count, 2))
+    for row in range(rows):
+        if row % _LOGGED_HELD == 0:
+            action = random.uniform(-0.8, 0.8, (count, 2)) * ACTION_SCALE
+        states[row], actions[row] = centre_state(simulation), action
+        simulation.advance(controls_of(action))
+    seen = np.asarray(states + random.normal(0.0, 1.0, states.shape) * _NOISE, dtype=np.float64)
+    t = CONTROL_SECONDS * np.arange(rows, dtype=np.float64)
+    system = load_model("point").system
+    return [
+        Run(f"log {index + 1}", system, t, seen[:, index], actions[:, index], (Stretch(0, rows),))
+        for index in range(count)
+    ]
+
 
 _HORIZON: Final = 0.5
 """s; over which predictions are compared."""
