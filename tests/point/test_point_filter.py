@@ -290,6 +290,24 @@ def test_the_manoeuvre_is_identified_from_the_model() -> None:
     assert (motion.strongest, motion.fastest) == (pytest.approx(0.015 / 0.005189, rel=1e-4), 3.0)
 
 
+@pytest.mark.parametrize("period", [0.01, 0.02, 0.04])
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (1.0, 0.5)])
+def test_the_backup_stops_within_the_distance_that_h_promises(period: float, wind: tuple[float, float]) -> None:
+    model = MODEL.with_period(period)
+    scene, ahead = PointScene(model, SETTINGS), 2.0
+    scene.learn(np.array(wind))
+    for speed in (0.3, 0.7, 1.0):
+        state = now = np.array([0.0, 0.0, 0.0, speed, 0.0])
+        barriers = scene.of(message(tuple(state), obstacles=((ahead, 0.0, 0.2),), period=period))
+        assert not isinstance(barriers, str)
+        room, furthest = float(barriers.h(state)[0]), 0.0
+        for _ in range(round(1.6 / period)):
+            now = model.step(now, scene.backup(now), np.array(wind))
+            furthest = max(furthest, float(now[0]))
+        promised = ahead - 0.2 - SETTINGS.barrier("clearance") - room
+        assert furthest <= 1.03 * promised + 1e-4
+
+
 def test_the_backup_holds_the_robot_in_the_wind() -> None:
     wind = force_towards(0.008, 30.0)
     robot, scene = PointRobot(wind, seed=4), PointScene(MODEL, SETTINGS)

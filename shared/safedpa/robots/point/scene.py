@@ -21,7 +21,7 @@ from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.runtime.scene import MOST_OBSTACLES, AbstractScene
 from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBarrierSet
-from safedpa.safety.barriers.stopping import Motion, StoppingBarrier, nearer_end, stopping_action
+from safedpa.safety.barriers.stopping import Motion, StoppingBarrier, nearer_end, stop_seconds, stopping_action
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["PointScene", "motion_of"]
@@ -83,7 +83,8 @@ class PointScene(AbstractScene):
         if state is None or motion is None:
             return self._settings.resting_action
         end = nearer_end(state, motion) if barrier is None else barrier.best_end(state)
-        thrust, turn = stopping_action(np.reshape(state, (5, 1)), motion, np.array([end]))
+        seconds = stop_seconds(float(motion.drag), self._model.period)
+        thrust, turn = stopping_action(np.reshape(state, (5, 1)), motion, np.array([end]), seconds)
         scale = self._settings.action_high[0] / float(motion.strongest)
         return np.array([scale * float(thrust[0]), float(turn[0])])
 
