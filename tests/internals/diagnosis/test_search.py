@@ -105,6 +105,47 @@ def test_after_a_law_the_search_makes_a_second_round(library, laws, rounds, monk
     assert did == [*once, *(["laws"] if library else []), *(once if rounds == 2 else [])]
 
 
+def test_a_search_after_a_law_has_as_many_stages_as_effects_may_still_be_added(monkeypatch):
+    stages: list[int] = []
+    notices: list[str] = []
+    fit = SimpleNamespace(model=SimpleNamespace(effects=()))
+    search: Any = SimpleNamespace(
+        added=[],
+        candidates=[],
+        error=error(0.1),
+        first_error=error(0.2),
+        current=SimpleNamespace(fit=fit),
+        shooting=None,
+    )
+
+    def stage(_search: Any, number: int, *_: Any) -> bool:
+        stages.append(number)
+        search.candidates.append(judged("drag", stage=number))
+        search.added.append("drag")
+        return number != 13
+
+    def revised(*_: Any) -> None:
+        search.added = search.added[:2]
+
+    def tried(*given: Any) -> list[Any]:
+        given[-1](0)
+        return []
+
+    for name, replacement in (
+        ("initial_search", lambda *_: search), ("fit_trials", tried), ("add_best_trial", stage),
+        ("exchange_effects", revised), ("add_conditions", lambda *_: True), ("with_final_values", lambda *_: (fit, None)),
+        ("with_model_uncertainty", lambda *_: fit), ("replace", lambda *_, **__: None), ("split_effect", lambda *_: None),
+        ("backward_elimination", lambda *_: None), ("exchange_for_fewer_parameters", lambda *_: None),
+        ("merge_effects", lambda *_: False), ("select_smallest_model", lambda *_: None),
+        ("mark_equivalent_rivals", lambda *_: None),
+    ):  # fmt: skip
+        monkeypatch.setattr(searching, name, replacement)
+    library: Any = [SimpleNamespace(name="drag")]
+    searching.run_search(NOTHING, library, NOTHING, NOTHING, lambda *given: notices.append(given[2]))
+    assert stages == list(range(14)), "twelve in the first round; the second one finds nothing in its second stage"
+    assert [notice for notice in notices if notice.startswith("stage 13 of at most 22")]
+
+
 GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0}
 
 

@@ -128,7 +128,8 @@ def _add_one_by_one(
     before: dict[str, EffectTrial] = {}
     # Stages continue to count after a law or a step ahead, so that candidates of a stage stay together.
     first = 1 + max((item.stage for item in search.candidates), default=-1)
-    for stage in range(first, MOST if library else 0):
+    most = first + MOST - len(search.added)
+    for stage in range(first, most if library else first):
         available = [
             item for item in library if item.name not in {effect.name for effect in search.current.fit.model.effects}
         ]
@@ -137,7 +138,7 @@ def _add_one_by_one(
             available,
             search.shooting,
             before,
-            _stage_reported(report_progress, search, stage, len(available)),
+            _stage_reported(report_progress, search, f"stage {stage + 1} of at most {most}", len(available)),
         )
         # The fitted values of this stage are starts for the next: adding one effect moves most others little.
         before = {trial.effects[0]: trial for trial in trials}
@@ -162,10 +163,10 @@ def _revise(search: SearchState, library: Sequence[AbstractEffect], heldout: Hel
 
 
 def _stage_reported(
-    report_progress: ReportProgress, search: SearchState, stage: int, size: int
+    report_progress: ReportProgress, search: SearchState, stage: str, size: int
 ) -> Callable[[int], None]:
     """Returns the callback that reports how much of a stage is done."""
-    notice = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
+    notice = f"{stage}; {_so_far(search)}"
     return lambda done: report_progress(done, size, notice)
 
 
