@@ -36,7 +36,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.systems import System, Variable
 from safedpa_lab.hidden import Case, write_case
-from safedpa_lab.hidden.excitation import car_commands
+from safedpa_lab.hidden.lanes import car_commands
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots import CarRobot
@@ -429,6 +429,16 @@ def test_bounds_may_be_missing():
             assert np.isfinite(rates["v"])
     proposed = general_manoeuvres(free, np.arange(0.0, 6.0, 0.05)).values()
     assert all(np.isfinite(actions).all() for _, actions in proposed)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "start"), [(2.0, 10.0, 6.0), (-9.0, -1.0, -5.0), (2.0, np.inf, 4.0), (0.0, 9.0, 0.0)]
+)
+def test_manoeuvres_start_inside_the_bounds_of_a_state_that_cannot_be_zero(low, high, start):
+    tank = System("tank", (Variable("level", "m", low, high),), (Variable("pump", "1", 0.2, 1.0),))
+    proposed = general_manoeuvres(tank, np.arange(0.0, 6.0, 0.05)).values()
+    assert {float(state[0]) for state, _ in proposed} == {start}
+    assert min(actions.min() for _, actions in proposed) == 0.2, "an action rests at its nearer bound"
 
 
 def start_of(item):

@@ -69,9 +69,9 @@ def _pendulum(t: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
 def general_manoeuvres(system: System, t: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Returns manoeuvres of any other system: steps, holds and sweeps of each action while the others rest.
 
-    Actions rest at 0, or at the nearer bound if 0 is outside their bounds. States start in the same way.
+    Actions rest at 0, or at the nearer bound if 0 is outside their bounds. States start at 0, or inside their bounds.
     """
-    start = np.array([_rest(variable) for variable in system.state])
+    start = np.array([_start(variable) for variable in system.state])
     found = {}
     for index, action in enumerate(system.action):
         for text, column in _action_manoeuvres(action, t):
@@ -101,6 +101,15 @@ def _rest(variable: Variable) -> float:
     if variable.low <= 0.0 <= variable.high:
         return 0.0
     return float(variable.low if variable.low > 0.0 else variable.high)
+
+
+def _start(variable: Variable) -> float:
+    rest = _rest(variable)
+    if rest == 0.0:
+        return 0.0
+    # At a bound any motion could leave the range in which the model is valid. Twice an only bound is as far inside.
+    span = variable.high - variable.low
+    return float(variable.low + 0.5 * span) if np.isfinite(span) else 2.0 * rest
 
 
 def choose_experiment(
