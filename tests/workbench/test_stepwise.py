@@ -46,6 +46,8 @@ def test_a_person_may_take_another_one_and_go_back(first, proposed):
     assert first.model.effects == ()
     assert first.search.added == []
     best = with_candidate(first, proposed, "quadratic_drag")
+    for table in ("candidates", "added", "rivals", "without"):
+        assert getattr(best.search, table) is not getattr(first.search, table), "a step shares nothing that changes"
     assert best.error.value < other.error.value < first.error.value
 
 

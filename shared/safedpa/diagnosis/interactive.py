@@ -157,10 +157,8 @@ def with_final(step: StepwiseModel) -> StepwiseModel:
 
 
 def _copied(search: SearchState) -> SearchState:
-    """Copies the mutable parts of a search, so that the user can go back to an earlier step."""
-    return replace(
-        search, candidates=list(search.candidates), added=list(search.added), rivals=dict(search.rivals), region=None
-    )
+    """Returns a copy, so that the user can go back to an earlier step."""
+    return replace(search.copy(), region=None)
 
 
 def _refit(search: SearchState, heldout: Heldout) -> None:

@@ -212,7 +212,7 @@ def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | 
     plain = fewest_parameters(best.trial, trials, search)
     best = next(item for item in search.candidates if item.stage == last and item.trial is plain)
     known = [with_reason(item, "accepted", _REASON) if item is best else item for item in search.candidates]
-    ahead = replace(search, candidates=known, added=list(search.added), rivals=dict(search.rivals))
+    ahead = replace(search.copy(), candidates=known)
     singles = [item.trial.effects[0] for item in likely if len(item.trial.effects) == 1]
     for name in best.trial.effects:
         ahead.rivals[name] = [other for other in singles if other not in best.trial.effects]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
@@ -56,6 +56,16 @@ class SearchState:
     """Cache of models with other effects, fitted from the values of the current model."""
     refits_of: EffectTrial | None = field(default=None, init=False)
     """The current model when the cache was filled; another one makes it stale."""
+
+    def copy(self) -> SearchState:
+        """Returns a search that may be continued without changing this one."""
+        return replace(
+            self,
+            candidates=list(self.candidates),
+            added=list(self.added),
+            rivals=dict(self.rivals),
+            without=dict(self.without),
+        )
 
     def continue_from(self, other: SearchState) -> None:
         """Continues from the state of another search."""
