@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any, ClassVar
 
 from safedpa.barrier_setting import BarrierSetting
@@ -77,6 +76,26 @@ class Robot(ABC):
     effects_of_its_own: ClassVar[bool] = False
     """Whether all of ``effects`` are of its own system: then they are not loaded where another's are asked for."""
 
+    model: Any
+    """Default model; this and the methods below are as ``AbstractRobot`` declares them with the types of its layer."""
+    bases: Callable[[], Mapping[str, Callable[..., Any]]]
+    settings: Callable[[], Any]
+    effects: Callable[[], Iterable[Any]]
+    barriers: Callable[..., Any]
+    barriers_around: Callable[..., Any]
+    largest_gradients: Callable[..., Any]
+    backup: Callable[..., Any]
+    scene: Callable[..., Any]
+    controllers: Callable[..., Any]
+    learned: Callable[..., Any]
+    frame: Callable[[], Any]
+    perception: Callable[[], Any]
+    simulator_export: Callable[..., Any]
+    ros_face: Callable[..., Any]
+    draw: Callable[..., Any]
+    swept: Callable[..., Any]
+    stand_in: Callable[..., Any]
+
     @property
     def name(self) -> str:
         """Of the system."""
@@ -91,79 +110,6 @@ class Robot(ABC):
         """The variant that has these states and actions; the robot itself where none has."""
         wanted = _names(system)
         return next((one for one in (self, *self.variants) if _names(one.system) == wanted), self)
-
-    @property
-    @abstractmethod
-    def model(self) -> str | Path:
-        """The model that it is driven with where no one names one: a file, or the name of one that ships."""
-
-    @abstractmethod
-    def bases(self) -> Mapping[str, Callable[..., Any]]:
-        """What makes its base models, by kind."""
-
-    @abstractmethod
-    def settings(self) -> Any:
-        """Settings of its filter."""
-
-    @abstractmethod
-    def effects(self) -> Iterable[Any]:
-        """What its base models may lack."""
-
-    @abstractmethod
-    def barriers(self, state: Any, model: Any, latent: Any, settings: Any) -> Any:
-        """As ``AbstractRobot.barriers``."""
-
-    @abstractmethod
-    def barriers_around(self, state: Any, settings: Any, footprint: Any, draw: Any) -> Any:
-        """As ``AbstractRobot.barriers_around``."""
-
-    @abstractmethod
-    def largest_gradients(self, settings: Any, footprint: Any, scale: Any) -> Any:
-        """As ``AbstractRobot.largest_gradients``."""
-
-    @abstractmethod
-    def backup(self, state: Any, model: Any, settings: Any) -> Any:
-        """As ``AbstractRobot.backup``."""
-
-    @abstractmethod
-    def scene(self, model: Any, settings: Any) -> Any:
-        """As ``AbstractRobot.scene``."""
-
-    @abstractmethod
-    def controllers(self, model: Any) -> Any:
-        """As ``AbstractRobot.controllers``."""
-
-    @abstractmethod
-    def learned(self, policy: Any) -> Any:
-        """As ``AbstractRobot.learned``."""
-
-    @abstractmethod
-    def frame(self) -> Any:
-        """As ``AbstractRobot.frame``."""
-
-    @abstractmethod
-    def perception(self) -> Any:
-        """As ``AbstractRobot.perception``."""
-
-    @abstractmethod
-    def simulator_export(self, model: Any) -> Any:
-        """As ``AbstractRobot.elsewhere``."""
-
-    @abstractmethod
-    def ros_face(self, model: Any = None) -> Any:
-        """As ``AbstractRobot.ros_face``."""
-
-    @abstractmethod
-    def draw(self, state: Any) -> Any:
-        """As ``AbstractRobot.draw``."""
-
-    @abstractmethod
-    def swept(self, state: Any, settings: Any) -> Any:
-        """As ``AbstractRobot.swept``."""
-
-    @abstractmethod
-    def stand_in(self, seed: Any, given: Any) -> Any:
-        """As ``AbstractRobot.stand_in``."""
 
 
 REGISTERED: dict[str, Robot] = {}
