@@ -11,10 +11,8 @@ import pyarrow
 import pytest
 from pyarrow import parquet
 
-from safedpa_lab.experiments.hostile.fuzz import fuzz
-from safedpa_lab.experiments.hostile.mutations import mutated
-from safedpa_lab.experiments.hostile.pages import page_targets
-from safedpa_lab.experiments.hostile.targets import Target
+from safedpa_lab.experiments.hostile.fuzz import fuzz, mutated
+from safedpa_lab.experiments.hostile.targets import Target, page_targets
 from safedpa_services.command_line.group import safedpa
 
 pytestmark = pytest.mark.slow
@@ -38,7 +36,7 @@ def test_a_table_that_contradicts_itself_does_not_end_the_process(tmp_path: Path
         "from safedpa.errors import InputError\n"
         "from safedpa.records import load_run\n"
         "from safedpa.robots.car.system import CAR\n"
-        "from safedpa_lab.experiments.hostile.mutations import mutated\n"
+        "from safedpa_lab.experiments.hostile.fuzz import mutated\n"
         "path, seed = Path(sys.argv[1]), Path(sys.argv[2]).read_bytes()\n"
         "chance = random.Random(2)\n"
         "for _ in range(1200):\n"

@@ -24,7 +24,7 @@ from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.margins.conformal import margins_over_drives
 from safedpa.safety.margins.error_clipping import ErrorClip, HSample
 from safedpa.safety.solver.sqp import DecisionError
-from safedpa_lab.experiments.driving.hidden_car import HIDDEN, incomplete_model, oracle_model
+from safedpa_lab.experiments.driving.safety_pays import HIDDEN, incomplete_model, oracle_model
 from safedpa_services.model_deployment import drive_command
 
 CAR = incomplete_model()

@@ -26,7 +26,7 @@ from safedpa.records import McapRecorder
 from safedpa.records.run import Run, Stretch
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import MarginCalibration, margin_from_text
-from safedpa_lab.experiments.driving.hidden_car import HIDDEN, incomplete_model, oracle_model
+from safedpa_lab.experiments.driving.safety_pays import HIDDEN, incomplete_model, oracle_model
 
 
 def driven(model: PhysicsModel, rows: int = 300) -> Run:

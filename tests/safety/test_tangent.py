@@ -16,8 +16,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa.safety.solver.constraints import ActionCandidate
 from safedpa.safety.solver.linearization import MARK, Linearization
 from safedpa.safety.solver.sqp import STEP, backtrack_towards
-from safedpa_lab.experiments.adversary.car_grid import CarGrid, car_question
-from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge
+from safedpa_lab.experiments.adversary.car_grid import FIELD, FOOTPRINT, CarGrid, CarJudge, car_question
 
 WIDTHS = [2.0, 0.5]
 G = [[1.0, 0.0], [0.0, -4.0]]

@@ -156,7 +156,7 @@ def test_the_simulators_constants_cover_fresh_steps() -> None:
 
 
 def test_weights_of_another_environment_are_refused() -> None:
-    from safedpa_lab.experiments.driving.theory_branches import simulated_branches
+    from safedpa_lab.experiments.driving.theory import simulated_branches
     from safedpa_sim.training.configuration import load_configuration
 
     other = small_weights((EnvironmentEntry("payload.mass_ratio", 0.0, 1.0),))

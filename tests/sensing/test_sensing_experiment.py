@@ -33,10 +33,9 @@ from safedpa_lab.experiments.sensing.experiment import (
     sensing_experiment,
 )
 from safedpa_lab.experiments.sensing.margins import SensedDrive, margins_of_sensing, order
-from safedpa_lab.experiments.sensing.perfect_sensing import ReportsEverything
-from safedpa_lab.experiments.sensing.policies import Misjudges, WaysAround
+from safedpa_lab.experiments.sensing.nodes import ReportsEverything
 from safedpa_lab.experiments.sensing.scenes import SCENES, scene_and_people
-from safedpa_lab.experiments.sensing.scores import NEAR, Score, Scores
+from safedpa_lab.experiments.sensing.scores import NEAR, Misjudges, Score, Scores, WaysAround
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.contacts import Collision
 from safedpa_sim.robots.car.robot import CarRobot

@@ -21,7 +21,7 @@ from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.experiments.sensing.peers import NoFilter
+from safedpa_lab.experiments.sensing.nodes import NoFilter
 from safedpa_sim.closed_loop import drive, drive_together
 from safedpa_sim.robots.car.footprint import footprint, towed_reach
 from safedpa_sim.robots.car.loads import LOADS, load_named

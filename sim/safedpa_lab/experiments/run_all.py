@@ -18,7 +18,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.records.writers.tables import atomic_path
-from safedpa_lab.experiments.car.family import FAMILIES
+from safedpa_lab.experiments.car.methods import FAMILIES
 from safedpa_lab.experiments.record import Experiment, Options, Parameter, ReportProgress, Result
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.experiments.table import EXPERIMENTS

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from safedpa_lab.experiments.common.statistics import wilson_interval
-from safedpa_lab.experiments.hostile.driven import DrivenLoop
+from safedpa_lab.experiments.hostile.fuzz import DrivenLoop
 from safedpa_lab.experiments.pendulum.story import _row
 
 

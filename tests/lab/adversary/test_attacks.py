@@ -13,8 +13,7 @@ from safedpa.safety import SafetyFilter, Status, Verdict
 from safedpa_lab.experiments.adversary import peers
 from safedpa_lab.experiments.adversary.attack import Result, Row
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, two_threads
-from safedpa_lab.experiments.adversary.bends import Bends, bent_answer
-from safedpa_lab.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
+from safedpa_lab.experiments.adversary.bends import BENT_SHAPES, Bends, BentProblem, bent_answer, bent_problem
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, odd_question
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem

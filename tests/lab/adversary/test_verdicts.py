@@ -17,8 +17,7 @@ from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import peers, systems
 from safedpa_lab.experiments.adversary.bad_inputs import two_threads, vectors
-from safedpa_lab.experiments.adversary.car_grid import CarGrid, car_question
-from safedpa_lab.experiments.adversary.car_judge import CarJudge, CarQuestion
+from safedpa_lab.experiments.adversary.car_grid import CarGrid, CarJudge, CarQuestion, car_question
 from safedpa_lab.experiments.adversary.example_systems import ControlSystem
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge, judged
 from safedpa_lab.experiments.adversary.scales import Units, drive

@@ -16,12 +16,19 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.car.conditions import TOWING, Conditions
+from safedpa_lab.experiments.car.conditions import (
+    CONFIGURATIONS,
+    HEAVIER,
+    PASSAGE,
+    TOWING,
+    Conditions,
+    car_scene,
+    towed_named,
+)
 from safedpa_lab.experiments.car.curves import LOAD, SWEEPS, Place, chosen_sweeps
 from safedpa_lab.experiments.car.episodes import Cell, EpisodeGroup, Outcome, run_group
 from safedpa_lab.experiments.car.methods import METHODS
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS, HEAVIER, PASSAGE, car_scene, towed_named
-from safedpa_lab.experiments.car.table import advantages
+from safedpa_lab.experiments.car.report import advantages
 from safedpa_lab.experiments.common.figures import METHOD_COLOURS
 from safedpa_services.command_line.group import safedpa
 

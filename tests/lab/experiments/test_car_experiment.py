@@ -10,13 +10,12 @@ from PIL import Image
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings
+from safedpa_lab.experiments.car.conditions import CONFIGURATIONS, car_scene
 from safedpa_lab.experiments.car.drives import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
 from safedpa_lab.experiments.car.episodes import Outcome
 from safedpa_lab.experiments.car.figures import write_figures
 from safedpa_lab.experiments.car.methods import METHODS
-from safedpa_lab.experiments.car.report import MODEL_TITLES, markdown_of
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS, car_scene
-from safedpa_lab.experiments.car.table import cell_of, table_markdown
+from safedpa_lab.experiments.car.report import MODEL_TITLES, cell_of, markdown_of, table_markdown
 from safedpa_lab.experiments.common.figures import METHOD_COLOURS, MODELS
 from safedpa_services.command_line.group import safedpa
 

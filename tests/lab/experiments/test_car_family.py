@@ -22,13 +22,24 @@ from safedpa_lab.experiments.car import episodes as car_cells
 from safedpa_lab.experiments.car import experiment
 from safedpa_lab.experiments.car.drives import FIRST_SEEDS, Drive, DriveOrder, recorded_drive
 from safedpa_lab.experiments.car.episodes import EpisodeGroup, run_group
-from safedpa_lab.experiments.car.errors import error_ratios, errors_of_model, increment_scale
 from safedpa_lab.experiments.car.experiment import CarExperiment
-from safedpa_lab.experiments.car.family import FAMILIES
 from safedpa_lab.experiments.car.latent import latent_result
-from safedpa_lab.experiments.car.margin import coverage_of, latents_along, margin_of, step_errors
-from safedpa_lab.experiments.car.methods import METHODS, BlindFilterNode, FixedLatentNode, chosen_methods, named_model
-from safedpa_lab.experiments.car.predictor import predictor_of
+from safedpa_lab.experiments.car.margin import coverage_of, margin_of, step_errors
+from safedpa_lab.experiments.car.methods import (
+    FAMILIES,
+    METHODS,
+    BlindFilterNode,
+    FixedLatentNode,
+    chosen_methods,
+    named_model,
+)
+from safedpa_lab.experiments.car.predictor import (
+    error_ratios,
+    errors_of_model,
+    increment_scale,
+    latents_along,
+    predictor_of,
+)
 from safedpa_lab.experiments.car.report import markdown_of
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots import LOADS, CarWorld
@@ -116,7 +127,7 @@ def test_margins_are_calibrated_without_a_load_and_on_as_many_drives(paper_folde
             raise AskedError
         return []
 
-    monkeypatch.setattr("safedpa_lab.experiments.car.calibration.recorded", recorded)
+    monkeypatch.setattr("safedpa_lab.experiments.car.margin.recorded", recorded)
     for name in FAMILIES:
         with pytest.raises(AskedError):
             experiment.car_experiment(CarExperiment(paper_folder, methods=("safedpa",), family=name, processes=1))

@@ -15,16 +15,16 @@ from matplotlib.figure import Figure
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa_lab.experiments.car import curves as car_curves
-from safedpa_lab.experiments.car import errors as car_errors
 from safedpa_lab.experiments.car import experiment as car
 from safedpa_lab.experiments.car import figures as car_figures
 from safedpa_lab.experiments.car import latent as car_latent
 from safedpa_lab.experiments.car import margin as car_margin
+from safedpa_lab.experiments.car import predictor as car_errors
 from safedpa_lab.experiments.car.curves import chosen_sweeps
 from safedpa_lab.experiments.car.episodes import Outcome
 from safedpa_lab.experiments.car.latent import LinearDiscriminant, latent_result
 from safedpa_lab.experiments.car.methods import METHODS
-from safedpa_lab.experiments.car.table import cell_of, table_markdown
+from safedpa_lab.experiments.car.report import cell_of, table_markdown
 from safedpa_lab.experiments.common.figures import MODELS
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.sensing import curves as sensing_curves

@@ -23,13 +23,18 @@ from safedpa_lab.experiments.car import margin as car_margin
 from safedpa_lab.experiments.car.conditions import Conditions
 from safedpa_lab.experiments.car.drives import Drive, cut_at_contact
 from safedpa_lab.experiments.car.methods import METHODS
-from safedpa_lab.experiments.diagnosis import live_drive
+from safedpa_lab.experiments.diagnosis import live
 from safedpa_lab.experiments.driving import controllers, delayed_drives, long_drives, reversing_drives, safety
 from safedpa_lab.experiments.driving import differential_drive as wheels
 from safedpa_lab.experiments.margins import drives as margin_drives
 from safedpa_lab.experiments.sensing import experiment as sensing
-from safedpa_lab.experiments.sensing.peers import CollisionMonitor, NoFilter, TimeToCollision
-from safedpa_lab.experiments.sensing.perfect_sensing import ReportsAllButWhoHides, ReportsEverything
+from safedpa_lab.experiments.sensing.nodes import (
+    CollisionMonitor,
+    NoFilter,
+    ReportsAllButWhoHides,
+    ReportsEverything,
+    TimeToCollision,
+)
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.car.contacts import Collision
 from safedpa_sim.sensing import StepsOut
@@ -84,9 +89,9 @@ def of_a_controller(patch: Patch, own: Any) -> Counted:
 
 
 def with_a_diagnosis(patch: Patch, own: Any) -> Counted:
-    follow(patch, live_drive, own)
+    follow(patch, live, own)
     own.changed_at, own.tick = 40, 60
-    found = live_drive.drive_live("nothing", 1, 0.2)
+    found = live.drive_live("nothing", 1, 0.2)
     assert (found.changed, found.driven) == (pytest.approx(2.0), pytest.approx(3.0))
     return found.collisions, found.goals, None, found.least_h
 
@@ -397,9 +402,9 @@ def test_the_error_before_and_after_a_change_of_the_model_is_a_mean(monkeypatch:
             hear(ReceivedMessage(topic, "r1", message, b"", "", 0.0))
         yield tick()
 
-    follow(monkeypatch, live_drive, robot(changed_at=None))
-    monkeypatch.setattr(live_drive, "drive", driven)
-    found = live_drive.drive_live("nothing", 1, 2.0)
+    follow(monkeypatch, live, robot(changed_at=None))
+    monkeypatch.setattr(live, "drive", driven)
+    found = live.drive_live("nothing", 1, 2.0)
     assert (found.raised, found.before, found.where, found.taken) == (2.0, 3.0, "speed", 5.0)
     assert (found.fell, found.after) == (10.0, pytest.approx(0.7)), "after a whole stretch of 5 s"
     assert (found.findings, found.evidence) == (2, 25.1)

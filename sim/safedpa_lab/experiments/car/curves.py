@@ -14,14 +14,12 @@ from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety.margins.calibration import MarginCalibration
-from safedpa_lab.experiments.car.calibration import Calibration
-from safedpa_lab.experiments.car.conditions import TOWING, Conditions
+from safedpa_lab.experiments.car.conditions import CONFIGURATIONS, HEAVIER, PASSAGE, TOWING, Conditions
 from safedpa_lab.experiments.car.drives import check_episode_seeds
 from safedpa_lab.experiments.car.episodes import Cell, Outcome, run_cells
-from safedpa_lab.experiments.car.family import FAMILIES, family_named
-from safedpa_lab.experiments.car.methods import Method, drivable_methods
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS, HEAVIER, PASSAGE
-from safedpa_lab.experiments.car.table import advantages, cell_of
+from safedpa_lab.experiments.car.margin import Calibration
+from safedpa_lab.experiments.car.methods import FAMILIES, Method, drivable_methods, family_named
+from safedpa_lab.experiments.car.report import advantages, cell_of
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_sim.robots.car.loads import LOADS

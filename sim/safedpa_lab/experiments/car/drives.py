@@ -24,9 +24,8 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
 from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.car.conditions import TICKS, ChangedNominal, car_scene
 from safedpa_lab.experiments.car.methods import METHODS, nodes_of
-from safedpa_lab.experiments.car.scenes import TICKS, car_scene
-from safedpa_lab.experiments.driving.changed_nominal import ChangedNominal
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.loads import load_named
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS

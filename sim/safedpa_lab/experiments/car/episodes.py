@@ -14,10 +14,9 @@ from typing import Any
 from safedpa.dynamics import fingerprint
 from safedpa.safety import FilterSettings, write_settings
 from safedpa.safety.margins.calibration import MarginCalibration
-from safedpa_lab.experiments.car.conditions import Conditions, LoadOnTheWay
+from safedpa_lab.experiments.car.conditions import TICKS, Conditions, LoadOnTheWay
 from safedpa_lab.experiments.car.margin import CoverageCount
 from safedpa_lab.experiments.car.methods import Method, named_model, nodes_of
-from safedpa_lab.experiments.car.scenes import TICKS
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_sim.closed_loop import drive
 

@@ -15,7 +15,7 @@ from typing import Any
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
 from safedpa.safety.margins.calibration import MarginCalibration
-from safedpa_lab.experiments.car.calibration import Calibration, recorded, with_margins_of
+from safedpa_lab.experiments.car.conditions import CONFIGURATIONS
 from safedpa_lab.experiments.car.drives import (
     Drive,
     DriveOrder,
@@ -25,13 +25,26 @@ from safedpa_lab.experiments.car.drives import (
     path_orders,
 )
 from safedpa_lab.experiments.car.episodes import Cell, Outcome, run_cells
-from safedpa_lab.experiments.car.errors import error_ratios, errors_of_model, increment_scale
-from safedpa_lab.experiments.car.family import FAMILIES, family_named
 from safedpa_lab.experiments.car.latent import latent_result
-from safedpa_lab.experiments.car.methods import METHODS, Method, drivable_methods, model_path, named_model
-from safedpa_lab.experiments.car.paths import FIRST_STEPS, PREDICTED_STEPS, predicted_paths
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS
-from safedpa_lab.experiments.car.table import OWN, advantages, cell_of
+from safedpa_lab.experiments.car.margin import Calibration, recorded, with_margins_of
+from safedpa_lab.experiments.car.methods import (
+    FAMILIES,
+    METHODS,
+    Method,
+    drivable_methods,
+    family_named,
+    model_path,
+    named_model,
+)
+from safedpa_lab.experiments.car.predictor import (
+    FIRST_STEPS,
+    PREDICTED_STEPS,
+    error_ratios,
+    errors_of_model,
+    increment_scale,
+    predicted_paths,
+)
+from safedpa_lab.experiments.car.report import OWN, advantages, cell_of
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa_lab.experiments.car.conditions import CONFIGURATIONS
 from safedpa_lab.experiments.car.latent import WITHIN
 from safedpa_lab.experiments.car.methods import METHODS
-from safedpa_lab.experiments.car.paths import FIRST_STEPS
-from safedpa_lab.experiments.car.report import MODEL_TITLES
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS
-from safedpa_lab.experiments.car.table import MEASURES, OWN, SIGNIFICANT
+from safedpa_lab.experiments.car.predictor import FIRST_STEPS
+from safedpa_lab.experiments.car.report import MEASURES, MODEL_TITLES, OWN, SIGNIFICANT
 from safedpa_lab.experiments.common.figures import BLACK, GREY, LOADS, METHOD_COLOURS, MODELS, bare, figure, heading
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import frame_of
 from safedpa_lab.experiments.car.drives import Drive
-from safedpa_lab.experiments.car.margin import latents_along
-from safedpa_lab.experiments.car.predictor import predictor_of
+from safedpa_lab.experiments.car.predictor import latents_along, predictor_of
 from safedpa_lab.experiments.common.statistics import wilson_interval
 
 _FULL = 60

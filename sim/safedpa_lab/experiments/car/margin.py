@@ -1,4 +1,4 @@
-"""Margins of the filters of the car experiment: one rule for all models, and their coverage on fresh drives.
+"""Margins of the filters of the car experiment: one rule for all models, on like drives, and their coverage.
 
 The rule: epsilon of each kind of barrier is the split conformal quantile of the model's own one-step error of h, at
 99 %, on the same recorded drives for every model. A model that predicts worse pays with a wider margin. Next to it
@@ -12,15 +12,15 @@ largest gradient.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.arrays import FloatArray
-from safedpa.bus import LATENT, LatentMessage, StateMessage
+from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
@@ -30,25 +30,21 @@ from safedpa.safety import FilterSettings
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.safety.margins.conformal import smallest_sample, split_conformal_margin
-from safedpa_lab.experiments.car.drives import Drive
+from safedpa_lab.experiments.car.drives import (
+    EARNEST,
+    Drive,
+    DriveOrder,
+    cut_at_contact,
+    earnest_orders,
+    recorded_drive,
+)
+from safedpa_lab.experiments.car.methods import Family, Method, named_model
+from safedpa_lab.experiments.car.predictor import increment_scale, latents_along
 from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.common.workers import Workers
 
 COVERAGE = 0.99
 """Share of steps that a margin covers, for each kind of barrier."""
-
-
-def latents_along(model: PhysicsModel, drive: Drive) -> FloatArray:
-    """z[k] (n + 1, latents) as the real adaptation node says it in every tick of a recorded drive."""
-    if not model.latent_names:
-        return np.zeros((len(drive.messages), 0))
-    node = AdaptationNode(model)
-    rows = []
-    for message in drive.messages:
-        latent = node.step("r1", message, {})[LATENT]
-        assert isinstance(latent, LatentMessage)
-        rows.append(latent.values)
-        node.afterwards("r1")
-    return np.array(rows)
 
 
 @dataclass(frozen=True)
@@ -164,3 +160,89 @@ def _barriers(scene: CarScene, message: StateMessage) -> Sequence[AbstractBarrie
     if isinstance(barriers, str):
         raise InputError(f"recorded drive, tick {message.tick}: {barriers}; record it again")
     return barriers
+
+
+Margins = dict[str, MarginCalibration]
+"""By name of the filter's model."""
+_PURPOSES = ("margin", "fresh")
+"""Drives that calibrate, and as many that count what was covered."""
+
+
+@final
+@dataclass(frozen=True)
+class Calibration:
+    """What the margins of an experiment rest on."""
+
+    methods: tuple[Method, ...]
+    models: Path
+    family: Family
+    settings: FilterSettings
+    loads: tuple[str, ...]
+    """Of the experiment; the family may calibrate with others."""
+    drives: int
+    """Recorded drives of each load, times ``EARNEST``."""
+    date: str
+
+    @property
+    def drivers(self) -> dict[str, str]:
+        """By filter model: the method that drives for its margin, the first one that has it."""
+        drivers: dict[str, str] = {}
+        for method in self.methods:
+            if method.filter_model:
+                drivers.setdefault(method.filter_model, method.name)
+        return drivers
+
+    @property
+    def size(self) -> int:
+        """How many drives are recorded."""
+        loads, each = self.family.calibrating(self.loads, self.drives)
+        return len(_PURPOSES) * EARNEST * len(self.drivers) * len(loads) * each
+
+    def margins(self, workers: Workers, advance: Callable[[int], None]) -> tuple[Margins, dict[str, Any]]:
+        """The margins, and what they cover on fresh drives, for the result; ``advance`` counts recorded drives."""
+        models = [named_model(name, self.models) for name in self.drivers]
+        uncalibrated = replace(self.settings, margin="conformal")
+        loads, each = self.family.calibrating(self.loads, self.drives)
+        work = []
+        for name, method in self.drivers.items():
+            known, fresh = (
+                recorded(workers, earnest_orders(loads, each, purpose, method, self.models, uncalibrated), advance)
+                for purpose in _PURPOSES
+            )
+            work.append(_Work(name, self, increment_scale(models, known), known, fresh))
+        margins, rows = {}, {}
+        for name, (margin, coverage) in zip(self.drivers, workers.map(_margin, work), strict=True):
+            margins[name], rows[name] = margin, coverage
+        reported = {"used": self.settings.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
+        return margins, {**reported, "models": rows}
+
+
+def recorded(workers: Workers, orders: Sequence[DriveOrder], advance: Callable[[int], None]) -> list[Drive]:
+    """The drives, each up to its first contact; calls ``advance`` after each."""
+    drives = []
+    for drive in workers.map(recorded_drive, orders):
+        drives.append(cut_at_contact(drive))
+        advance(1)
+    return drives
+
+
+def with_margins_of(model: str, margins: Mapping[str, MarginCalibration]) -> Margins:
+    """Every filter's calibration with the epsilon of one model, kind by kind: the same margin for all."""
+    return {name: replace(margin, epsilon=dict(margins[model].epsilon)) for name, margin in margins.items()}
+
+
+@dataclass(frozen=True)
+class _Work:
+    name: str
+    calibration: Calibration
+    scale: FloatArray
+    known: list[Drive]
+    fresh: list[Drive]
+
+
+def _margin(work: _Work) -> tuple[MarginCalibration, dict[str, Any]]:
+    """The margin of one model, and what it covers on fresh drives."""
+    model: PhysicsModel = named_model(work.name, work.calibration.models)
+    settings = work.calibration.settings
+    margin = margin_of(model, step_errors(model, work.known, settings, work.scale), work.calibration.date)
+    return margin, coverage_of(margin, step_errors(model, work.fresh, settings, work.scale))

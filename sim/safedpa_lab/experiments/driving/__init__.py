@@ -91,7 +91,7 @@ EXPERIMENTS = (
                 "--hidden",
                 "hidden",
                 "only this hidden effect; repeatable",
-                known="safedpa_lab.experiments.driving.hidden_car:HIDDEN",
+                known="safedpa_lab.experiments.driving.safety_pays:HIDDEN",
             ),
             integer("--seeds", 40, "scenes per hidden effect", positive=True),
             integer("--first-seed", 0),

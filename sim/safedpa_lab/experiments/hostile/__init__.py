@@ -32,7 +32,7 @@ EXPERIMENTS = (
             path("--keep", "folder that keeps logs, traces and recordings", metavar="DIR"),
             path("--out", "folder for faults.json and faults.md", writes="folder", metavar="DIR"),
         ),
-        report="safedpa_lab.faults.report:markdown_of",
+        report="safedpa_lab.faults.experiment:markdown_of",
         verdict="safedpa_lab.faults.experiment:verdict",
         listing="safedpa_lab.faults.experiment:listing",
         extras=("sim",),

@@ -15,9 +15,8 @@ from safedpa_lab.benchmarks.hostile.page import attack_tables, write_page
 from safedpa_lab.benchmarks.hostile.silent import silent_benchmark
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_lab.experiments.hostile.fuzz import fuzz
-from safedpa_lab.experiments.hostile.pages import page_targets
-from safedpa_lab.experiments.hostile.recordings import recording_targets
 from safedpa_lab.experiments.hostile.roads import pairs, walk
+from safedpa_lab.experiments.hostile.targets import page_targets, recording_targets
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 
 _SECONDS = {"mutations": 60.0, "roads": 0.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}

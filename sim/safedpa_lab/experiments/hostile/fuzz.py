@@ -1,4 +1,7 @@
-"""Runs mutated inputs against every target in turn, and against a loop that drives, until the time is over."""
+"""Runs mutated inputs against every target in turn, and against a loop that drives, until the time is over.
+
+The loop is a car and its three services over a bus in memory, to which someone with every key sends mutated messages.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,119 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import Bus, MemoryBroker, MemoryTransport, ServiceLoop
+from safedpa.bus.messages.topics import TOPICS, key_of
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa_lab.experiments.hostile.driven import DrivenLoop
-from safedpa_lab.experiments.hostile.mutations import mutated
-from safedpa_lab.experiments.hostile.targets import Target, targets
+from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa_lab.experiments.hostile.targets import Target, messages, targets
+from safedpa_sim.robots import CarRobot, Scene
+from safedpa_sim.robots.fleet.loop import FleetLoop
+
+_TOKENS = (
+    b"\x00", b"\xff" * 4, b"\xff" * 8, b"\x7f\xff\xff\xff", b"\x80\x00\x00\x00", b"\xdd\xff\xff\xff\xff", b"\xc1",
+    b"nan", b"inf", b"-1e309", b"9" * 400, b"[" * 60, b"{" * 60, b"." * 60, b'"""', b"'''", b"\\u202e", b"\x1b[2J",
+    b"../" * 8, b"%2e%2e%2f", b"\r\n", b"\r\nX: y", b"\xed\xa0\x80", b"\xef\xbb\xbf", b",", b";", b"\n", b"=", b"#",
+)  # fmt: skip
+"""What breaks readers."""
+_LARGEST = 1 << 18
+
+
+def mutated(chance: random.Random, seeds: Sequence[bytes]) -> bytes:
+    """One of the seeds, changed one to six times; the same chance gives the same bytes."""
+    data = bytearray(chance.choice(seeds))
+    for _ in range(chance.randint(1, 6)):
+        at = chance.randrange(len(data) + 1)
+        kind = chance.randrange(7)
+        if kind == 0 and data:
+            data[at % len(data)] ^= 1 << chance.randrange(8)
+        elif kind == 1:
+            data[at:at] = chance.choice(_TOKENS)
+        elif kind == 2:
+            del data[at : at + chance.randint(1, 64)]
+        elif kind == 3:
+            other = chance.choice(seeds)
+            begin = chance.randrange(len(other) + 1)
+            data[at : at + 32] = other[begin : begin + chance.randint(1, 256)]
+        elif kind == 4:
+            piece = bytes(data[at : at + chance.randint(1, 32)])
+            data[at:at] = piece * chance.randint(2, 200)
+        elif kind == 5:
+            data[at : at + 8] = chance.randbytes(8)
+        else:
+            del data[at:]
+    return bytes(data[:_LARGEST])
+
+
+_TURN_SECONDS = 0.0025
+_MESSAGES = 4
+"""Hostile ones a turn."""
+_NAMES = ("r1", "r2", "\x1b[2J", "x" * 200, "-", "+")
+
+
+@final
+class DrivenLoop:
+    """Turned by hand; its clock moves as it is turned."""
+
+    def __init__(self) -> None:
+        self._now = 100.0
+        self._broker = MemoryBroker()
+        model = load_model("car")
+        nodes = (
+            AdaptationNode(model),
+            PolicyNode(model),
+            SafetyFilterNode(model, settings_named("car"), margin_for(model)),
+        )
+        self._services = [ServiceLoop(node, self._bus(), clock=self._clock) for node in nodes]
+        car = CarRobot(Scene.random(0, "none"), 0.05, lockstep=False, epoch=1)
+        self._robots = FleetLoop({"r1": car}, self._bus(), clock=self._clock)
+        self._stranger = MemoryTransport(self._broker)
+        self._seeds = tuple(payload for _, payload in messages())
+        for _ in range(400):
+            self._turn()
+
+    @property
+    def refused(self) -> int:
+        """Messages that no service took."""
+        return sum(loop._unserved.refused for loop in self._services)
+
+    def attacked(self, chance: random.Random) -> tuple[float, str]:
+        """s of processor time that the slowest service took for one turn under attack, and what it raised."""
+        for _ in range(_MESSAGES):
+            topic = chance.choice(list(TOPICS.values()))
+            key = f"safedpa/test/{chance.choice(_NAMES)}/{topic.name}" + ("/policy" if topic.per_service else "")
+            if chance.random() < 0.7:
+                key = key_of("test", "r1", topic, "policy")
+            self._stranger.put(key, mutated(chance, self._seeds), never_drop=topic.delivery == "all")
+        worst, hole = 0.0, ""
+        self._now += _TURN_SECONDS
+        self._robots.step()
+        for service in self._services:
+            began = time.thread_time()
+            try:
+                service.turn(0.0)
+            except Exception as error:  # noqa: BLE001  this is what is looked for
+                hole = f"{type(error).__name__}: {error}"[:200]
+            worst = max(worst, time.thread_time() - began)
+        return worst, hole
+
+    def _turn(self) -> None:
+        self._now += _TURN_SECONDS
+        self._robots.step()
+        for service in self._services:
+            service.turn(0.0)
+
+    def _clock(self) -> float:
+        return self._now
+
+    def _bus(self) -> Bus:
+        return Bus(MemoryTransport(self._broker), "test")
+
 
 MOST_STEP_SECONDS = 0.05
 """For one turn of the loop while it is attacked."""

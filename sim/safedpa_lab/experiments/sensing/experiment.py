@@ -27,8 +27,13 @@ from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.experiments.sensing.peers import CollisionMonitor, NoFilter, TimeToCollision
-from safedpa_lab.experiments.sensing.perfect_sensing import ReportsAllButWhoHides, ReportsEverything
+from safedpa_lab.experiments.sensing.nodes import (
+    CollisionMonitor,
+    NoFilter,
+    ReportsAllButWhoHides,
+    ReportsEverything,
+    TimeToCollision,
+)
 from safedpa_lab.experiments.sensing.scenes import SCENES, scene_and_people
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.loads import LOADS as TOWED

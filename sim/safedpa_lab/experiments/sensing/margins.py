@@ -33,9 +33,8 @@ from safedpa_lab.experiments.common.statistics import coverage_row
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.sensing.experiment import LOADS
-from safedpa_lab.experiments.sensing.policies import Misjudges
 from safedpa_lab.experiments.sensing.scenes import scene_and_people
-from safedpa_lab.experiments.sensing.scores import NEAR, Score, Scores
+from safedpa_lab.experiments.sensing.scores import NEAR, Misjudges, Score, Scores
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.sensing import Laser, LaserSettings

@@ -29,8 +29,7 @@ from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval
 from safedpa_lab.experiments.common.workers import each_result
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.experiments.sensing.peers import NoFilter
-from safedpa_lab.experiments.sensing.perfect_sensing import ReportsEverything
+from safedpa_lab.experiments.sensing.nodes import NoFilter, ReportsEverything
 from safedpa_sim.closed_loop import drive_together
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene

@@ -10,12 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa_lab.experiments.car.errors import OWN_STATES, STEPS
+from safedpa_lab.experiments.car.predictor import OWN_STATES, STEPS
 from safedpa_lab.tuning.paper import sequence_of
 from safedpa_lab.tuning.predictors import AbstractPredictor, open_loop_errors
 from safedpa_sim.training.data.recorded_runs import TuningDrive
-
-__all__ = ["HORIZONS", "METRICS", "errors_of_drive", "metrics_of", "ratios_of"]
 
 METRICS: Final = ("root_mean_square", "mean_square", "squared_norm")
 HORIZONS: Final = ("one_step", "one_second")

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError, did_you_mean
+from safedpa_lab.experiments.car.conditions import CONFIGURATIONS
 from safedpa_lab.experiments.car.drives import DriveOrder, cut_at_contact, recorded_drive
-from safedpa_lab.experiments.car.errors import OWN_STATES
-from safedpa_lab.experiments.car.scenes import CONFIGURATIONS
+from safedpa_lab.experiments.car.predictor import OWN_STATES
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.experiments.tuning.errors import HORIZONS, METRICS, errors_of_drive, metrics_of, ratios_of
@@ -31,8 +31,6 @@ from safedpa_lab.provenance.code import without_text
 from safedpa_lab.tuning.online import OnlineTuning, tuned_online
 from safedpa_lab.tuning.predictors import AbstractPredictor
 from safedpa_sim.training.data.recorded_runs import TuningDrive
-
-__all__ = ["BASES", "DEVELOPMENT", "LOADS", "PARTS", "CarTuning", "car_tuning", "run", "tuning_page"]
 
 LOADS: Final = ("none", *(load for load in CONFIGURATIONS if load != "none"))
 BASES: Final = ("untuned", "untuned_point")

@@ -21,7 +21,7 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.safety.margins.conformal import split_conformal_margin
-from safedpa_lab.experiments.car.errors import STEPS
+from safedpa_lab.experiments.car.predictor import STEPS
 from safedpa_lab.experiments.diagnosis.real_logs_data import CAR, OTHER_DAY, mapped_runs, paths_of
 from safedpa_lab.experiments.tuning.errors import HORIZONS, errors_of_drive, metrics_of
 from safedpa_lab.experiments.tuning.models import Retained, key_of
@@ -33,8 +33,6 @@ from safedpa_sim.training.data.recorded_runs import TuningDrive, drives_of
 from safedpa_sim.training.phases.phase_1a import train_affine
 from safedpa_sim.training.phases.phase_2 import train_history_encoder
 from safedpa_sim.training.phases.phase_3 import tune_on_drives
-
-__all__ = ["REAL_ROWS", "RealTuning", "parts_of", "real_tuning"]
 
 REAL_ROWS: Final = {
     "untuned": "untuned",
