@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from safedpa.errors import MissingExtraError
 
-__all__ = ["EXTRAS", "INCLUDED", "extra_of", "missing", "need", "needs"]
+__all__ = ["EXTRAS", "INCLUDED", "extra_of", "missing", "need", "need_module", "needs"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -21,6 +21,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "sim": ("pymunk", "scipy"),
     "view": ("rerun",),
     "diagnosis": ("pyarrow", "jinja2", "plotly", "rerun"),
+    "notebook": ("ipywidgets", "matplotlib", "pandas"),
     "workbench": ("nicegui",),
     "train": ("torch", "gymnasium", "matplotlib", "mujoco", "onnx", "onnxruntime", "sb3_contrib", "stable_baselines3"),
     "metrics": ("prometheus_client",),
@@ -70,6 +71,12 @@ def needs(*extras: str) -> Callable[[Function], Function]:
         return checked  # type: ignore[return-value]
 
     return decorated
+
+
+def need_module(module: str, what: str) -> None:
+    """Raises MissingExtraError if one module is missing, for a feature that needs it alone of its extra."""
+    if importlib.util.find_spec(module) is None:
+        raise MissingExtraError(f"{what} needs pip install 'safedpa[{extra_of(module)}]'; not installed: {module}")
 
 
 def extra_of(module: str) -> str | None:
