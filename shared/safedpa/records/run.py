@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import importlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from safedpa.result import AbstractPlottedResult
 from safedpa.systems import System
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Finding", "RawRows", "Run", "Stretch"]
 
@@ -51,13 +57,22 @@ class Stretch:
         return self.stop - self.start
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, repr=False)
+class Run(AbstractPlottedResult):
     """One recording, in SI units and radians, angles unwrapped.
 
-    t (samples,) [s] grows strictly within each stretch; states (samples, states); actions (samples, actions), where the
-    action of a row is applied until the next row. Defective rows are removed; do not compute across the border of two
-    stretches. Time is that of the source, possibly seconds since 1970: compute differences in float64.
+    ``name`` is that of its source, ``system`` names the states and actions with their units. ``t`` (samples,) [s] grows
+    strictly within each stretch; ``states`` (samples, states); ``actions`` (samples, actions), where the action of a
+    row is applied until the next row. ``stretches`` are the rows between defects: defective rows are removed; do not
+    compute across the border of two stretches. ``findings`` say what was found in the data. Time is that of the source,
+    possibly seconds since 1970: compute differences in float64.
+
+    Example:
+
+        >>> t = np.arange(0.0, 5.0, 0.05)
+        >>> run = safedpa.Run.from_arrays(t, np.stack([np.sin(t), np.cos(t)], axis=1), np.cos(t)[:, None], "pendulum")
+        >>> run
+        Run(name=arrays, robot=pendulum, rows=100, duration=4.95 s, period=0.05 s, stretches=1, findings=0)
     """
 
     name: str
@@ -67,6 +82,37 @@ class Run:
     actions: NDArray[np.float64]
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...] = ()
+
+    @classmethod
+    def from_arrays(
+        cls, t: ArrayLike, states: ArrayLike, actions: ArrayLike, system: Any, *, name: str = "arrays"
+    ) -> Run:
+        """Makes a run of arrays in SI units, with the checks of a file.
+
+        t (samples,) [s], states (samples, states), actions (samples, actions), in the order of ``system``: a system, a
+        model, or the name of a robot. Raises RunError for other shapes, or if no stretch is usable.
+        """
+        made: Run = _in_memory().run_of_arrays(t, states, actions, system, name)
+        return made
+
+    @classmethod
+    def from_dataframe(cls, frame: Any, system: Any, columns: Any = None, *, name: str = "dataframe") -> Run:
+        """Makes a run of a pandas or polars DataFrame, an Arrow table or a dictionary of columns.
+
+        Without ``columns`` the frame has the native names: ``t`` and the states and actions of ``system`` (a system, a
+        model, or the name of a robot). ``columns`` is a column map (a file, a shipped name, a ``ColumnMap``) or a
+        dictionary such as ``{"angle": {"from": "theta", "unit": "deg"}}`` with the columns that have another name. A
+        column of dates becomes seconds since 1970. Raises RunError and ColumnMapError.
+
+        Example:
+
+            >>> import pandas
+            >>> frame = pandas.read_csv("log.csv").rename(columns={"t": "time"})
+            >>> safedpa.Run.from_dataframe(frame, "pendulum", {"t": "time"}).period
+            0.05
+        """
+        made: Run = _in_memory().run_of_frame(frame, system, columns, name)
+        return made
 
     @cached_property  # cached: used for each stretch, and a log can have thousands
     def period(self) -> float:
@@ -84,3 +130,39 @@ class Run:
         for part in self.stretches:
             rows = slice(part.start, part.stop)
             yield self.t[rows], self.states[rows], self.actions[rows]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns what is known about the run, without its rows."""
+        rows = sum(len(part) for part in self.stretches)
+        return {
+            "name": self.name,
+            "robot": self.system.name,
+            "rows": rows,
+            "duration": self.duration,
+            "period": self.period,
+            "stretches": len(self.stretches),
+            "findings": [asdict(finding) for finding in self.findings],
+        }
+
+    def _facts(self) -> dict[str, object]:
+        facts = {**self.to_dict(), "findings": len(self.findings)}
+        return facts | {"duration": f"{self.duration:.4g} s", "period": f"{self.period:.4g} s"}
+
+    def _columns(self) -> dict[str, Sequence[Any]]:
+        names = (*self.system.state_names, *self.system.action_names)
+        table = np.concatenate([self.states, self.actions], axis=1)
+        return {"t": self.t.tolist(), **{name: table[:, at].tolist() for at, name in enumerate(names)}}
+
+    def _draw(self, figure: Figure) -> None:
+        variables = (*self.system.state, *self.system.action)
+        panels = figure.subplots(-(-len(variables) // 3), 3, sharex=True, squeeze=False).ravel()
+        for panel, variable, at in zip(panels, variables, range(len(variables)), strict=False):
+            panel.set_title(f"{variable.name} [{variable.unit}]", fontsize="small")
+            for t, states, actions in self.parts():
+                panel.plot(t - self.t[0], np.concatenate([states, actions], axis=1)[:, at], color="#0072B2", lw=0.8)
+        figure.supxlabel("time [s]", fontsize="small")
+
+
+def _in_memory() -> Any:
+    """Returns the module that checks rows; by its name, since it imports this one."""
+    return importlib.import_module("safedpa.records.in_memory")

@@ -19,10 +19,12 @@ from safedpa.records.column_map.column_map import (
     SkipRows,
     SourceColumn,
     TrackedPoint,
+    native_map,
 )
 from safedpa.records.column_map.units import UNITS
+from safedpa.systems import System
 
-__all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
+__all__ = ["column_map_of", "load_column_map", "parse_column_map", "shipped_column_maps"]
 
 FORMAT = 1
 _KEYS = (
@@ -55,6 +57,22 @@ def load_column_map(source: str | Path) -> ColumnMap:
         raise ColumnMapError(f"{source}: {error}") from error
 
 
+def column_map_of(source: Any, system: System) -> ColumnMap:
+    """Returns a column map from a map, a file or shipped name, a dictionary, or None for the native names.
+
+    A dictionary is as ``[columns]`` in a file; quantities of the system that it leaves out have their native names.
+    Raises ColumnMapError that names the key.
+    """
+    if source is None:
+        return native_map(system)
+    if isinstance(source, ColumnMap):
+        return source
+    if isinstance(source, Mapping):
+        native = {name: name for name in ("t", *system.state_names, *system.action_names)}
+        return _column_map({"format": FORMAT, "robot": system.name, "columns": {**native, **source}}, "columns")
+    return load_column_map(source)
+
+
 def shipped_column_maps() -> dict[str, Path]:
     """Paths of the shipped column maps, by name without the suffix."""
     with as_file(files("safedpa.records") / "maps") as folder:
@@ -67,6 +85,10 @@ def parse_column_map(text: str, name: str = "map") -> ColumnMap:
         table = parse_toml(text)
     except InputError as error:
         raise ColumnMapError(str(error)) from error
+    return _column_map(table, name)
+
+
+def _column_map(table: Mapping[str, Any], name: str) -> ColumnMap:
     refuse_unknown(table, _KEYS, "", ColumnMapError)
     if table.get("format") != FORMAT:
         raise ColumnMapError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
