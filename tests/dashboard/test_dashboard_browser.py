@@ -91,7 +91,8 @@ from safedpa_services.dashboard.http_proxy import DataProxy, private_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.rerun_recording import RerunRecording
-from safedpa_services.dashboard.http_proxy import ViewerServer, choose_port
+from safedpa_services.dashboard.http_proxy import ViewerServer
+from safedpa_services.web.ports import choose_port
 
 look = display_settings(load_model("car"), FilterSettings.for_robot("car"))
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")

@@ -22,10 +22,11 @@ from safedpa.bus import (
     encode,
 )
 from safedpa.bus.messages.messages import LARGEST_NUMBER
+from safedpa.drawing import Lines, Rings
 from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
-from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
+from safedpa_services.dashboard.shapes import Bands, Curves, Note, States
 from safedpa_services.dashboard.world import body_entries
 
 _NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.floats(-5.0, 5.0)

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
+from safedpa.drawing import Lines
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
 from safedpa_services.dashboard.display_settings import DisplaySettings, display_settings
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.pendulum import phase_bounds, wind_entry
 from safedpa_services.dashboard.robot_view import RobotView
-from safedpa_services.dashboard.shapes import Lines
 
 EDGE = math.pi / 4
 

@@ -11,8 +11,8 @@ import pytest
 
 from safedpa.bus import FINDING, FindingMessage, ReceivedMessage
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.http_proxy import choose_port
 from safedpa_services.dashboard.rerun_recording import SERVER_MEMORY
+from safedpa_services.web.ports import choose_port
 
 pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +20,6 @@ from safedpa_services.command_line.options import columns_option, effects_option
 if TYPE_CHECKING:
     from safedpa_services.workbench.session.controller import SessionController
     from safedpa_services.workbench.session.inputs import InputSelection
-
-__all__ = ["command"]
 
 
 @click.command(name="workbench")
@@ -110,27 +110,17 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
-    from safedpa_services.workbench.server import choose_port, serve
+    from safedpa_services.workbench.server import serve
     from safedpa_services.workbench.server_options import PageServerOptions
 
-    controller, browser = _controller(options), not options["no_browser"]
-    serving = PageServerOptions(
-        options["host"],
-        choose_port(options["host"], options["port"]),
-        options["name"],
-        options["folder"],
-        options["tls_certificate"],
-        options["tls_key"],
-        options["token_only"],
-    )
+    controller, serving = _controller(options), PageServerOptions.of(options)
+    start = partial(serve, controller, serving, browser=not options["no_browser"], announce=_announce)
     if not options["fleet"] and not options["connect"]:
-        serve(controller, serving, browser=browser, bus=options["replay"], announce=_announce)
+        start(bus=options["replay"])
         return
-    import os
-
     with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
         os.nice(10)  # the control loop has priority; the bus's threads, started before, keep theirs
-        serve(controller, serving, browser=browser, bus=bus, announce=_announce)
+        start(bus=bus)
 
 
 def _announce(where: str) -> None:
@@ -146,24 +136,20 @@ def _controller(options: dict[str, Any]) -> SessionController:
 
     if not 0.0 < options["horizon"] < math.inf:
         raise InputError(f"--horizon: got {options['horizon']} s, wanted a positive number of seconds, such as 1")
-    out, named = (
-        options["out"],
-        InputSelection(options["model"], options["runs"], options["columns"], options["horizon"]),
-    )
+    named = InputSelection(options["model"], options["runs"], options["columns"], options["horizon"])
     if options["session"] is not None and named.model:
         raise InputError(
             f"MODEL {named.model}: got it together with --session, which names a model; leave out one of them"
         )
     _check_inputs(named)
     live = options["fleet"] or options["connect"] or options["replay"]
-    file = options["session"] or (None if named.model or live else newest_session(out))
+    file = options["session"] or (None if named.model or live else newest_session(options["out"]))
     if file is None:
-        return SessionController(named, out)
+        return SessionController(named, options["out"])
     session = read_session(file)
-    report_progress(
-        f"Workbench: resuming {file} ({len(session.decisions)} decisions)", err=True, facts={"session": str(file)}
-    )
-    return SessionController(session.choice, out, session.decisions, file.parent)
+    line = f"Workbench: resuming {file} ({len(session.decisions)} decisions)"
+    report_progress(line, err=True, facts={"session": str(file)})
+    return SessionController(session.choice, options["out"], session.decisions, file.parent)
 
 
 def _check_inputs(named: InputSelection) -> None:

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 import uuid
+from functools import partial
 from pathlib import Path
 
 from safedpa.bus import NO_ROBOT
@@ -18,15 +19,9 @@ from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.http_proxy import (
-    FIRST_RERUN_PORT,
-    DataProxy,
-    ViewerServer,
-    choose_port,
-    open_server,
-    private_loopback,
-)
+from safedpa_services.dashboard.http_proxy import FIRST_RERUN_PORT, DataProxy, ViewerServer, private_loopback
 from safedpa_services.service_main import service_parser
+from safedpa_services.web.ports import choose_port, open_server
 
 _DRIVE_ENDED = "The drive and this dashboard have ended. The panes show the last data."
 _DASHBOARD_ENDED = "This dashboard was ended. The panes show the last data; the robots drive on without it."
@@ -49,12 +44,9 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     data_port = choose_port(None, FIRST_RERUN_PORT, "--grpc-port", rerun_host) if options.viewer else None
     recording = RerunRecording(display, options.fleet, save=save, bind=rerun_host, grpc_port=data_port)
     if grpc_port is not None and data_port is not None:
-        rerun_address = (rerun_host, data_port)
-        grpc_port = open_server(
-            lambda port: DataProxy(options.bind, port, rerun_address, options.name),
-            grpc_port,
-            required=options.grpc_port is not None,
-        )
+        where, required = (rerun_host, data_port), options.grpc_port is not None
+        start = partial(DataProxy, options.bind, behind=where, names=options.name)
+        grpc_port = open_server(start, grpc_port, required=required)
     address = "" if grpc_port is None else _start_viewer(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
     sys.stdout.flush()
@@ -69,8 +61,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
 def _start_viewer(options: argparse.Namespace, grpc_port: int) -> str:
     first = choose_port(options.web_port, 9090, "--web-port", options.bind)
-    required = options.web_port is not None
-    port = open_server(lambda port: ViewerServer(options.bind, port, grpc_port, options.name), first, required=required)
+    start = partial(ViewerServer, options.bind, grpc_port=grpc_port, names=options.name)
+    port = open_server(start, first, required=options.web_port is not None)
     host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
     return f"http://{host}:{port}"
 

@@ -6,14 +6,10 @@ import math
 
 from safedpa.bus import LatentMessage, VerdictMessage
 from safedpa_services.dashboard.display_settings import DisplaySettings
-from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SERIES, SKY, VERMILION
-from safedpa_services.dashboard.shapes import Bands, Curves, TimelineEntry
-
-__all__ = ["action_entries", "barrier_entries", "latent_entries", "legend_names", "residual_entry", "style_entries"]
+from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SKY, VERMILION, series_colour
+from safedpa_services.dashboard.shapes import Bands, Curves, TimelineEntry, gap_if_huge
 
 _MOST_CURVES = 16
-_LARGEST = 1e12
-"""Larger values are drawn as a gap, because they would flatten the plot."""
 
 _BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE, 1.5), ("threshold", VERMILION, 1.5))
 _ACTION = (("nominal", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
@@ -29,12 +25,9 @@ def style_entries(display: DisplaySettings) -> list[TimelineEntry]:
         entries.append(TimelineEntry(("action", variable.name), _styles(_ACTION), static=True))
     shown = zip(display.latent_names, _short(display.latent_names), display.latent_units, strict=True)
     for index, (name, short, unit) in enumerate(shown):
-        entries.append(
-            TimelineEntry(("latent", name), Bands(0.0, 0.0, short, unit, SERIES[index % len(SERIES)]), static=True)
-        )
+        entries.append(TimelineEntry(("latent", name), Bands(0.0, 0.0, short, unit, series_colour(index)), static=True))
     names = tuple(f"{variable.name} [{variable.unit}]" for variable in display.system.state)
-    colours = tuple(SERIES[index % len(SERIES)] for index in range(len(names)))
-    residual = Curves((), names, colours, tuple(1.5 for _ in names))
+    residual = Curves((), names, tuple(map(series_colour, range(len(names)))), (1.5,) * len(names))
     return [*entries, TimelineEntry(("residual",), residual, static=True)]
 
 
@@ -61,12 +54,10 @@ def latent_entries(latent: LatentMessage, display: DisplaySettings) -> list[Time
         known = index < len(display.latent_names)
         name = display.latent_names[index] if known else f"latent {index}"
         deviation = latent.deviations[index] if index < len(latent.deviations) else 0.0
-        if _plottable(value):
-            spread = deviation if 0.0 <= deviation < _LARGEST else 0.0
+        if not math.isnan(gap_if_huge(value)):
+            spread = deviation if gap_if_huge(deviation) >= 0.0 else 0.0
             unit = display.latent_units[index] if known else ""
-            entries.append(
-                TimelineEntry(("latent", name), Bands(value, spread, name, unit, SERIES[index % len(SERIES)]))
-            )
+            entries.append(TimelineEntry(("latent", name), Bands(value, spread, name, unit, series_colour(index))))
     return entries
 
 
@@ -74,29 +65,20 @@ def barrier_entries(verdict: VerdictMessage) -> list[TimelineEntry]:
     """Returns h now and predicted, the margin and the threshold 0; a gap where the filter did not compute h."""
     unknown = verdict.status in _WITHOUT_BARRIER and verdict.h_now == verdict.h_next == 0.0
     now, ahead = (math.nan, math.nan) if unknown else (verdict.h_now, verdict.h_next)
-    return [TimelineEntry(("barrier",), Curves((_gap(now), _gap(ahead), _gap(verdict.margin), 0.0)))]
+    return [TimelineEntry(("barrier",), Curves((*map(gap_if_huge, (now, ahead, verdict.margin)), 0.0)))]
 
 
 def action_entries(verdict: VerdictMessage, display: DisplaySettings) -> list[TimelineEntry]:
     """Returns nominal and filtered action with the actuator limits, for each component of the action."""
     entries = []
     for index, variable in enumerate(display.system.action):
-        nominal, filtered = (
-            _gap(row[index]) if index < len(row) else math.nan for row in (verdict.nominal, verdict.action)
-        )
-        values = (nominal, filtered, display.action_low[index], display.action_high[index])
-        entries.append(TimelineEntry(("action", variable.name), Curves(values)))
+        rows = (verdict.nominal, verdict.action)
+        given = (gap_if_huge(row[index]) if index < len(row) else math.nan for row in rows)
+        limits = display.action_low[index], display.action_high[index]
+        entries.append(TimelineEntry(("action", variable.name), Curves((*given, *limits))))
     return entries
 
 
 def residual_entry(residual: tuple[float, ...]) -> TimelineEntry:
     """Returns the entry of the residual, the measured minus the predicted state."""
-    return TimelineEntry(("residual",), Curves(tuple(_gap(value) for value in residual)))
-
-
-def _plottable(value: float) -> bool:
-    return math.isfinite(value) and abs(value) < _LARGEST
-
-
-def _gap(value: float) -> float:
-    return value if _plottable(value) else math.nan
+    return TimelineEntry(("residual",), Curves(tuple(gap_if_huge(value) for value in residual)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,12 +12,10 @@ from safedpa.bus import (
     HEALTH,
     LATENT,
     MODEL,
-    NO_ROBOT,
     STATE,
     SURROUNDINGS,
     VERDICT,
     Bus,
-    HealthMessage,
     ReceivedMessage,
     decode,
     topic_of,
@@ -30,7 +27,6 @@ from safedpa_services.dashboard.fleet_view import FleetView
 if TYPE_CHECKING:
     from safedpa_services.dashboard.rerun_recording import RerunRecording
 
-__all__ = ["Dashboard", "draw_recording"]
 
 _TURN_SECONDS = 0.05
 _WAIT_SECONDS = 0.25
@@ -49,7 +45,6 @@ class Dashboard:
         self._detail = detail
         self._complete = bus.inbox((STATE, VERDICT, FINDING, MODEL, HEALTH), robot, keep_all=True)
         self._newest = bus.inbox((LATENT, SURROUNDINGS), robot)
-        self._known_robots = 0
         self._steps = 0
         self._next_heartbeat = time.monotonic()
 
@@ -69,12 +64,11 @@ class Dashboard:
 
     def turn(self, longest_wait: float) -> None:
         """Draws what arrived, after waiting up to ``longest_wait`` [s] for messages."""
-        waiting = self._complete.take(longest_wait)
+        items = self._complete.take(longest_wait)
         started = time.monotonic()
-        frames = self._view.take(sorted([*waiting, *self._newest.take(0.0)], key=_order), started)
-        if len(self._view.fields) != self._known_robots:
-            self._known_robots = len(self._view.fields)
-            self._recording.arrange(self._view.fields)
+        items = [*items, *self._newest.take(0.0)]
+        frames = self._view.take(sorted(items, key=lambda item: getattr(item, "at", 0.0)), started)
+        self._recording.arrange(self._view.fields)
         self._recording.draw(frames)
         self._steps += bool(frames)
         if started >= self._next_heartbeat:
@@ -82,13 +76,8 @@ class Dashboard:
             self._report_health(time.monotonic() - started)
 
     def _report_health(self, seconds: float) -> None:
-        message = HealthMessage(
-            epoch=0,
-            tick=0,
-            robot_time=0.0,
-            publish_time=time.time(),
-            service="dashboard",
-            pid=os.getpid(),
+        self._bus.report_health(
+            "dashboard",
             state="running" if self._view.fields else "ready",
             detail=self._detail,
             steps=self._steps,
@@ -96,11 +85,6 @@ class Dashboard:
             refused=self._view.refused,
             step_microseconds=1e6 * seconds,
         )
-        self._bus.publish(HEALTH, NO_ROBOT, message, "dashboard")
-
-
-def _order(item: object) -> float:
-    return getattr(item, "at", 0.0)
 
 
 _TOPICS = (STATE, VERDICT, FINDING, MODEL, HEALTH, LATENT, SURROUNDINGS)
@@ -112,13 +96,11 @@ def draw_recording(files: Sequence[Path], display: DisplaySettings, path: Path) 
     """Draws all robots of recordings into an .rrd file. Raises InputError if it cannot be written."""
     from safedpa_services.dashboard.rerun_recording import RerunRecording
 
-    view, fleet, known = FleetView(display), "recording", 0
-    recording = RerunRecording(display, fleet, save=path, bind="127.0.0.1", grpc_port=None)
+    view = FleetView(display)
+    recording = RerunRecording(display, "recording", save=path, bind="127.0.0.1", grpc_port=None)
     for items in _batches(files):
         frames = view.take(list(items), items[-1].at)
-        if len(view.fields) != known:
-            known = len(view.fields)
-            recording.arrange(view.fields)
+        recording.arrange(view.fields)
         recording.draw(frames)
     recording.close()
 

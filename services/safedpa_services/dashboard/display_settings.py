@@ -16,8 +16,6 @@ from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
 from safedpa.systems.robots import robot_like
 
-__all__ = ["DisplaySettings", "display_settings", "wind_reader"]
-
 Wind = tuple[float, float]
 """Wind in m/s towards positive angles, and upward."""
 

@@ -17,8 +17,6 @@ from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import MarkdownPage, Note, TimelineEntry, TimelineFrame
 from safedpa_services.dashboard.world import field_of
 
-__all__ = ["DrawingRate", "DrawingThrottle", "FleetView", "Scene", "TimeLine"]
-
 SHORTEST_INTERVAL = 0.05
 """Shortest robot time between two drawn messages of one kind [s]."""
 

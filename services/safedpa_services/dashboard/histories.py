@@ -21,14 +21,12 @@ from safedpa_services.dashboard.palette import (
     HEALTH_COLOURS,
     ORANGE,
     PURPLE,
-    SERIES,
     SKY,
     VERMILION,
     YELLOW,
+    series_colour,
 )
-from safedpa_services.dashboard.shapes import Curves, Note, States, StateSet, TimelineEntry
-
-__all__ = ["STAGE_COLOURS", "FindingHistory", "HealthHistory", "ResidualHistory"]
+from safedpa_services.dashboard.shapes import Curves, Note, States, StateSet, TimelineEntry, gap_if_huge
 
 STAGE_COLOURS: Final = {
     "learning": GREY,
@@ -77,7 +75,8 @@ class FindingHistory:
 
     def _finding(self, message: FindingMessage) -> list[TimelineEntry]:
         band = message.band if message.band > 0.0 else math.nan
-        entries = [TimelineEntry(("diagnosis", "error"), Curves((_gap(message.error), _gap(band))))]
+        values = tuple(gap_if_huge(value, _LARGEST) for value in (message.error, band))
+        entries = [TimelineEntry(("diagnosis", "error"), Curves(values))]
         entries += self._in_force(message.model)
         if (message.stage, message.number) == (self._stage, self._number):
             return entries
@@ -104,10 +103,6 @@ class FindingHistory:
         number = self._models.index(fingerprint) + 1 if fingerprint in self._models else _MOST_MODELS
         self._lane = f"model {number}"
         return [TimelineEntry(("verdict", "model"), States(self._lane))]
-
-
-def _gap(value: float) -> float:
-    return value if abs(value) < _LARGEST else math.nan
 
 
 SILENT_SECONDS = 1.0
@@ -173,7 +168,7 @@ def _change(name: str, service: _Service, state: str) -> list[TimelineEntry]:
 
 
 def _styles(name: str, index: int) -> list[TimelineEntry]:
-    curve = Curves((), (name,), (SERIES[index % len(SERIES)],), (1.5,))
+    curve = Curves((), (name,), (series_colour(index),), (1.5,))
     return [
         TimelineEntry(("services", name), StateSet(HEALTH_COLOURS), static=True),
         TimelineEntry(("steps", name), curve, static=True),

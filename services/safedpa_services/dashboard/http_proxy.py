@@ -15,7 +15,7 @@ import re
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -23,9 +23,6 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 
-__all__ = ["FIRST_RERUN_PORT", "DataProxy", "ViewerServer", "choose_port", "open_server", "private_loopback"]
-
-_ATTEMPTS = 50
 _MOST_CONNECTIONS = 64
 _SILENCE_SECONDS = 10.0
 _HEADERS = {
@@ -34,50 +31,6 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Content-Type": "text/plain; charset=utf-8",
 }
-_HOST = re.compile(r"[A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]")
-
-
-def choose_port(wanted: int | None, first: int, option: str, bind: str) -> int:
-    """Returns the wanted port or, if None, the first free one from ``first`` on.
-
-    Raises InputError if the wanted port is taken or none is free.
-    """
-    if wanted is not None:
-        if not 0 < wanted < 65536 or not _is_free(wanted, bind):
-            raise InputError(
-                f"{option} {wanted}: got a port that is taken or not allowed; choose another, or leave it out"
-            )
-        return wanted
-    for port in range(first, first + _ATTEMPTS):
-        if _is_free(port, bind):
-            return port
-    raise InputError(f"{option}: no free port from {first} to {first + _ATTEMPTS - 1}; name one")
-
-
-def open_server(start: Callable[[int], object], first: int, *, required: bool) -> int:
-    """Starts a server with ``start(port)`` and returns its port.
-
-    Tries ``first`` and, unless that is ``required``, the following ports: another process may have taken a port since
-    it was found free. Raises InputError if none can be opened.
-    """
-    last = first if required else first + _ATTEMPTS - 1
-    for port in range(first, last):
-        with contextlib.suppress(InputError):
-            start(port)
-            return port
-    start(last)
-    return last
-
-
-def _is_free(port: int, bind: str) -> bool:
-    family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-    try:
-        with socket.socket(family) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((bind, port))
-    except OSError:
-        return False
-    return True
 
 
 class ViewerServer:
@@ -100,7 +53,8 @@ class ViewerServer:
                 if self.headers.get_all("Host", []) != [host] or not hosts.allow(host):
                     self._answer(403, b"this page is not served under that host name\n")
                 elif path == "/" and "url=" not in query:
-                    self._answer(302, b"", {"Location": _with_data(host, grpc_port)})
+                    data = f"rerun%2Bhttp://{Hosts.without_port(host)}:{grpc_port}/proxy"
+                    self._answer(302, b"", {"Location": f"/?url={data}"})
                 else:
                     self._give(path.removeprefix("/"), host)
 
@@ -113,9 +67,8 @@ class ViewerServer:
                 if found is None:
                     self._answer(404, b"no such file\n")
                     return
-                data = f" http://{_name_of(host)}:{grpc_port}"
-                policy = {"Content-Security-Policy": VIEWER_POLICY.format(more=data)}
-                self._answer(200, found[0], {"Content-Type": found[1], **policy})
+                policy = VIEWER_POLICY.format(more=f" http://{Hosts.without_port(host)}:{grpc_port}")
+                self._answer(200, found[0], {"Content-Type": found[1], "Content-Security-Policy": policy})
 
             def _answer(self, code: int, body: bytes, headers: Mapping[str, str] | None = None) -> None:
                 self.send_response(code)
@@ -165,17 +118,6 @@ class _BoundedHttpServer(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         del request, client_address  # a closed connection is not worth logging
-
-
-def _name_of(host: str) -> str:
-    """Returns a ``Host`` header without its port."""
-    found = _HOST.match(host)
-    return found[0] if found else "localhost"
-
-
-def _with_data(host: str, grpc_port: int) -> str:
-    """Returns the path of the viewer's page with the address of its data, on the same host."""
-    return f"/?url=rerun%2Bhttp://{_name_of(host)}:{grpc_port}/proxy"
 
 
 FIRST_RERUN_PORT = 9920

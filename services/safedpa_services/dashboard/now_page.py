@@ -11,8 +11,6 @@ from safedpa.safety.deadlock.detector import what_to_do
 from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.shapes import MarkdownPage, Note
 
-__all__ = ["NowPage", "waiting_page"]
-
 _MOST_LINES = 8
 _LONGEST = 300
 """Characters of a sentence."""

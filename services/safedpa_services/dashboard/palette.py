@@ -6,23 +6,6 @@ from typing import Final
 
 from safedpa.safety.verdict import Status
 
-__all__ = [
-    "GREEN",
-    "GREY",
-    "HEALTH_COLOURS",
-    "INK",
-    "IN_FORCE_COLOURS",
-    "ORANGE",
-    "PURPLE",
-    "SERIES",
-    "SKY",
-    "UNKNOWN_STATUS",
-    "VERDICT_COLOURS",
-    "VERMILION",
-    "YELLOW",
-    "faded",
-]
-
 INK: Final = 0xF2F2F2FF
 GREY: Final = 0x9A9A9AFF
 ORANGE: Final = 0xE69F00FF
@@ -33,8 +16,7 @@ BLUE: Final = 0x0072B2FF
 VERMILION: Final = 0xD55E00FF
 PURPLE: Final = 0xCC79A7FF
 
-SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILION, YELLOW, INK, BLUE)
-"""Colours of the curves of one plot, in this order."""
+_SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILION, YELLOW, INK, BLUE)
 
 UNKNOWN_STATUS: Final = GREY
 RED: Final = 0xFF2D2DFF
@@ -55,3 +37,8 @@ IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILION, "none": GREY}
 def faded(colour: int, opacity: float) -> int:
     """Returns the colour with an opacity from 0 to 1."""
     return (colour & 0xFFFFFF00) | round(255 * opacity)
+
+
+def series_colour(index: int) -> int:
+    """Returns the colour of a plot's curve number ``index``."""
+    return _SERIES[index % len(_SERIES)]

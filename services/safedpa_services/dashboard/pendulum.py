@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections.abc import Sequence
 
-from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
+from safedpa.bus import LatentMessage, StateMessage
+from safedpa.drawing import Discs, Lines, Point, Rings
 from safedpa_services.dashboard.display_settings import DisplaySettings
-from safedpa_services.dashboard.geometry import drawable
 from safedpa_services.dashboard.palette import (
     GREEN,
     GREY,
-    INK,
     ORANGE,
     SKY,
-    UNKNOWN_STATUS,
-    VERDICT_COLOURS,
     VERMILION,
     YELLOW,
     faded,
 )
-from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, TimelineEntry
-
-__all__ = ["phase_bounds", "phase_history", "phase_prediction", "phase_state", "sector_entries", "wind_entry"]
+from safedpa_services.dashboard.shapes import TimelineEntry, drawable
 
 _ARC_STEP = math.radians(4.0)
 _COMPASS, _COMPASS_RADIUS, _COMPASS_SPEED = (-1.12, 1.12), 0.26, 5.0
 """Centre and radius of the wind's compass in rod lengths, and the wind speed of its ring [m/s]."""
 _FASTEST = 12.0
 """Largest rate in the phase plane [rad/s]."""
-_LARGEST_STEP = 1.0
-"""Largest change of angle between two drawn states [rad]; beyond it the angle has wrapped around."""
 
 
 def _at(angle: float, radius: float = 1.0) -> Point:
@@ -103,30 +96,12 @@ def phase_bounds(state: StateMessage, display: DisplaySettings) -> tuple[float, 
 
 def phase_state(state: StateMessage, display: DisplaySettings) -> list[TimelineEntry]:
     """Returns the point of the current state in the phase plane."""
-    point = _in_phase(state.values, display)
+    point = phase_point(state.values, display)
     return [] if point is None else [TimelineEntry(("phase", "now"), Discs((point,), (0.03,), SKY))]
 
 
-def phase_history(
-    before: StateMessage, now: StateMessage, status: str, display: DisplaySettings
-) -> TimelineEntry | None:
-    """Returns the segment between two drawn states in the colour of the verdict; None if the angle wrapped around."""
-    ends = [_in_phase(state.values, display) for state in (before, now)]
-    if ends[0] is None or ends[1] is None or abs(ends[1][0] - ends[0][0]) > _LARGEST_STEP:
-        return None
-    colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return TimelineEntry(("phase", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.012))
-
-
-def phase_prediction(verdict: VerdictMessage, display: DisplaySettings) -> TimelineEntry:
-    """Returns the predicted states as a line."""
-    candidates = [_in_phase(row, display) for row in verdict.predicted[:64]]
-    points = tuple(point for point in candidates if point is not None)
-    strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
-    return TimelineEntry(("phase", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.012))
-
-
-def _in_phase(values: tuple[float, ...], display: DisplaySettings) -> Point | None:
+def phase_point(values: Sequence[float], display: DisplaySettings) -> Point | None:
+    """Returns a state's point in the phase plane: angle, and its change within the filter's look-ahead."""
     if len(values) != 2 or not drawable(*values):
         return None
     return values[0], display.corridor_seconds * values[1]

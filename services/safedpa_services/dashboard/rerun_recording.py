@@ -11,8 +11,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.encodings import TimeRange
 
+from safedpa.drawing import Discs, Lines, Rings
 from safedpa.errors import InputError
-from safedpa.systems import Variable
 from safedpa_services.dashboard.curves import legend_names
 from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.fleet_view import Scene
@@ -20,19 +20,14 @@ from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.shapes import (
     Bands,
     Curves,
-    Discs,
-    Lines,
     MarkdownPage,
     Note,
-    Rings,
     Shape,
     States,
     StateSet,
     TimelineEntry,
     TimelineFrame,
 )
-
-__all__ = ["RerunRecording", "meaning"]
 
 
 def meaning(display: DisplaySettings) -> str:
@@ -101,26 +96,26 @@ class RerunRecording:
         batches = rr.ChunkBatcherConfig.DEFAULT()
         batches.flush_tick = _BATCH_SECONDS
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batches)
-        self.server_uri = ""
         sinks: list[Any] = []
         try:
             if grpc_port is not None:
-                server = rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True)
-                self.server_uri = str(server.uri)
-                sinks.append(server)
+                sinks.append(rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True))
             if save is not None:
-                sinks.append(
-                    rr.FileSink(save, write_footer=False)
-                )  # without a footer the file is complete even after a loss of power
+                # without a footer the file is complete even after a loss of power
+                sinks.append(rr.FileSink(save, write_footer=False))
             self._stream.set_sinks(*sinks)
         except (RuntimeError, ValueError, OSError) as error:
             raise InputError(f"recording {save}, port {grpc_port}: {error}; choose another --save or port") from error
         self._log(TimelineEntry(("waiting",), waiting_page(fleet, {}), static=True))
         self._log(TimelineEntry(("meaning",), MarkdownPage(meaning(display)), static=True))
+        self._shown = -1
         self.arrange({})
 
     def arrange(self, fields: dict[str, Scene]) -> None:
-        """Shows one tab per robot; replaces the arrangement made by the viewer's user."""
+        """Shows one tab per robot if there is a further one; replaces the arrangement made by the viewer's user."""
+        if len(fields) == self._shown:
+            return
+        self._shown = len(fields)
         for name in fields:
             # the viewer's y axis points downwards, so the view is mirrored; the logged coordinates are the true ones
             for plane in ("world", "phase"):
@@ -150,9 +145,8 @@ def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR091
             return rr.Points2D(_points(centres), radii=radii, colors=_colours((colour,)))
         case Rings(centres, radii, colour, width):
             sizes = np.repeat(np.array(radii, dtype=np.float32).reshape(-1, 1), 2, axis=1)
-            return rr.Ellipses2D(
-                centers=_points(centres), half_sizes=sizes, colors=_colours((colour,)), line_radii=[width]
-            )
+            look = {"colors": _colours((colour,)), "line_radii": [width]}
+            return rr.Ellipses2D(centers=_points(centres), half_sizes=sizes, **look)
         case Lines(strips, colours, width, on_top):
             points, order = [_points(strip) for strip in strips], _OVER_DISCS if on_top else None
             return rr.LineStrips2D(points, colors=_colours(colours), radii=[width], draw_order=order)
@@ -213,6 +207,8 @@ def _blueprint_of(fields: dict[str, Scene], display: DisplaySettings) -> rrb.Blu
 
 def _tab(name: str, scene: Scene, display: DisplaySettings) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
+    states, actions = display.system.state, display.system.action
+    unit = f" [{display.h_unit.strip()}]" if display.h_unit else ""
     text_tabs = rrb.Tabs(
         rrb.TextDocumentView(origin=f"{origin}/now", name="now"),
         rrb.TextLogView(origin=f"{origin}/log", name="log", columns=_LOG_COLUMNS),
@@ -222,32 +218,20 @@ def _tab(name: str, scene: Scene, display: DisplaySettings) -> Any:
     planes = _planes(origin, scene, display)
     left = rrb.Vertical(*planes, text_tabs, row_shares=[2.0, 1.7, 1.3] if display.is_pendulum else [3.4, 1.5])
     middle = rrb.Vertical(
-        _curves(f"{origin}/barrier", f"h{_bracketed(display.h_unit)}: above the margin", 11),
-        *[_action(origin, variable) for variable in display.system.action],
+        _curves(f"{origin}/barrier", f"h{unit}: above the margin", 11),
+        *[_curves(f"{origin}/action/{v.name}", f"{v.name} [{v.unit}]: nominal and filtered", 8) for v in actions],
         _lanes(f"{origin}/verdict", "verdict, diagnosis, model"),
-        row_shares=[1.2, *(1.2 for _ in display.system.action), 1.6],
+        row_shares=[1.2, *(1.2 for _ in actions), 1.6],
     )
     right = rrb.Vertical(
         _curves(f"{origin}/latent", "estimate, one sigma", max(map(len, legend_names(display)), default=0)),
-        _curves(
-            f"{origin}/residual",
-            "measured - predicted",
-            max(len(v.name) + len(v.unit) + 3 for v in display.system.state),
-        ),
+        _curves(f"{origin}/residual", "measured - predicted", max(len(v.name + v.unit) + 3 for v in states)),
         _curves(f"{origin}/diagnosis/error", "error over 1 s [relative to usual change]", 15),
         _curves(f"{origin}/steps", "time of a step [ms]", 13),
         _lanes(f"{origin}/services", "services"),
         row_shares=[0.75, 1.2, 0.7, 1.2, 1.6],
     )
     return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
-
-
-def _bracketed(unit: str) -> str:
-    return f" [{unit.strip()}]" if unit else ""
-
-
-def _action(origin: str, variable: Variable) -> Any:
-    return _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: nominal and filtered", 8)
 
 
 def _planes(origin: str, scene: Scene, display: DisplaySettings) -> list[Any]:
@@ -263,26 +247,21 @@ def _planes(origin: str, scene: Scene, display: DisplaySettings) -> list[Any]:
 def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
     low_x, high_x, low_y, high_y = scene
     edge = 0.04 * max(high_x - low_x, high_y - low_y)
-    history = rrb.VisibleTimeRanges([_last_seconds()])
+    across, upwards = [low_x - edge, high_x + edge], [-high_y - edge, -low_y + edge]
     return rrb.Spatial2DView(
         origin=origin,
         contents=[f"{origin}/{part}/**"],
         name=title,
         background=_BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=[low_x - edge, high_x + edge], y_range=[-high_y - edge, -low_y + edge]
-        ),
-        overrides={f"{origin}/{part}/trail": [history]},
+        visual_bounds=rrb.VisualBounds2D(x_range=across, y_range=upwards),
+        overrides={f"{origin}/{part}/trail": [rrb.VisibleTimeRanges([_last_seconds()])]},
     )
 
 
 def _curves(origin: str, name: str, letters: int) -> Any:
     """Returns a plot whose curves end before the right edge, so that a legend of ``letters`` does not cover them."""
     share = min((_LETTER_POINTS * letters + _FRAME_POINTS) / _PANE_POINTS, 0.6)
-    seconds = rrb.TimeRangeBoundary.cursor_relative
-    shown = TimeRange(
-        start=seconds(seconds=-_SHOWN_SECONDS), end=seconds(seconds=_SHOWN_SECONDS * share / (1.0 - share))
-    )
+    shown = TimeRange(start=_seconds(-_SHOWN_SECONDS), end=_seconds(_SHOWN_SECONDS * share / (1.0 - share)))
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
@@ -297,8 +276,8 @@ def _lanes(origin: str, name: str) -> Any:
 
 
 def _last_seconds() -> Any:
-    return rrb.VisibleTimeRange(
-        _TIME_LINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_SHOWN_SECONDS),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    return rrb.VisibleTimeRange(_TIME_LINE, start=_seconds(-_SHOWN_SECONDS), end=_seconds(0.0))
+
+
+def _seconds(after_cursor: float) -> Any:
+    return rrb.TimeRangeBoundary.cursor_relative(seconds=after_cursor)

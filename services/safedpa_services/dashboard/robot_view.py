@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from safedpa.bus import (
     FINDING,
     HEALTH,
@@ -16,6 +18,7 @@ from safedpa.bus import (
     SurroundingsMessage,
     VerdictMessage,
 )
+from safedpa.drawing import Lines, Point
 from safedpa_services.dashboard.curves import (
     action_entries,
     barrier_entries,
@@ -26,26 +29,14 @@ from safedpa_services.dashboard.curves import (
 from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.histories import FindingHistory, HealthHistory, ResidualHistory
 from safedpa_services.dashboard.now_page import NowPage
-from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
-from safedpa_services.dashboard.pendulum import (
-    phase_history,
-    phase_prediction,
-    phase_state,
-    sector_entries,
-    wind_entry,
-)
-from safedpa_services.dashboard.shapes import Note, States, StateSet, TimelineEntry
-from safedpa_services.dashboard.world import (
-    body_entries,
-    history_entry,
-    holding_entry,
-    prediction_entry,
-    scene_entries,
-    seen_entries,
-)
+from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, INK, UNKNOWN_STATUS, VERDICT_COLOURS
+from safedpa_services.dashboard.pendulum import phase_point, phase_state, sector_entries, wind_entry
+from safedpa_services.dashboard.shapes import Note, States, StateSet, TimelineEntry, drawable
+from safedpa_services.dashboard.world import body_entries, holding_entry, scene_entries, seen_entries
 
-__all__ = ["RobotView"]
-
+_MOST_PREDICTED = 64
+_LARGEST_STEP = 1.0
+"""Largest change of a pendulum's angle between two drawn states [rad]; beyond it the angle has wrapped around."""
 _LONGEST_GAP_TICKS = 4
 """After this many ticks without a verdict, the trail is drawn in the colour of an unknown status."""
 
@@ -55,6 +46,7 @@ class RobotView:
 
     def __init__(self, display: DisplaySettings) -> None:
         self._display = display
+        self._plane, self._widths = ("phase", (0.012, 0.012)) if display.is_pendulum else ("world", (0.016, 0.02))
         self.health = HealthHistory()
         self._findings = FindingHistory()
         self._residuals = ResidualHistory(display.system)
@@ -109,7 +101,8 @@ class RobotView:
         if isinstance(message, SurroundingsMessage):
             return seen_entries(message)
         if isinstance(message, LatentMessage):
-            return [*latent_entries(message, self._display), *self._wind(message)]
+            wind = wind_entry(message, self._display) if self._display.is_pendulum else None
+            return [*latent_entries(message, self._display), *([] if wind is None else [wind])]
         return []
 
     def _change_epoch(self, message: Message) -> None:
@@ -135,23 +128,41 @@ class RobotView:
         entries += body_entries(state, self._display)
         if self._display.is_pendulum:
             entries += phase_state(state, self._display)
-        entries += self._history(state)
+        entries += self._trail(state)
         if residual is not None:
             entries.append(residual_entry(residual))
         self._drawn = state
         return entries
 
-    def _history(self, state: StateMessage) -> list[TimelineEntry]:
-        before = self._drawn
-        if before is None or not (self._display.is_planar or self._display.is_pendulum):
+    def _point(self, values: Sequence[float]) -> Point | None:
+        """Returns the point of a state on the plane, for a pendulum on its phase plane; None if it has none."""
+        if self._display.is_pendulum:
+            return phase_point(values, self._display)
+        planar = self._display.is_planar and len(values) >= 2 and drawable(*values[:2])
+        return (values[0], values[1]) if planar else None
+
+    def _trail(self, state: StateMessage) -> list[TimelineEntry]:
+        """Returns the path since the last drawn state, in the colour of the verdict."""
+        ends = [self._point(known.values) for known in (self._drawn, state) if known is not None]
+        if len(ends) != 2 or ends[0] is None or ends[1] is None:
+            return []
+        if self._display.is_pendulum and abs(ends[1][0] - ends[0][0]) > _LARGEST_STEP:
             return []
         known = self._verdict is not None and state.tick - self._verdict.tick <= _LONGEST_GAP_TICKS
         status = self._verdict.status if self._verdict and known else ""
-        if self._display.is_pendulum:
-            entry = phase_history(before, state, status, self._display)
-        else:
-            entry = history_entry(before, state, status)
-        return [] if entry is None else [entry]
+        path = Lines(((ends[0], ends[1]),), (VERDICT_COLOURS.get(status, UNKNOWN_STATUS),), self._widths[0])
+        return [TimelineEntry((self._plane, "trail"), path)]
+
+    def _prediction(self, verdict: VerdictMessage) -> list[TimelineEntry]:
+        """Returns the predicted states as a line, on the plane from the current position on."""
+        if not (self._display.is_pendulum or self._display.is_planar):
+            return []
+        start = [] if self._display.is_pendulum or self._drawn is None else [self._drawn.values]
+        found = [self._point(values) for values in (*start, *verdict.predicted[:_MOST_PREDICTED])]
+        points = tuple(point for point in found if point is not None)
+        strips = (points,) if len(set(points)) > 1 else ()
+        line = Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), self._widths[1])
+        return [TimelineEntry((self._plane, "predicted"), line)]
 
     def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[TimelineEntry]:
         if verdict.epoch != self._epoch or (self._verdict is not None and verdict.tick <= self._verdict.tick):
@@ -163,25 +174,13 @@ class RobotView:
             return entries
         if residual is not None:
             entries.append(residual_entry(residual[1]))
-        if len(verdict.predicted) == 1:  # only the next state: keep the last predicted path
-            pass
-        elif self._display.is_planar:
-            entries.append(prediction_entry(verdict, self._position()))
-        elif self._display.is_pendulum:
-            entries.append(phase_prediction(verdict, self._display))
+        if len(verdict.predicted) != 1:  # only the next state: keep the last predicted path
+            entries += self._prediction(verdict)
         if self._seen is not None:
             of_tick = self._seen if self._seen.tick == verdict.tick else None
-            entries.append(holding_entry(verdict.active, of_tick, self._position()))
+            position = None if self._drawn is None else self._point(self._drawn.values)
+            entries.append(holding_entry(verdict.active, of_tick, position))
         return [*entries, *barrier_entries(verdict), *action_entries(verdict, self._display)]
-
-    def _wind(self, latent: LatentMessage) -> list[TimelineEntry]:
-        entry = wind_entry(latent, self._display) if self._display.is_pendulum else None
-        return [] if entry is None else [entry]
-
-    def _position(self) -> tuple[float, float] | None:
-        if self._drawn is None or len(self._drawn.values) < 2:
-            return None
-        return self._drawn.values[0], self._drawn.values[1]
 
     def _status_change(self, verdict: VerdictMessage) -> list[TimelineEntry]:
         if verdict.status == self._status:

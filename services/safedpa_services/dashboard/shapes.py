@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from safedpa.drawing import Discs, Lines, Point, Rings
-
-__all__ = [
-    "Bands",
-    "Curves",
-    "Discs",
-    "Lines",
-    "MarkdownPage",
-    "Note",
-    "Point",
-    "Rings",
-    "Shape",
-    "StateSet",
-    "States",
-    "TimelineEntry",
-    "TimelineFrame",
-]
+from safedpa.drawing import Discs, Lines, Rings
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,3 +78,17 @@ class TimelineFrame:
 
     at: float
     entries: tuple[TimelineEntry, ...]
+
+
+_FARTHEST = 1e5
+"""Largest drawn coordinate [m]: the viewer computes with 32-bit floats."""
+
+
+def drawable(*numbers: float) -> bool:
+    """Returns whether all numbers are finite and small enough to be drawn as coordinates."""
+    return all(math.isfinite(number) and abs(number) <= _FARTHEST for number in numbers)
+
+
+def gap_if_huge(value: float, largest: float = 1e12) -> float:
+    """Returns a value of a curve; NaN, a gap, if it is not finite or so large that it would flatten the plot."""
+    return value if abs(value) < largest else math.nan

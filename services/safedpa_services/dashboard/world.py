@@ -7,34 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 
-from safedpa.bus import StateMessage, SurroundingsMessage, VerdictMessage
+from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.drawing import Discs, Lines, Point, Rings
 from safedpa_services.dashboard.display_settings import DisplaySettings
-from safedpa_services.dashboard.geometry import BodyPose, capsule, drawable, rectangle
 from safedpa_services.dashboard.palette import (
     GREY,
     INK,
     ORANGE,
     PURPLE,
     SKY,
-    UNKNOWN_STATUS,
-    VERDICT_COLOURS,
     VERMILION,
     YELLOW,
     faded,
 )
-from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, TimelineEntry
-
-__all__ = [
-    "body_entries",
-    "field_of",
-    "history_entry",
-    "holding_entry",
-    "prediction_entry",
-    "scene_entries",
-    "seen_entries",
-]
+from safedpa_services.dashboard.shapes import TimelineEntry, drawable
 
 _MOST_OBSTACLES = 256
 _LONGEST_STRETCH = 50.0
@@ -45,6 +33,35 @@ _BODY_REAR, _BODY_FRONT, _BODY_WIDTH = -0.25, 1.25, 0.75
 _BALL, _NOSE = 0.1, 0.1
 """Radius of the point robot's ball and edge length of its nose [m]."""
 _WHEEL_LENGTH, _WHEEL_WIDTH, _TRACK = 0.30, 0.10, 0.62
+_ARC_POINTS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """Position [m] and yaw [rad] of a body."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def place(self, points: Sequence[Point]) -> tuple[Point, ...]:
+        """Transforms points from the body's frame (ahead, left) to the world."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return tuple((self.x + c * ahead - s * left, self.y + s * ahead + c * left) for ahead, left in points)
+
+
+def _rectangle(rear: float, front: float, width: float) -> tuple[Point, ...]:
+    """Returns the closed outline of a rectangle from ``rear`` to ``front`` [m] ahead of the origin."""
+    half = 0.5 * width
+    return ((rear, -half), (front, -half), (front, half), (rear, half), (rear, -half))
+
+
+def _capsule(rear: float, front: float, radius: float) -> tuple[Point, ...]:
+    """Returns the closed outline of a capsule from ``rear`` to ``front`` ahead of the origin, with ``radius`` [m]."""
+    angles = [math.pi * (step / _ARC_POINTS - 0.5) for step in range(_ARC_POINTS + 1)]
+    nose = [(front + radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+    tail = [(rear - radius * math.cos(angle), -radius * math.sin(angle)) for angle in angles]
+    return (*nose, *tail, nose[0])
 
 
 def field_of(state: StateMessage) -> tuple[float, float, float, float] | None:
@@ -90,7 +107,7 @@ def body_entries(state: StateMessage, display: DisplaySettings) -> list[Timeline
         return [TimelineEntry(("world", name), shape) for name, shape in display.drawn(state).items()]
     if len(state.values) < 3:
         return []
-    pose = BodyPose(state.values[0], state.values[1], state.values[2])
+    pose = _Pose(state.values[0], state.values[1], state.values[2])
     if display.is_point:
         return _point(pose)
     entries = [TimelineEntry(("world", "body"), _car(pose, state, display))]
@@ -101,41 +118,41 @@ def body_entries(state: StateMessage, display: DisplaySettings) -> list[Timeline
     return [*entries, TimelineEntry(("world", "load"), load)]
 
 
-def _car(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines:
+def _car(pose: _Pose, state: StateMessage, display: DisplaySettings) -> Lines:
     base = display.wheelbase or 0.3
     steer = state.applied[1] if len(state.applied) == 2 and display.system.action_names[1] == "steer" else 0.0
-    outline = pose.place(rectangle(_BODY_REAR * base, _BODY_FRONT * base, _BODY_WIDTH * base))
+    outline = pose.place(_rectangle(_BODY_REAR * base, _BODY_FRONT * base, _BODY_WIDTH * base))
     nose = pose.place(((base, 0.0), (_BODY_FRONT * base, 0.0)))
-    wheel = rectangle(-0.5 * _WHEEL_LENGTH * base, 0.5 * _WHEEL_LENGTH * base, _WHEEL_WIDTH * base)
+    wheel = _rectangle(-0.5 * _WHEEL_LENGTH * base, 0.5 * _WHEEL_LENGTH * base, _WHEEL_WIDTH * base)
     strips = [outline, nose]
     for ahead, turn in ((0.0, 0.0), (base, steer)):
         for left in (-0.5 * _TRACK * base, 0.5 * _TRACK * base):
-            strips.append(pose.place(BodyPose(ahead, left, turn).place(wheel)))
+            strips.append(pose.place(_Pose(ahead, left, turn).place(wheel)))
     return Lines(tuple(strips), (INK, INK, GREY, GREY, YELLOW, YELLOW), 0.012)
 
 
-def _point(pose: BodyPose) -> list[TimelineEntry]:
+def _point(pose: _Pose) -> list[TimelineEntry]:
     """Returns the point robot: a ball with a box as its nose."""
-    nose = pose.place(rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
+    nose = pose.place(_rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
     ball = Rings(((pose.x, pose.y),), (_BALL,), INK, 0.012)
     return [TimelineEntry(("world", "nose"), Lines((nose,), (YELLOW,), 0.012)), TimelineEntry(("world", "ball"), ball)]
 
 
-def _swept(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines | None:
+def _swept(pose: _Pose, state: StateMessage, display: DisplaySettings) -> Lines | None:
     swept = display.swept(state)
     if swept is None or not drawable(*swept) or max(map(abs, swept)) > _LONGEST_STRETCH:
         return None
     rear, front, radius = swept
-    return Lines((pose.place(capsule(rear, front, abs(radius))),), (faded(ORANGE, 0.7),), 0.006)
+    return Lines((pose.place(_capsule(rear, front, abs(radius))),), (faded(ORANGE, 0.7),), 0.006)
 
 
-def _load(pose: BodyPose, state: StateMessage, display: DisplaySettings) -> Lines:
+def _load(pose: _Pose, state: StateMessage, display: DisplaySettings) -> Lines:
     if len(state.load_pose) != 5 or not drawable(*state.load_pose):
         return Lines((), (), 0.012)
     x, y, yaw, length, width = state.load_pose
-    load = BodyPose(x, y, yaw)
+    load = _Pose(x, y, yaw)
     hitch = (*pose.place(((_BODY_REAR * (display.wheelbase or 0.3), 0.0),)), *load.place(((0.5 * length, 0.0),)))
-    return Lines((load.place(rectangle(-0.5 * length, 0.5 * length, width)), hitch), (PURPLE, PURPLE), 0.012)
+    return Lines((load.place(_rectangle(-0.5 * length, 0.5 * length, width)), hitch), (PURPLE, PURPLE), 0.012)
 
 
 def _pendulum(state: StateMessage) -> list[TimelineEntry]:
@@ -144,23 +161,6 @@ def _pendulum(state: StateMessage) -> list[TimelineEntry]:
     tip = (-math.sin(state.values[0]), math.cos(state.values[0]))
     rod = Lines((((0.0, 0.0), tip),), (INK,), 0.02)
     return [TimelineEntry(("world", "rod"), rod), TimelineEntry(("world", "tip"), Discs((tip,), (0.08,), SKY))]
-
-
-def history_entry(before: StateMessage, now: StateMessage, status: str) -> TimelineEntry | None:
-    """Returns the path between two ticks in the colour of the verdict; None if a position cannot be drawn."""
-    ends = [(state.values[0], state.values[1]) for state in (before, now) if len(state.values) >= 2]
-    if len(ends) != 2 or not all(drawable(*end) for end in ends):
-        return None
-    colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return TimelineEntry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
-
-
-def prediction_entry(verdict: VerdictMessage, position: Point | None) -> TimelineEntry:
-    """Returns the predicted positions as a line from the current position."""
-    ahead = [(row[0], row[1]) for row in verdict.predicted[:64] if len(row) >= 2 and drawable(*row[:2])]
-    points = tuple(ahead if position is None else [position, *ahead])
-    strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
-    return TimelineEntry(("world", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.02))
 
 
 _MOST = 512

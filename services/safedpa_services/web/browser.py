@@ -10,8 +10,6 @@ import threading
 import webbrowser
 from pathlib import Path
 
-__all__ = ["show"]
-
 _KEEP_SECONDS = 60.0
 
 

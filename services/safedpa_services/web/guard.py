@@ -20,8 +20,6 @@ from safedpa.bus.logging import log_event
 from safedpa.limits import limit
 from safedpa_services.web.hosts import Hosts
 
-__all__ = ["AccessPolicy", "Guard"]
-
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]

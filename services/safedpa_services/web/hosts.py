@@ -12,8 +12,6 @@ from collections.abc import Iterable
 
 from safedpa.errors import InputError
 
-__all__ = ["Hosts", "is_loopback"]
-
 _HOST = re.compile(r"(\[[0-9a-fA-F:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?)(:[0-9]{1,5})?")
 
 
@@ -41,6 +39,12 @@ class Hosts:
             return True
         address = _address(name.strip("[]"))
         return address is not None and (address.is_loopback or not self._loopback)
+
+    @staticmethod
+    def without_port(header: str) -> str:
+        """Returns the host name in an allowed ``Host`` header."""
+        found = _HOST.fullmatch(header)
+        return found[1] if found else "localhost"
 
     def same_origin(self, origin: str, host: str, scheme: str) -> bool:
         """Returns whether an ``Origin`` header is that of this page."""

@@ -12,8 +12,6 @@ from pathlib import Path
 from safedpa.errors import InputError, RunError
 from safedpa.limits import readable
 
-__all__ = ["RECORDINGS", "FileStore"]
-
 RECORDINGS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".ulg")
 _RECORDING = f"a recording ({', '.join(RECORDINGS[:-1])} or {RECORDINGS[-1]})"
 _MODELS = (".toml",)

@@ -21,8 +21,6 @@ from pathlib import Path
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 
-__all__ = ["VIEWER_POLICY", "Viewer"]
-
 _FILES = {
     "": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",

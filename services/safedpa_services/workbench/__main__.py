@@ -14,31 +14,15 @@ from safedpa_services.service_main import service_parser
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves the page until ``stop`` is set; returns exit code 0."""
     os.nice(10)  # the control loop has priority
-    need(
-        "workbench", what="the workbench", alone=True
-    )  # its container writes no reports, so it needs no report libraries
-    from safedpa_services.workbench.server import choose_port, serve
+    need("workbench", what="the workbench", alone=True)  # its container writes no reports and lacks their libraries
+    from safedpa_services.workbench.server import serve
     from safedpa_services.workbench.server_options import PageServerOptions
     from safedpa_services.workbench.session.controller import SessionController
     from safedpa_services.workbench.session.inputs import InputSelection
 
-    serving = PageServerOptions(
-        options.host,
-        choose_port(options.host, options.port),
-        tuple(options.name),
-        tuple(options.folder),
-        options.tls_certificate,
-        options.tls_key,
-        options.token_only,
-    )
     with bus_from_options(options) as bus:
-        serve(
-            SessionController(InputSelection(options.model), Path(options.out)),
-            serving,
-            browser=False,
-            bus=bus,
-            stop=stop,
-        )
+        controller = SessionController(InputSelection(options.model), Path(options.out))
+        serve(controller, PageServerOptions.of(vars(options)), browser=False, bus=bus, stop=stop)
     return 0
 
 

@@ -25,8 +25,6 @@ from safedpa_services.workbench.session.files import SESSION_FILE
 from safedpa_services.workbench.session.selection import Selection
 from safedpa_services.workbench.session.session import Session
 
-__all__ = ["WorkbenchPage"]
-
 
 class WorkbenchPage:
     """One browser tab. Each tab has its own view (selection, start, axes) of the session that all tabs share."""

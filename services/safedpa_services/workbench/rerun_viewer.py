@@ -23,8 +23,6 @@ from safedpa.errors import RecordingError, SafedpaError
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 from safedpa_services.workbench.session.session import Session
 
-__all__ = ["RerunViewerServer", "write_view"]
-
 _SECONDS = 20.0
 """s of the recording that are written, from the chosen start on."""
 _TIME_LINE = "t"

@@ -15,8 +15,6 @@ from typing import Any
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 
-__all__ = ["find_browser", "take_screenshot", "take_screenshots"]
-
 _TIMEOUT = 300_000
 """ms; the search for effects in a long recording can take minutes."""
 _DRAW_TIME = 1200

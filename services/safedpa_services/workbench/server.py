@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import socket
 import threading
 import time
 import traceback
@@ -19,7 +18,6 @@ from nicegui import Client, app, ui
 
 from safedpa.bus import Bus
 from safedpa.bus.service.process import StopSignal
-from safedpa.errors import InputError
 from safedpa.limits import limit, readable
 from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
@@ -34,10 +32,6 @@ from safedpa_services.workbench.rerun_viewer import RerunViewerServer
 from safedpa_services.workbench.server_options import PageServerOptions
 from safedpa_services.workbench.session.controller import SessionController
 
-__all__ = ["DEFAULT_PORT", "choose_port", "serve"]
-
-DEFAULT_PORT = 8080
-_MAX_PORTS = 50
 _EXPOSED = "serves on {host}: other machines can request the page, and anyone with the token can change models"
 _LISTEN_SECONDS = 0.1
 _PROBE_SECONDS, _MAX_PROBES = 0.02, 500
@@ -144,23 +138,6 @@ def _end_with(stop: StopSignal, link: LiveLink | ReplayLink | None) -> None:
         while link.pages_to_notify and time.monotonic() < until:
             time.sleep(0.05)
     app.shutdown()
-
-
-def choose_port(host: str, port: int | None) -> int:
-    """Returns the requested port, or the first free one from 8080 on; raises InputError if it is taken."""
-    for number in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MAX_PORTS):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, number))
-            except OSError as error:
-                if port is not None:
-                    raise InputError(
-                        f"--port {port}: cannot be served on ({error.strerror}); leave it out for the next free one"
-                    ) from error
-                continue
-            return number
-    raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MAX_PORTS - 1} are all taken; choose another port")
 
 
 _MAX_MESSAGE_LENGTH = 300

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from safedpa.errors import InputError
 from safedpa_services.web.guard import AccessPolicy
 from safedpa_services.web.hosts import Hosts, is_loopback
-
-__all__ = ["PASSWORD_VARIABLE", "TOKEN_VARIABLE", "PageServerOptions"]
+from safedpa_services.web.ports import choose_port
 
 TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 """Environment variable with the token, for a program that starts the page and prints the address itself."""
 PASSWORD_VARIABLE = "SAFEDPA_PAGE_PASSWORD"
 """Environment variable with the password. It is no command option: every user of a machine can read arguments."""
 _MIN_SECRET_LENGTH = 12
+_DEFAULT_PORT = 8080
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,13 @@ class PageServerOptions:
                 f"wanted a password in {PASSWORD_VARIABLE}, or --tls-certificate and --tls-key; or leave --host out "
                 "and connect through 'ssh -L'"
             )
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> PageServerOptions:
+        """Takes the options of a command line. Without ``port``, the page gets the first free one from 8080 on."""
+        host, names, folders = options["host"], tuple(options["name"]), tuple(options["folder"])
+        port = choose_port(options["port"], _DEFAULT_PORT, "--port", host)
+        return cls(host, port, names, folders, options["tls_certificate"], options["tls_key"], options["token_only"])
 
     @property
     def scheme(self) -> str:

@@ -9,8 +9,6 @@ from safedpa.bus import FINDING, HEALTH, MODEL, STATE, TAKEOVER, VERDICT, Answer
 from safedpa.errors import MessageError
 from safedpa_services.workbench.live.store import LiveStore
 
-__all__ = ["LiveLink", "QueryResult"]
-
 _TIMEOUT = 2.0
 """s to wait for the answer to a request."""
 

@@ -32,8 +32,6 @@ from safedpa_services.workbench.panels.elements import button, escaped, panel, s
 from safedpa_services.workbench.panels.shortcuts import show_keys
 from safedpa_services.workbench.panels.theme import DARK, LIGHT
 
-__all__ = ["LivePage"]
-
 _REDRAW_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
 _END_TIMEOUT = 10.0

@@ -16,17 +16,6 @@ from safedpa_services.workbench.panels.elements import escaped
 from safedpa_services.workbench.panels.theme import CONFIG, ColourTheme, axis, figure_layout
 from safedpa_services.workbench.session.candidate_cards import CandidateCard, make_card
 
-__all__ = [
-    "change_lines",
-    "drive_table",
-    "error_bars",
-    "error_figure",
-    "evidence_figure",
-    "field_figure",
-    "field_legend",
-    "live_cards",
-]
-
 _MEDIAN_OF = 5
 """Number of latest errors whose median is shown as the present error."""
 

@@ -13,8 +13,6 @@ from safedpa.records import read_messages
 from safedpa_services.workbench.live.bus_link import QueryResult
 from safedpa_services.workbench.live.store import LiveStore
 
-__all__ = ["ReplayLink"]
-
 _READ_ONLY = "this is a recording: nothing can be changed"
 
 

@@ -22,8 +22,6 @@ from safedpa.errors import InputError
 from safedpa.limits import parse_json
 from safedpa.safety.deadlock.detector import Stand, record_deadlock, what_to_do
 
-__all__ = ["LiveStore", "RobotHistory", "TimelineMark"]
-
 _MAX_STATES = 4000
 _MAX_ERRORS = 900
 """Findings that are kept; one a second, so a quarter of an hour."""

@@ -32,8 +32,6 @@ from safedpa_services.workbench.open_dialog.file_preview import RawRows, Recordi
 from safedpa_services.workbench.panels.elements import button, escaped, on_render, set_accessible_name, text
 from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
-__all__ = ["ColumnsTable", "OpenDialog"]
-
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
 _SHOWN_UPLOADS = 5

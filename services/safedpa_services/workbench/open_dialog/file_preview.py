@@ -15,8 +15,6 @@ from safedpa.records.readers.bags import kind_of, topic_log
 from safedpa.records.readers.parquet import open_parquet
 from safedpa.systems import System
 
-__all__ = ["RawRows", "RecordingCheck", "check_recording", "raw_rows"]
-
 _DELIMITERS = ",;\t"
 
 

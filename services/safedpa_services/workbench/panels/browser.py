@@ -6,8 +6,6 @@ from typing import Any
 
 from nicegui import ui
 
-__all__ = ["prefers_dark_mode", "run_script"]
-
 _SECONDS = 5.0
 
 

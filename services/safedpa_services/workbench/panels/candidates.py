@@ -11,8 +11,6 @@ from safedpa_services.workbench.panels.elements import button, escaped, panel, t
 from safedpa_services.workbench.session.candidate_cards import CandidateCard
 from safedpa_services.workbench.session.session import Session
 
-__all__ = ["CandidatesPanel"]
-
 _BADGES = {"accepted": "best", "suspected": "possible", "rejected": "unlikely"}
 
 _NOT_CONFIRMED = "Unseen data confirm none of these. You may add one all the same."

@@ -12,9 +12,6 @@ from nicegui.element import Element
 
 from safedpa.limits import readable
 
-__all__ = ["apply_page_style", "button", "escaped", "on_render", "panel", "set_accessible_name", "text"]
-
-
 _MAX_LENGTH = 20_000
 """Characters of a line."""
 _Element = TypeVar("_Element", bound=Element)

@@ -22,15 +22,6 @@ from safedpa_services.workbench.session.selection import (
 )
 from safedpa_services.workbench.session.session import Session
 
-__all__ = [
-    "ErrorMapPanel",
-    "map_figure",
-    "selection_from_map_box",
-    "selection_from_time_box",
-    "time_figure",
-    "window_near",
-]
-
 _EMIT_BOX = """(e) => { if (e && e.range) setTimeout(() => {
   document.querySelectorAll(".js-plotly-plot").forEach((plot) => {
     const kept = plot._fullLayout?._preGUI ?? {};

@@ -11,8 +11,6 @@ from safedpa_services.workbench.panels.elements import button, escaped, panel, t
 from safedpa_services.workbench.session.candidate_cards import parameter_lines
 from safedpa_services.workbench.session.session import Session
 
-__all__ = ["ErrorReductionPanel"]
-
 
 class ErrorReductionPanel:
     """Shows a bar for each version; a click on it shows that version in the other columns."""

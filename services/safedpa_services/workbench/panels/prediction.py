@@ -17,8 +17,6 @@ from safedpa_services.workbench.panels.elements import button, escaped, panel, s
 from safedpa_services.workbench.panels.theme import CONFIG, ColourTheme, axis, figure_layout
 from safedpa_services.workbench.session.session import Session
 
-__all__ = ["Excerpt", "PredictionPanel", "curves_figure", "excerpt_at_start", "path_figure"]
-
 
 class PredictionPanel:
     """Shows path and states from a chosen start, measured and predicted."""

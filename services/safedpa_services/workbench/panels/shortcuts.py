@@ -6,8 +6,6 @@ from nicegui import ui
 
 from safedpa_services.workbench.panels.elements import button
 
-__all__ = ["KEYS", "show_keys"]
-
 KEYS = {
     "Tab, Shift Tab": "move to the next, previous control, in the order of the columns",
     "a": "add the open candidate",

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["CONFIG", "DARK", "LIGHT", "MAP_COLOURS", "ColourTheme", "axis", "figure_layout"]
-
 
 @dataclass(frozen=True)
 class ColourTheme:

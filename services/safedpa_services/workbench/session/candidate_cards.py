@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from safedpa.diagnosis.report_schema import Candidate, FittedValue, Unexplained
 from safedpa.effects import effects_of
 
-__all__ = ["CandidateCard", "make_card", "parameter_lines", "unexplained_sentence", "verdict_sentence"]
-
 _CHANCE_SIGMAS = 2.0
 """Gain in standard errors up to which it may be chance."""
 _CLEAR_SIGMAS = 3.0

@@ -25,8 +25,6 @@ from safedpa_services.workbench.session.inputs import InputSelection, load_input
 from safedpa_services.workbench.session.session import Session
 from safedpa_services.workbench.session.worker import StoppedError, Worker
 
-__all__ = ["SessionController", "SessionEvent"]
-
 _log = logging.getLogger(__name__)
 
 SessionEvent = Literal["opening", "opened", "versions", "candidates", "busy", "saving", "error"]

@@ -22,19 +22,6 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa_services.model_deployment import calibrate_margin_file, drive_command, refusal_reason
 from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
-__all__ = [
-    "SESSION_FILE",
-    "STEPS",
-    "Decision",
-    "SavedSession",
-    "absolute",
-    "newest_session",
-    "read_session",
-    "save_model_files",
-    "session_folder_for",
-    "write_session",
-]
-
 STEPS = (
     (0.0, "Saving: fits the final numbers along resolved recordings"),
     (0.7, "Saving: writes model.toml"),

@@ -11,8 +11,6 @@ from safedpa.records import ColumnMap, load_column_map, load_run
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.run import Run
 
-__all__ = ["EditedColumnMap", "InputSelection", "load_inputs"]
-
 
 @dataclass(frozen=True)
 class EditedColumnMap:

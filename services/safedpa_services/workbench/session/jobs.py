@@ -14,8 +14,6 @@ from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, 
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
-__all__ = ["SearchResult", "SessionVersion", "add_candidate", "compare_for_page", "first_versions", "search"]
-
 ReportProgress = Callable[[float], None]
 """Called with the share that is done, from 0 to 1."""
 

@@ -17,21 +17,6 @@ from safedpa.comparison.rollout_error import scaled_error, trimmed_rms
 from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows
 
-__all__ = [
-    "ERROR",
-    "TIME",
-    "ErrorMap",
-    "Selection",
-    "SelectionSummary",
-    "default_axes",
-    "error_map",
-    "summarize_selection",
-    "variable_units",
-    "window_times",
-    "window_values",
-]
-
-
 _MIN_WINDOWS = 3
 """Fewest windows for which a cell shows an error: a trimmed mean of two is one of them."""
 _MAX_BINS = 12

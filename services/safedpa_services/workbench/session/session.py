@@ -30,8 +30,6 @@ from safedpa_services.workbench.session.selection import (
     summarize_selection,
 )
 
-__all__ = ["Session"]
-
 
 @dataclass
 class Session:

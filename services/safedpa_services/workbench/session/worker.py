@@ -14,8 +14,6 @@ from typing import Any
 from safedpa.disk import why_not_written
 from safedpa.errors import SafedpaError
 
-__all__ = ["StoppedError", "Worker"]
-
 Job = Callable[..., Any]
 """A module-level function whose last argument is a callback for the share that is done, from 0 to 1."""
 
