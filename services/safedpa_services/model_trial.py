@@ -33,8 +33,6 @@ from safedpa.errors import InputError
 from safedpa.limits import check_plain_model
 from safedpa_services.service_factories import PreparedService, adaptation, policy, safety_filter
 
-__all__ = ["LARGEST_SHARE", "run_model_trial"]
-
 LARGEST_SHARE = 0.25
 """Largest CPU time of a service's step with an offered model, as a fraction of the robot's period."""
 _TICKS = 12

@@ -9,8 +9,6 @@ import click
 
 from safedpa.limits import readable
 
-__all__ = ["print_plain"]
-
 _LONGEST_LINE = 4000
 
 

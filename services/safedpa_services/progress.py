@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["progress", "progress_with_notes"]
-
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int], None]]:

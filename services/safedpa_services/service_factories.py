@@ -25,17 +25,6 @@ if TYPE_CHECKING:
     from safedpa.perception.overrides import SensorOverrides
     from safedpa.runtime.stop_orders import StopOrders
 
-__all__ = [
-    "PreparedService",
-    "adaptation",
-    "add_filter_options",
-    "add_perception_options",
-    "add_policy_options",
-    "perception",
-    "policy",
-    "safety_filter",
-]
-
 
 def _nothing(_bus: Bus) -> None:
     return
@@ -55,7 +44,7 @@ def adaptation(options: argparse.Namespace) -> PreparedService:
     """Builds the adaptation. Raises InputError if the model cannot be loaded or does not fit."""
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
-    from safedpa.dynamics.model_setup import model_setup
+    from safedpa.dynamics.model_offer import model_setup
 
     model = load_model(options.model)
     node = AdaptationNode(model)
@@ -108,7 +97,7 @@ def add_policy_options(parser: argparse.ArgumentParser) -> None:
 def policy(options: argparse.Namespace) -> PreparedService:
     """Builds the policy. Raises InputError if the model or the controller cannot be loaded or does not fit."""
     from safedpa.dynamics import load_model
-    from safedpa.dynamics.model_setup import model_setup
+    from safedpa.dynamics.model_offer import model_setup
     from safedpa.policy import PolicyNode
 
     model = load_model(options.model)
@@ -132,7 +121,7 @@ def add_filter_options(parser: argparse.ArgumentParser) -> None:
 def safety_filter(options: argparse.Namespace) -> PreparedService:
     """Builds the safety filter. Raises InputError if model, settings or margin cannot be loaded or do not fit."""
     from safedpa.dynamics import load_model
-    from safedpa.dynamics.model_setup import model_setup
+    from safedpa.dynamics.model_offer import model_setup
     from safedpa.runtime.node import SafetyFilterNode
     from safedpa.runtime.stop_orders import StopOrders
     from safedpa.safety.defaults import margin_for, settings_named

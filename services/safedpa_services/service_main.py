@@ -16,14 +16,12 @@ from safedpa.bus.service.process import (
     log_lifetime,
     transport_settings_from_options,
 )
-from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
+from safedpa.bus.service.sandbox import JobHandle, JobProcess
 from safedpa.bus.service.scheduler import Scheduler
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.transport.memory import JointTransport
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.service_factories import PreparedService
-
-__all__ = ["serve", "service_parser"]
 
 _SWITCH_SECONDS = 0.0005
 """Thread switch interval. With Python's default of 5 ms, a step would delay the network thread, which stamps
@@ -85,7 +83,7 @@ def _run_model_trials_in_a_process(services: Sequence[PreparedService], options:
 
 def _submit_trial(
     trials: JobProcess, node: AbstractNode, options: argparse.Namespace, robot: str, offer: ModelMessage
-) -> AbstractJobHandle:
+) -> JobHandle:
     return trials.submit((node.name, options, robot, offer, node.newest(robot), node.agreed(robot)))
 
 

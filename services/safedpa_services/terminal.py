@@ -10,8 +10,6 @@ from rich.segment import Segment
 
 from safedpa.limits import printable
 
-__all__ = ["SanitizedRenderable", "terminal"]
-
 
 def terminal(**options: Any) -> Console:
     """Returns a console that prints text literally: without markup, and without control characters.

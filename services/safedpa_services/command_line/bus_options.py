@@ -13,7 +13,6 @@ from safedpa.errors import InputError, SafedpaError
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
 
-__all__ = ["bus_of", "listening_options", "request_answer", "who_option"]
 
 _ANSWER_SECONDS = 2.0
 

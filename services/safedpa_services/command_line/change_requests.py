@@ -17,7 +17,6 @@ from safedpa_services.plain_output import print_plain
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
 
-__all__ = ["ask_for_change", "bus_options"]
 
 _C = TypeVar("_C", bound=Callable[..., Any])
 

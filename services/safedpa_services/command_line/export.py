@@ -11,8 +11,6 @@ from safedpa.extras import need
 from safedpa_services.command_line.json_answer import answers_json, report_progress
 from safedpa_services.command_line.names import SuggestingChoice
 
-__all__ = ["command"]
-
 
 @click.command()
 @click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING.mcap|MODEL.toml|WEIGHTS.safetensors")

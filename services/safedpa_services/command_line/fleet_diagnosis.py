@@ -17,7 +17,6 @@ from safedpa_services.command_line.options import inputs_of
 if TYPE_CHECKING:
     from safedpa.fleet import DiscoveredRobots, Workers
 
-__all__ = ["fleet_options", "run_fleet_diagnosis", "wants_fleet"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Job = TypeVar("Job")

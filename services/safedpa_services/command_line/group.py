@@ -11,8 +11,6 @@ from safedpa.errors import InputError, MissingExtraError, SafedpaError, did_you_
 from safedpa.extras import extra_of
 from safedpa.limits import readable
 
-__all__ = ["COMMANDS", "safedpa"]
-
 COMMANDS = (
     "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
     "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",

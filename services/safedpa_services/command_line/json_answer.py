@@ -11,8 +11,6 @@ import click
 
 from safedpa_services.plain_output import print_plain
 
-__all__ = ["answers_json", "finish", "report_progress"]
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _KEY = "safedpa.facts"
 """Key in click's context under which a command with --json collects its facts."""

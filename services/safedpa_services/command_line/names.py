@@ -11,8 +11,6 @@ from click.shell_completion import CompletionItem
 
 from safedpa.errors import did_you_mean
 
-__all__ = ["SuggestingChoice", "complete_effects", "complete_models", "complete_robots"]
-
 
 class SuggestingChoice(click.Choice[Any]):
     """A choice that suggests the nearest value for an unknown one."""

@@ -13,21 +13,6 @@ if TYPE_CHECKING:
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
-__all__ = [
-    "GroupedCommand",
-    "as_json_option",
-    "columns_option",
-    "effects_option",
-    "folder_option",
-    "force_option",
-    "horizon_option",
-    "inputs_of",
-    "load_given_model",
-    "load_runs",
-    "run_options",
-    "runs_argument",
-    "value_text",
-]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

@@ -13,8 +13,6 @@ from safedpa.extras import needs
 from safedpa_services.command_line.names import SuggestingChoice
 from safedpa_services.command_line.options import as_json_option
 
-__all__ = ["command"]
-
 
 @click.group(name="ros")
 def command() -> None:

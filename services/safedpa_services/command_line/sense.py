@@ -11,8 +11,6 @@ import click
 from safedpa_services.command_line.bus_options import bus_of, listening_options, request_answer, who_option
 from safedpa_services.plain_output import print_plain
 
-__all__ = ["command"]
-
 
 @click.command()
 @click.argument("robot", metavar="ROBOT")

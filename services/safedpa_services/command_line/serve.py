@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
 
-__all__ = ["command"]
-
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from safedpa.bus.monitor import Alert, FleetOverview, RobotOverview, ServiceOverview
 
-__all__ = ["command", "document_of"]
 
 _REDRAW_SECONDS = 0.5
 _FEWEST_COLUMNS = 80

@@ -10,8 +10,6 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["render_status_table"]
-
 _COLOURS = {
     "well": "green",
     "attention": "yellow",

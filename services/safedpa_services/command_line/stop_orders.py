@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from safedpa.bus import Answer
     from safedpa.bus.monitor import FleetOverview, RobotOverview
 
-__all__ = ["give_order"]
 
 _LONGEST_BRAKING_SECONDS = 6.0
 _POLL_SECONDS = 0.1
@@ -32,7 +31,7 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     from safedpa.bus import Request
     from safedpa.bus.messages.requests import ORDER
     from safedpa.bus.monitor import FleetOverview
-    from safedpa.bus.service.service_loop import NO_ROBOT
+    from safedpa.bus.messages.topics import NO_ROBOT
 
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")

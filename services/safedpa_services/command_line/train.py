@@ -19,8 +19,6 @@ from safedpa_services.command_line.names import SuggestingChoice, complete_robot
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
 
-__all__ = ["command"]
-
 
 @click.command()
 @click.argument("robot", shell_complete=complete_robots)

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     Display = Callable[[RunMonitor, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
 
-__all__ = ["command", "default_options", "make_plan", "run_plan"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -318,7 +317,7 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
     """Raises InputError for the model or the settings of another robot, before any process starts."""
     from safedpa.runtime.scene import scene_of
     from safedpa.safety.defaults import settings_named
-    from safedpa.systems.driven import why_not_driven
+    from safedpa.systems.registry import why_not_driven
 
     refusal = why_not_driven(model.system, robot)
     if refusal:

@@ -9,12 +9,9 @@ from pathlib import Path
 from typing import final
 
 from safedpa.bus.security.access_control import ROUTER, check_names, roles_of
-from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates, PemCredentials, protect_process_memory
 from safedpa.errors import BusError, InputError
 from safedpa_services.supervisor.private_folder import private_folder
-
-__all__ = ["OPERATOR", "CertificateStore", "ephemeral_certificates"]
 
 OPERATOR = "operator"
 """Role of people who join the bus; no process of the loop needs its files."""
@@ -63,6 +60,8 @@ def ephemeral_certificates(fleet: str, robot: str) -> Iterator[CertificateStore]
     this process, which other processes of the user cannot read, and it passes each to its own process.
     Raises InputError for invalid names of fleet or robot.
     """
+    from safedpa.bus.security.certificate_authority import HOSTS, Authority  # imports cryptography, which is slow
+
     check_names(fleet, (robot,))
     protect_process_memory()
     with private_folder() as folder:

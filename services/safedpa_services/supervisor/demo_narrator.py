@@ -22,8 +22,6 @@ from safedpa.limits import parse_json
 from safedpa.live.named_candidate import named_candidate
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
-__all__ = ["WANTED_FALL", "DemoNarrator", "DemoSummary", "UnreportedStop"]
-
 WANTED_FALL: Final = 0.6
 """Smallest reduction of the error, as a fraction. A candidate that promises less on unseen data is not accepted
 automatically."""

@@ -15,8 +15,6 @@ from safedpa.limits import parse_json
 from safedpa.limits import readable as plain
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["LogWarnings", "readable"]
-
 _LOOK_SECONDS = 0.5
 _MOST_BYTES = 65536
 """Read per log and look; more than that is read later or, without a line end, skipped."""

@@ -13,8 +13,6 @@ from safedpa.errors import InputError
 from safedpa_services.supervisor.certificate_store import OPERATOR, CertificateStore
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["Plan"]
-
 _POLICY = "policy"
 """Role whose certificate the gateway uses to publish the nominal actions of the robot's own policy."""
 _TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"

@@ -20,8 +20,6 @@ from pathlib import Path
 
 from safedpa.errors import InputError
 
-__all__ = ["private_folder"]
-
 _PREFIX = "safedpa-run-"
 _LOCK = "held"
 """File in the folder that the run locks; an unlocked folder was left behind."""

@@ -17,7 +17,6 @@ from safedpa_services.supervisor.run_monitor import RunMonitor
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["answers", "screen"]
 
 _REDRAW_SECONDS = 0.25
 _PROBE_SECONDS = 0.05

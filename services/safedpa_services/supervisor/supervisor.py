@@ -10,8 +10,6 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
-__all__ = ["Supervisor"]
-
 _READY_SECONDS = 30.0
 """Time for the first heartbeat of a service that died and was restarted."""
 _STARTING_SECONDS = 120.0

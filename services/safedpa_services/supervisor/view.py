@@ -13,8 +13,6 @@ from safedpa.bus import StateMessage
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
-__all__ = ["render_view"]
-
 _SILENT_SECONDS = 1.0
 _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "violated": "bold red"}
 _COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
