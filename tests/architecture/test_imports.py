@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ROOT / "services" / "safedpa_services"
-SHARED_BY_SERVICES = {"model_deployment", "service_main", "service_factories", "web"}
+SHARED_BY_SERVICES = {"service_main", "service_factories", "web"}
 LAUNCHERS = {"command_line", "supervisor"}
 """What a person starts: these may know the services and the simulator."""
 HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}

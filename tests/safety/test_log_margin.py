@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.stats import binom
 
+from safedpa.api.deployment import drive_command
 from safedpa.calibration.from_drives import calibration_from_drives, covered_shares
 from safedpa.calibration.from_runs import LogMargin, calibration_from_runs, log_margin, log_margin_message
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
@@ -25,7 +26,6 @@ from safedpa.safety.margins.conformal import margins_over_drives
 from safedpa.safety.margins.error_clipping import ErrorClip, HSample
 from safedpa.safety.solver.sqp import DecisionError
 from safedpa_lab.experiments.driving.safety_pays import HIDDEN, incomplete_model, oracle_model
-from safedpa_services.model_deployment import drive_command
 
 CAR = incomplete_model()
 SETTINGS = settings_named("car")

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from safedpa.api import deployment as model_deployment
+from safedpa.api.deployment import drive_command, refusal_reason
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.dynamics.user_files import EFFECTS_VARIABLE
 from safedpa.systems.robots import robot_named
-from safedpa_services import model_deployment
-from safedpa_services.model_deployment import drive_command, refusal_reason
 
 
 def _at(name, period):

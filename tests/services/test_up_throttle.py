@@ -5,10 +5,10 @@ import shlex
 import pytest
 from tests.services.drives import drive, run
 
+from safedpa.api.deployment import drive_command
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_column_map, load_run
-from safedpa_services.model_deployment import drive_command
 from safedpa_services.workbench.session import jobs
 from safedpa_services.workbench.session.files import save_model_files
 

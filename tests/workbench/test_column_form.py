@@ -12,9 +12,7 @@ from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
-from safedpa.robots.car.system import CAR
-from safedpa.systems import systems
-from safedpa_services.workbench.open_dialog.column_form import (
+from safedpa.records.column_map.form import (
     DERIVED,
     QuantityForm,
     guess_columns,
@@ -22,7 +20,10 @@ from safedpa_services.workbench.open_dialog.column_form import (
     map_text,
     units_for,
 )
-from safedpa_services.workbench.open_dialog.file_preview import check_recording, raw_rows
+from safedpa.records.readers.preview import raw_rows
+from safedpa.robots.car.system import CAR
+from safedpa.systems import systems
+from safedpa_services.workbench.open_dialog.file_preview import check_recording
 from safedpa_services.workbench.session.inputs import EditedColumnMap
 
 NUMBERS = st.floats(-1e6, 1e6).filter(bool)

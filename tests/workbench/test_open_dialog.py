@@ -11,9 +11,9 @@ from nicegui.elements.upload_files import SmallFileUpload
 from tests.workbench.tab import Tab
 
 from safedpa.records import McapRecorder
+from safedpa.records.readers.preview import RowPreview
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.open_dialog.dialog import ColumnsTable, OpenDialog
-from safedpa_services.workbench.open_dialog.file_preview import RawRows
 from safedpa_services.workbench.session.inputs import InputSelection
 
 NATIVE, GUESSED, DART = "native names", "guessed from the names", "dart_car_columns"
@@ -83,11 +83,11 @@ def test_without_a_model_or_a_recording_no_columns_are_shown(model, named, tmp_p
 
 @pytest.mark.parametrize("name", ["/\x1b[2J\u202eodom:x", "/<script>alert(1)</script>:x", "/" + "a" * 5000])
 def test_a_topic_of_a_bag_is_offered_as_text_and_kept_as_it_is(name, plain, finished):
-    from safedpa_services.workbench.open_dialog.column_form import guess_columns
+    from safedpa.records.column_map.form import guess_columns
 
     async def story():
         with Tab() as tab:
-            ColumnsTable(lambda: None).show(guess_columns(plain.system, [name]), RawRows((name,), ()))
+            ColumnsTable(lambda: None).show(guess_columns(plain.system, [name]), RowPreview((name,), ()))
             return dict(tab.all(ui.select)[0].options)
 
     options = finished(story())

@@ -73,8 +73,8 @@ def _topics(log: AbstractLog) -> list[dict[str, object]]:
 
 
 def _of_table(log: Path, systems: Sequence[System]) -> str:
-    from safedpa_services.workbench.open_dialog.column_form import guess_columns, map_text
-    from safedpa_services.workbench.open_dialog.file_preview import raw_rows
+    from safedpa.records.column_map.form import guess_columns, map_text
+    from safedpa.records.readers.preview import raw_rows
 
     names = raw_rows(log, 1).names
     forms = [(system, guess_columns(system, names)) for system in systems]

@@ -58,8 +58,8 @@ def command(
     from safedpa.comparison.output import results_folder
     from safedpa.comparison.summary import as_json as document_of
     from safedpa.comparison.summary import worse_sentence
+    from safedpa.progress import progress
     from safedpa.report.comparison_page import write_comparison
-    from safedpa_services.progress import progress
 
     loaded = load_given_model(model, effects)
     earlier = None if before is None else load_given_model(before, None)

@@ -29,9 +29,9 @@ from safedpa_services.command_line.options import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from safedpa.api.deployment import CalibratedMargin
     from safedpa.diagnosis.report_schema import Report
     from safedpa.records.run import Run
-    from safedpa_services.model_deployment import CalibratedMargin
 
 __all__ = ["command", "story_lines"]
 
@@ -91,7 +91,7 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
 def _check(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
     """Reports which effects the runs could show."""
     from safedpa.diagnosis.identifiability.check import as_document, check_identifiability, check_lines
-    from safedpa_services.progress import progress
+    from safedpa.progress import progress
 
     if not runs:
         raise InputError("--check: got no runs; wanted recordings of a robot")
@@ -110,7 +110,7 @@ def _diagnose(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> Non
     from safedpa.comparison.output import results_folder
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report_schema import as_document
-    from safedpa_services.progress import progress, progress_with_notes
+    from safedpa.progress import progress, progress_with_notes
 
     loaded = load_given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
@@ -133,8 +133,8 @@ def _diagnose(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> Non
 
 def _margin(report: Report, runs: Sequence[Run], out: Path) -> CalibratedMargin:
     """Calibrates the filter's margin for the diagnosed model; none if the data allowed no verdict."""
+    from safedpa.api.deployment import CalibratedMargin, calibrate_margin_file
     from safedpa.comparison.excerpt import subsample_runs
-    from safedpa_services.model_deployment import CalibratedMargin, calibrate_margin_file
 
     path = out / "margin.toml"
     judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
@@ -146,7 +146,7 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> CalibratedMargin:
 
 def _margin_document(report: Report, out: Path, margin: CalibratedMargin, own: Path | None) -> dict[str, Any]:
     """Returns the margin's file and step [s] (None: no margin), a notice about it, and the command to drive with it."""
-    from safedpa_services.model_deployment import drive_command
+    from safedpa.api.deployment import drive_command
 
     document: dict[str, Any] = {"file": None, "period": None, "notice": margin.notice, "drive": None}
     if margin.path is not None:

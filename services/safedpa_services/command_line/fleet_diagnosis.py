@@ -12,7 +12,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa_services.command_line.names import SuggestingChoice
-from safedpa_services.command_line.options import inputs_of
+from safedpa_services.command_line.options import PATH, inputs_of
 
 if TYPE_CHECKING:
     from safedpa.fleet import DiscoveredRobots, Workers
@@ -54,7 +54,7 @@ def fleet_options(command: Command) -> Command:
         ),
         click.option(
             "--fleet",
-            type=click.Path(path_type=Path),
+            type=PATH,
             metavar="FOLDER",
             help="Diagnose every robot with recordings in FOLDER, such as FOLDER/ROBOT/*.csv, and compare the robots.",
         ),
@@ -75,7 +75,7 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     """
     from safedpa.comparison.output import results_folder
     from safedpa.fleet import Fleet, Options, diagnose_fleet
-    from safedpa_services.progress import progress
+    from safedpa.progress import progress
 
     given: Path | None = options["out"]
     effects: Path | None = options["effects"]

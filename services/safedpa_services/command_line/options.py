@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+PATH = click.Path(path_type=Path)
+"""A file or folder, given to the command as a ``pathlib.Path``."""
+
 runs_argument = click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 columns_option = click.option(
     "--columns", help="Column map (TOML), or the name of a shipped one, such as dart_car_columns."
@@ -24,9 +27,15 @@ effects_option = click.option(
     "--effects",
     "--robot-file",
     "effects",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE.py",
     help="Python file with your own effects, systems and robots.",
+)
+bus_certificates_option = click.option(
+    "--certificates", type=PATH, metavar="DIR", help="folder with the certificate of this command's role"
+)
+recordings_option = click.option(
+    "--out", type=PATH, default=Path("runs"), show_default=True, help="folder for recordings"
 )
 force_option = click.option("--force", is_flag=True, help="Allow overwriting an input file.")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
@@ -42,7 +51,7 @@ def folder_option(what: str) -> Callable[[Command], Command]:
     """Returns the option ``--out``: the folder for ``what``."""
     return click.option(
         "--out",
-        type=click.Path(path_type=Path),
+        type=PATH,
         default=None,
         metavar="DIR",
         help=f"Folder for {what}; default: a new one, named after model and time.",
@@ -73,8 +82,8 @@ def load_given_model(name: str, effects: Path | None) -> PhysicsModel:
 def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
     """Loads the recordings, with distinct names, and shows a progress bar."""
     from safedpa.comparison.comparison import with_distinct_names
+    from safedpa.progress import progress
     from safedpa.records import load_column_map, load_run
-    from safedpa_services.progress import progress
 
     mapping = load_column_map(columns) if columns else None
     found = []

@@ -55,7 +55,7 @@ def command(
     diagnosis per effect and size.
     """
     from safedpa.diagnosis.identifiability.rehearsal import rehearse_diagnosis
-    from safedpa_services.progress import progress
+    from safedpa.progress import progress
 
     if seed < 0 or not all(size > 0 for size in sizes):
         raise InputError(f"--size {sizes}, --seed {seed}: wanted sizes above 0, and a seed of 0 or more")

@@ -14,7 +14,7 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.command_line.names import SuggestingChoice, complete_models, complete_robots
-from safedpa_services.command_line.options import GroupedCommand
+from safedpa_services.command_line.options import PATH, GroupedCommand, as_json_option, recordings_option
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ GROUPS = {
 @click.option(
     "--robot", shell_complete=complete_robots, help=f"kind of robot; default: {DEFAULT_ROBOT}, or that of --robot-file"
 )
-@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option(
     "--robots", type=int, default=1, show_default=True, help="number of robots, each in a scene of its own: r1, r2 ..."
@@ -121,7 +121,7 @@ GROUPS = {
 @click.option(
     "--model", shell_complete=complete_models, help="model file, or the name of a shipped one; default: the robot's"
 )
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Python file with your own effects")
+@click.option("--effects", type=PATH, metavar="FILE.py", help="Python file with your own effects")
 @click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the model's shipped one, if any")
 @click.option(
@@ -135,10 +135,8 @@ GROUPS = {
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint at which other processes can join, such as tcp/0.0.0.0:7447")
 @click.option("--secure", is_flag=True, help="use mutual TLS through a router with access control")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="folder for recordings"
-)
-@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@recordings_option
+@as_json_option
 def command(**options: Any) -> None:
     """Drive a simulated robot with all services.
 
@@ -245,12 +243,12 @@ def _local_endpoint(listen: str) -> str:
 
 
 def _plan(options: dict[str, Any]) -> Plan:
+    from safedpa.api.deployment import RATES
     from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
     from safedpa.perception import load_perception
     from safedpa.safety.defaults import margin_for
     from safedpa.systems.robots import robot_named
-    from safedpa_services.model_deployment import RATES
     from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # raises InputError for names that cannot be part of a key

@@ -60,9 +60,9 @@ def latency(seconds: float, rate: float, *, as_json: bool) -> None:
 @needs("sim")
 def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **options: Any) -> None:
     """Many robots through one process of each service: late ticks, sense to act, processor time, memory."""
+    from safedpa.progress import progress
     from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
     from safedpa_lab.benchmarks.latency import bare_chain
-    from safedpa_services.progress import progress
 
     _check(seconds, options["rate"])
     if not 1 <= robots <= 1000:
@@ -111,11 +111,11 @@ def against(
     --only, quick rows of `bench all` in turn: the medians of those that both checkouts have.
     """
     from safedpa.errors import SafedpaError
+    from safedpa.progress import progress
     from safedpa_lab.benchmarks.against import against as compared
     from safedpa_lab.benchmarks.against import checkout_of
     from safedpa_lab.benchmarks.results import Effort
     from safedpa_lab.benchmarks.suite import chosen_rows
-    from safedpa_services.progress import progress
 
     ours, other = checkout_of(Path(__file__).parents[3]), checkout_of(folder)
     rows = chosen_rows(only, Effort(quick=True)) if only else []

@@ -24,8 +24,8 @@ class ExperimentCommand(click.Command):
         self.experiment = experiment
 
     def _run(self, as_json: bool, **options: Any) -> None:
+        from safedpa.progress import progress
         from safedpa_lab.experiments.report import output_folder, report_text, write_report
-        from safedpa_services.progress import progress
 
         experiment = self.experiment
         need(*experiment.extras)

@@ -29,8 +29,6 @@ from safedpa_lab.planted_faults.ast_changes import (
     unit_lost,
 )
 
-__all__ = ["CLASSES", "Fault", "FaultClass", "assigned", "faults_in", "places", "written"]
-
 Change = Callable[[ast.AST], Iterator[ast.AST]]
 
 
@@ -140,7 +138,7 @@ CLASSES: tuple[FaultClass, ...] = (
         (
             "services/safedpa_services/supervisor/*.py",
             "shared/safedpa/bus/service/*.py",
-            "services/safedpa_services/model_deployment.py",
+            "shared/safedpa/api/deployment.py",
         ),
         r"kill|terminat|hung|hang|silent|heartbeat|restart|stop|dead|wait|beat|end",
         (not_ended, guard_gone, longer),

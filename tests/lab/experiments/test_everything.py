@@ -135,7 +135,7 @@ def reported(*phrase: str) -> str:
 
 @pytest.mark.parametrize("name", ["point", "point-heat-map", "point-relinearised", "point-story", "pendulum"])
 def test_an_out_that_cannot_be_made_is_refused_before_anything_is_driven(name, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("safedpa_services.progress.progress", lambda *_: pytest.fail("work was begun"))
+    monkeypatch.setattr("safedpa.progress.progress", lambda *_: pytest.fail("work was begun"))
     monkeypatch.setattr(
         "safedpa_lab.experiments.point.heat_map.heat_map", lambda *_, **__: pytest.fail("work was begun")
     )

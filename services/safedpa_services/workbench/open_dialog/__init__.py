@@ -1,5 +1,5 @@
 """The dialog that chooses a model, recordings and a column map.
 
-``dialog`` builds it. ``column_form`` holds a column map as one editable line for each quantity; ``file_preview``
-reads the first rows of a recording and checks the whole of it.
+``dialog`` builds it, and shows a column map (``safedpa.records.column_map.form``) as one editable line for each
+quantity; ``file_preview`` checks the whole of a recording.
 """

@@ -18,9 +18,7 @@ from safedpa.limits import limit, readable
 from safedpa.records import ColumnMap, load_column_map
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import shipped_column_maps
-from safedpa.records.writers.tables import atomic_path
-from safedpa_services.web.upload_store import RECORDINGS, FileStore
-from safedpa_services.workbench.open_dialog.column_form import (
+from safedpa.records.column_map.form import (
     DERIVED,
     QuantityForm,
     guess_columns,
@@ -28,7 +26,10 @@ from safedpa_services.workbench.open_dialog.column_form import (
     map_text,
     units_for,
 )
-from safedpa_services.workbench.open_dialog.file_preview import RawRows, RecordingCheck, check_recording, raw_rows
+from safedpa.records.readers.preview import RowPreview, raw_rows
+from safedpa.records.writers.tables import atomic_path
+from safedpa_services.web.upload_store import RECORDINGS, FileStore
+from safedpa_services.workbench.open_dialog.file_preview import RecordingCheck, check_recording
 from safedpa_services.workbench.panels.elements import button, escaped, on_render, set_accessible_name, text
 from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
@@ -73,7 +74,7 @@ class OpenDialog:
     ) -> None:
         self._on_open, self._out, self._upload_store = on_open, out, upload_store
         self._choice = InputSelection()
-        self._raw = RawRows((), ())
+        self._raw = RowPreview((), ())
         self._uploads = out / "uploads"
         self._upload_messages: list[str] = []
         ui.add_head_html(_DROP_SCRIPT)
@@ -347,10 +348,10 @@ class ColumnsTable:
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
         self.lines: list[QuantityForm] = []
-        self._raw = RawRows((), ())
+        self._raw = RowPreview((), ())
         self._grid = ui.element("div").classes("map-grid")
 
-    def show(self, lines: list[QuantityForm], raw: RawRows) -> None:
+    def show(self, lines: list[QuantityForm], raw: RowPreview) -> None:
         """Redraws the table."""
         self.lines, self._raw = list(lines), raw
         self._grid.clear()

@@ -8,9 +8,9 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, Literal
 
+from safedpa.api.deployment import refusal_reason
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.model_deployment import refusal_reason
 from safedpa_services.workbench.session import jobs
 from safedpa_services.workbench.session.files import (
     STEPS,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from safedpa.api.deployment import calibrate_margin_file, drive_command, refusal_reason
 from safedpa.diagnosis.interactive import StepwiseModel, with_final
 from safedpa.disk import why_not_written
 from safedpa.dynamics import PhysicsModel, save_model
@@ -19,7 +20,6 @@ from safedpa.errors import InputError
 from safedpa.limits import parse_json, readable, text_of_file
 from safedpa.records.run import Run
 from safedpa.records.writers.tables import atomic_path
-from safedpa_services.model_deployment import calibrate_margin_file, drive_command, refusal_reason
 from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
 STEPS = (

@@ -253,8 +253,9 @@ def _uploaded(file: Path) -> int:
     """What the page does with an upload: looks whether it is a recording, reads its first rows, then checks it."""
     from safedpa.dynamics import load_model
     from safedpa.records import load_column_map
+    from safedpa.records.readers.preview import raw_rows
     from safedpa_services.web.upload_store import FileStore
-    from safedpa_services.workbench.open_dialog.file_preview import check_recording, raw_rows
+    from safedpa_services.workbench.open_dialog.file_preview import check_recording
 
     try:
         (path,) = FileStore([file.parent]).recordings([str(file)])

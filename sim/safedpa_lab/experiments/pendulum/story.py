@@ -9,19 +9,22 @@ shipped model runs again with the diagnosed one's margin, to show what the large
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode, HistoryEstimator, LatentEstimator
+from safedpa.arrays import FloatArray
 from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, load_model, parse_model, write_model
+from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
+from safedpa.progress import progress
 from safedpa.records.run import Run, Stretch
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import settings_named
@@ -32,24 +35,81 @@ from safedpa_lab.experiments.diagnosis.diagnosing import alongside_the_truth
 from safedpa_lab.experiments.diagnosis.real_logs_data import PENDULUM, mapped_runs, paths_of
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
-from safedpa_lab.pendulum.hidden import HIDDEN, PERIOD, oracle_model, swing_at_random, swings_all_around
-from safedpa_services.progress import progress
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.pendulum.task import BALANCING
 from safedpa_sim.robots import PendulumRobot, task_named, wind_towards
 from safedpa_sim.robots.pendulum.world import PendulumParameters, PendulumWorld
 
-__all__ = [
-    "PayloadCases",
-    "PendulumStory",
-    "diagnosed_payload",
-    "identified_pendulum",
-    "payload_cases",
-    "pendulum_story",
-    "run",
-    "story_markdown",
-    "write_figure",
-]
+PERIOD: Final = 0.01
+"""s"""
+_SWUNG_TORQUE: Final = 10.0
+"""N m; the motor's."""
+_SWUNG_HELD: Final = (5, 40)
+"""Periods for which a torque is held."""
+
+
+@dataclass(frozen=True)
+class HiddenPendulum:
+    """The robot's own numbers, and the effects of the library that say so."""
+
+    parameters: PendulumParameters
+    effects: Mapping[str, Mapping[str, float]]
+
+
+HIDDEN: Final = {
+    "payload": HiddenPendulum(PendulumParameters(payload=0.5), {"tip_mass": {"mass": 0.5}}),
+    "dry friction": HiddenPendulum(PendulumParameters(dry_friction=1.5), {"coulomb_friction": {"torque": 1.5}}),
+    "both": HiddenPendulum(
+        PendulumParameters(payload=0.5, dry_friction=1.5),
+        {"tip_mass": {"mass": 0.5}, "coulomb_friction": {"torque": 1.5}},
+    ),
+}
+"""By name: half a kilogram more on one, a hinge that rubs."""
+
+
+def oracle_model(hidden: HiddenPendulum) -> PhysicsModel:
+    """The shipped model, its wind free, with what is hidden added to it."""
+    model = load_model("pendulum")
+    for name, values in hidden.effects.items():
+        model = model.with_effect(effect("pendulum", name), {key: Setting(value) for key, value in values.items()})
+    return model
+
+
+def swings_all_around(
+    hidden: HiddenPendulum, wind: tuple[float, float], seed: int, count: int, seconds: float
+) -> list[Run]:
+    """Runs as an engineer makes them to see what a pendulum does: torques at random, each held for a while.
+
+    ``wind`` [m/s] along x and y blows through all of them.
+    """
+    rows, system = round(seconds / PERIOD), load_model("pendulum").system
+    runs = []
+    for number in range(count):
+        random = np.random.default_rng([seed, number, 6])
+        world = PendulumWorld(float(random.uniform(-np.pi, np.pi)), wind, hidden.parameters)
+        states, torques = swing_at_random(world, random, rows, _SWUNG_TORQUE, _SWUNG_HELD)
+        t = np.arange(rows, dtype=np.float64) * PERIOD
+        runs.append(Run(f"swing {number + 1}", system, t, states, torques, (Stretch(0, rows),)))
+    return runs
+
+
+def swing_at_random(
+    world: PendulumWorld, random: np.random.Generator, rows: int, largest: float, held: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """States (rows, 2) [rad, rad/s] and the torques (rows, 1) that follow them, uniform within +- ``largest`` [N m].
+
+    Each is held for a number of periods that lies within ``held``, its upper end not included.
+    """
+    states, torques = np.empty((rows, 2)), np.empty((rows, 1))
+    left, torque = 0, 0.0
+    for row in range(rows):
+        if left == 0:
+            left, torque = int(random.integers(*held)), float(random.uniform(-largest, largest))
+        left -= 1
+        states[row], torques[row] = (world.angle, world.rate), torque
+        world.advance(torque, PERIOD)
+    return states, torques
+
 
 _SETTINGS = "pendulum"
 _HORIZON = 0.3
@@ -145,7 +205,7 @@ def _prepared(
     ]
     given = {key: (model, _margin(model, calibrating, story.coverage)) for key, model in models.items()}
     same = given["diagnosed"][1]
-    given["shipped, margin of the diagnosed"] = (shipped, _belonging(same, given["shipped"][1]))
+    given["shipped, margin of the diagnosed"] = (shipped, replace(same, fingerprint=given["shipped"][1].fingerprint))
     return given, alongside_the_truth(found, hidden.effects)
 
 
@@ -167,10 +227,6 @@ def _margin(model: PhysicsModel, runs: Sequence[Run], coverage: float) -> Margin
     return calibration_from_runs(
         model, settings_named(_SETTINGS), runs, coverage, _DATE, estimator=lambda: estimator(model)
     )
-
-
-def _belonging(margin: MarginCalibration, to: MarginCalibration) -> MarginCalibration:
-    return replace(margin, fingerprint=to.fingerprint)
 
 
 def _episodes(hidden: str, given: tuple[PhysicsModel, MarginCalibration], story: PendulumStory) -> list[_Episode]:

@@ -17,6 +17,8 @@ from safedpa.records.run import Run
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import DEFAULT_ROBOT, own_robots, robot_like, robot_named
 
+__all__ = ["RATES", "CalibratedMargin", "calibrate_margin_file", "drive_command", "refusal_reason"]
+
 RATES = (1.0, 500.0)
 """Minimum and maximum rate of ``safedpa up`` in ticks per second."""
 

@@ -11,6 +11,8 @@ from safedpa.records.column_map.propose import propose_sources
 from safedpa.records.column_map.units import UNITS
 from safedpa.systems import System
 
+__all__ = ["DERIVED", "QuantityForm", "guess_columns", "lines_of", "map_text", "units_for"]
+
 DERIVED = "(slope of another column)"
 """Source of a state that has no column: the derivative of another column."""
 

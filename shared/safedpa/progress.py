@@ -1,21 +1,27 @@
-"""Progress bars on standard error; nothing is shown unless it is a terminal."""
+"""Progress bars in a terminal, on standard error, and in a notebook; elsewhere nothing is shown."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["progress", "progress_with_notes"]
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int], None]]:
     """Yields ``report_progress(done, total)``, which updates a bar with the remaining time."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    console = _console()
+    if console is None:
         yield lambda _done, _all: None
         return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title)
@@ -32,13 +38,12 @@ def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]
 
     The bar shows the elapsed instead of the remaining time. A changed ``notice`` is printed above the bar.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    console = _console()
+    if console is None:
         yield lambda _done, _all, _message: None
         return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task, last = bar.add_task(title), ""
@@ -51,3 +56,13 @@ def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]
             bar.update(task, completed=done, total=everything)
 
         yield report_progress
+
+
+def _console() -> Console | None:
+    """Returns the console that shows a bar, or None where nobody would see one."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_jupyter:  # Rich draws there with ipywidgets, and warns without it
+        return console if importlib.util.find_spec("ipywidgets") else None
+    return console if console.is_terminal else None
