@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from math import isfinite
 from typing import Any, final
 
 import gymnasium
@@ -13,6 +14,7 @@ from gymnasium.vector.utils import iterate
 
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.environment_chain import environment_spaces
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Verdict
@@ -28,19 +30,31 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
 
     ``state_of(observation)`` returns the state (states,) of model and barriers (default: the observation itself),
     ``barriers_of(observation)`` this step's barriers (default: the filter's own), and ``latent_of`` the latent.
-    ``info["verdict"]`` is the Verdict. Around a vector environment it becomes a ``GymnasiumVectorSafetyFilter``.
+    ``info["verdict"]`` is the Verdict, and ``info["applied_action"]`` (actions,) what the environment got: a learner
+    that stores its own action has the nominal one. ``penalty`` lowers the reward by
+
+        penalty * sum_j ((applied_j - nominal_j) / (action_high_j - action_low_j))^2.
+
+    Around a vector environment it becomes a ``GymnasiumVectorSafetyFilter``, around one of stable-baselines3 a
+    ``VecSafetyFilter`` (``safedpa.safety.stable_baselines3``).
 
     Raises InputError unless the action space is a Box of floats (32 or 64 bits) with one axis, as many entries as the
     filter's actions, and the settings' bounds within its own: otherwise the environment would change the filter's
     action. A wider Box is accepted: an action beyond the settings' bounds is clipped to them, and the verdict says so.
-    An observation that is itself the state must be a Box with one axis.
+    An observation that is itself the state must be a Box with one axis. A wrapper below the filter that changes actions
+    or observations (``RescaleAction``, ``StickyAction``, ``DelayObservation``) is refused too: place it above the
+    filter, or name its class in ``accounted_for`` if the model and ``state_of`` account for it.
     """
 
     def __new__(cls, env: Any = None, *given: Any, **named: Any) -> Any:
         """The wrapper that fits the environment, one or many; a copy is made without an environment."""
-        # gymnasium's wrappers differ by class, so the one name chooses the right one.
+        # The wrappers of each library differ by class, so the one name chooses the right one.
         if isinstance(env, VectorEnv):
             return GymnasiumVectorSafetyFilter(env, *given, **named)
+        if any(base.__module__ == "stable_baselines3.common.vec_env.base_vec_env" for base in type(env).__mro__):
+            from safedpa.safety.stable_baselines3 import VecSafetyFilter
+
+            return VecSafetyFilter(env, *given, **named)
         return super().__new__(cls)
 
     def __init__(
@@ -50,11 +64,14 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
         state_of: Callable[[Any], Any] | None = None,
         barriers_of: Callable[[Any], Sequence[AbstractBarrier]] | None = None,
         latent_of: Callable[[Any], Any] | None = None,
+        *,
+        penalty: float = 0.0,
+        accounted_for: Sequence[type] = (),
     ) -> None:
         super().__init__(env)
         self.safety_filter = safety_filter
-        self._action_filter = _ActionFilter(
-            safety_filter, (state_of, barriers_of, latent_of), env.action_space, env.observation_space
+        self._action_filter = ActionFilter(
+            env, safety_filter, (state_of, barriers_of, latent_of), penalty, accounted_for
         )
         self._observation: Any = None
 
@@ -66,16 +83,17 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Filters ``action`` at the last observation, then steps the environment with the verdict's action."""
-        verdict = self._action_filter.verdict(self._observation, action)
-        taken = self._action_filter.action(verdict)
-        observation, reward, terminated, truncated, info = self.env.step(taken)
+        verdict, applied = self._action_filter(self._observation, action)
+        observation, reward, terminated, truncated, info = self.env.step(applied)
         self._observation = deepcopy(observation)
-        return observation, reward, bool(terminated), bool(truncated), {**info, "verdict": verdict}
+        reported = {"verdict": verdict, "applied_action": applied}
+        reward = reward - self._action_filter.penalty(verdict)
+        return observation, reward, bool(terminated), bool(truncated), {**info, **reported}
 
 
 @final
 class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as above
-    """The filter around a vector environment: ``infos["verdict"]`` has one verdict for each environment.
+    """The filter around a vector environment: ``infos`` has one verdict and one applied action for each environment.
 
     One filter decides for one environment after the other; the functions get one environment's observation. An
     environment that resets itself in the next step, as gymnasium's do, ignores that step's action, and its verdict has
@@ -89,11 +107,14 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
         state_of: Callable[[Any], Any] | None = None,
         barriers_of: Callable[[Any], Sequence[AbstractBarrier]] | None = None,
         latent_of: Callable[[Any], Any] | None = None,
+        *,
+        penalty: float = 0.0,
+        accounted_for: Sequence[type] = (),
     ) -> None:
         super().__init__(env)
         self.safety_filter = safety_filter
-        self._action_filter = _ActionFilter(
-            safety_filter, (state_of, barriers_of, latent_of), env.single_action_space, env.single_observation_space
+        self._action_filter = ActionFilter(
+            env, safety_filter, (state_of, barriers_of, latent_of), penalty, accounted_for
         )
         self._observations: Any = None
 
@@ -119,44 +140,68 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
         # Before the first reset there is no observation; the filter then falls back to its backup action.
         seen = [None] * count if self._observations is None else iterate(self.observation_space, self._observations)
         verdicts = np.empty(count, dtype=object)
+        taken = []
         for index, (observation, action) in enumerate(zip(seen, actions, strict=True)):
-            verdicts[index] = self._action_filter.verdict(observation, action)
-        taken = np.stack([self._action_filter.action(verdict) for verdict in verdicts])
-        observations, rewards, terminated, truncated, infos = self.env.step(taken)
+            verdicts[index], applied = self._action_filter(observation, action)
+            taken.append(applied)
+        observations, rewards, terminated, truncated, infos = self.env.step(np.stack(taken))
         self._observations = deepcopy(observations)
-        reported = {"verdict": verdicts, "_verdict": np.ones(count, dtype=np.bool_)}
+        rewards = rewards - np.array([self._action_filter.penalty(verdict) for verdict in verdicts])
+        every = np.ones(count, dtype=np.bool_)
+        reported = {"verdict": verdicts, "_verdict": every, "applied_action": np.stack(taken), "_applied_action": every}
         return observations, rewards, terminated, truncated, {**infos, **reported}
 
 
 @final
-class _ActionFilter:
-    """Turns an observation and a nominal action into the action for the environment."""
+class ActionFilter:
+    """Turns an observation and a nominal action into a verdict and the action for the environment.
+
+    ``read`` has ``state_of``, ``barriers_of`` and ``latent_of``. Raises InputError as ``GymnasiumSafetyFilter`` does.
+    """
 
     def __init__(
-        self, safety_filter: SafetyFilter, read: tuple[_Reader, _Reader, _Reader], actions: Any, observations: Any
+        self,
+        env: Any,
+        safety_filter: SafetyFilter,
+        read: tuple[_Reader, _Reader, _Reader],
+        penalty: float,
+        accounted_for: Sequence[type],
     ) -> None:
         if not isinstance(safety_filter, SafetyFilter):
             raise InputError(f"safety_filter: got {type(safety_filter).__name__}, wanted a SafetyFilter")
+        if not (penalty >= 0.0 and isfinite(penalty)):
+            raise InputError(f"penalty: got {penalty!r}, wanted a finite number >= 0")
         settings = safety_filter.settings
-        _check_actions(actions, settings)
         self._filter, (self._state_of, self._barriers_of, self._latent_of) = safety_filter, read
+        spaces = environment_spaces(env, self._state_of is not None, accounted_for)
+        for space in spaces:
+            _check_actions(space, settings)
         if self._state_of is None:
-            _check_observations(observations, safety_filter)
-        self._type, self._low, self._high = actions.dtype, settings.low, settings.high
+            _check_observations(getattr(env, "single_observation_space", env.observation_space), safety_filter)
+        self._type, self._low, self._high, self._penalty = spaces[0].dtype, settings.low, settings.high, penalty
 
-    def verdict(self, observation: Any, action: Any) -> Verdict:
-        """The filter's verdict for the state, latent and barriers of an observation."""
-        return self._filter.decide(
+    def __call__(self, observation: Any, action: Any) -> tuple[Verdict, Any]:
+        """The verdict at ``observation``, and its action (actions,) in the precision of the environment."""
+        verdict = self._filter.decide(
             observation if self._state_of is None else self._state_of(observation),
             action,
             None if self._latent_of is None else self._latent_of(observation),
             barriers=None if self._barriers_of is None else self._barriers_of(observation),
         )
+        return verdict, self._rounded(verdict.action)
 
-    def action(self, verdict: Verdict) -> Any:
-        """The verdict's action (actions,) in the environment's precision, rounded towards the inside of the bounds."""
+    def penalty(self, verdict: Verdict) -> float:
+        """By how much the reward falls; an action of NaN or text counts as one range away in each entry."""
+        if self._penalty == 0.0:
+            return 0.0
+        if verdict.nominal is None:
+            return self._penalty * len(self._low)
+        share = (verdict.action - verdict.nominal) / (self._high - self._low)
+        return self._penalty * float(share @ share)
+
+    def _rounded(self, action: Any) -> Any:
         # Rounding to 32 bits may lead beyond a bound: one float back, or the environment would clip the action.
-        taken = verdict.action.astype(self._type)
+        taken = action.astype(self._type)
         taken = np.where(taken > self._high, np.nextafter(taken, self._type.type(-np.inf)), taken)
         return np.where(taken < self._low, np.nextafter(taken, self._type.type(np.inf)), taken)
 

@@ -82,6 +82,16 @@ class Verdict:
         object.__setattr__(verdict, "__dict__", fields)
         return verdict
 
+    def __eq__(self, other: object) -> bool:
+        """Whether two verdicts are the same but for the duration: repeated runs then give equal ``info``."""
+        if not isinstance(other, Verdict):
+            return NotImplemented
+        return {**self.as_dict(), "microseconds": 0.0} == {**other.as_dict(), "microseconds": 0.0}
+
+    def __hash__(self) -> int:
+        """Of status, reason and action."""
+        return hash((self.status, self.reason, self.action.tobytes()))
+
     @property
     def sentence(self) -> str:
         """Status and reason as text."""
