@@ -24,7 +24,7 @@ from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed
 from safedpa_lab.hidden import Case, cases_of, write_case
-from safedpa_lab.hidden.excitation import car_commands
+from safedpa_lab.hidden.lanes import car_commands
 from safedpa_services.command_line.group import safedpa
 
 WHEELBASE, GAIN, LIMIT = 0.32, 3.0, 6.0

@@ -15,8 +15,14 @@ from safedpa.records.readers.mcap import read_messages
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
-from safedpa_lab.experiments.diagnosis.live import LiveExperiment, live_experiment
-from safedpa_lab.experiments.diagnosis.live_drive import CASES, drive_live, live_scene, record_drive
+from safedpa_lab.experiments.diagnosis.live import (
+    CASES,
+    LiveExperiment,
+    drive_live,
+    live_experiment,
+    live_scene,
+    record_drive,
+)
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from safedpa.bus import MODEL, STATE, ModelMessage, ReceivedMessage
-from safedpa_lab.experiments.diagnosis import live, live_drive
-from safedpa_lab.experiments.diagnosis.live_drive import LiveDrive, drive_live
+from safedpa_lab.experiments.diagnosis import live
+from safedpa_lab.experiments.diagnosis.live import LiveDrive, drive_live
 
 
 @pytest.mark.parametrize("quiet", [True, False])
@@ -77,9 +77,9 @@ def scripted(monkeypatch, state_of):
                 hear(ReceivedMessage(STATE, "r1", state, b"", "", 0.0))
                 yield SimpleNamespace(verdict=SimpleNamespace(h_now=1.0 - 0.001 * tick), state=state)
 
-        monkeypatch.setattr(live_drive, "CarRobot", lambda *_, **__: robot)
-        monkeypatch.setattr(live_drive, "DiagnosisNode", lambda *_: node)
-        monkeypatch.setattr(live_drive, "drive", drive)
+        monkeypatch.setattr(live, "CarRobot", lambda *_, **__: robot)
+        monkeypatch.setattr(live, "DiagnosisNode", lambda *_: node)
+        monkeypatch.setattr(live, "drive", drive)
         return drive_live("nothing", 1, seconds, **options), node.asked
 
     return run

@@ -8,8 +8,7 @@ from subprocess import run
 
 import pytest
 
-from safedpa_lab.experiments.ros.experiment import page_of
-from safedpa_lab.experiments.ros.faults import FAULTS
+from safedpa_lab.experiments.ros.experiment import FAULTS, page_of
 from safedpa_lab.ros import car
 from safedpa_services.command_line.group import safedpa
 

@@ -14,8 +14,7 @@ from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
 from safedpa.robots.car.barriers.obstacles import braking_of, car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.theory.bound import ErrorConstants, barrier_error_bound, scaled_gradient
-from safedpa_lab.theory.lipschitz import largest_slope, lipschitz_bound
-from safedpa_lab.theory.measure import affine_parts, error_constants
+from safedpa_lab.theory.measure import affine_parts, error_constants, largest_slope, lipschitz_bound
 
 Values = NDArray[np.float64]
 seeds = some.integers(0, 2**32 - 1)

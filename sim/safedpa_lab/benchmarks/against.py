@@ -22,8 +22,6 @@ from typing import Any, Final
 from safedpa.errors import InputError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
 
-__all__ = ["FIGURES", "against", "benched", "checkout_of", "driven", "interval_of_median"]
-
 FIGURES: Final = {
     "sense to act, p50": "us",
     "sense to act, p99": "us",
@@ -115,7 +113,7 @@ def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
         drive = ["up", "--headless", "--json", "--load", "box", "--seconds", repr(seconds), "--out", out]
         began = time.time()
         summary = json.loads(_message_by(folder, drive, Path(out), compiled, seconds + _LONGEST_SECONDS))
-        first = _first_action(Path(summary["recording"])) - began
+        first = first_action(Path(summary["recording"])) - began
     latency = summary["latency_us"]
     return dict(zip(FIGURES, (latency["p50"], latency["p99"], first), strict=True))
 
@@ -168,7 +166,7 @@ def _message_by(folder: Path, arguments: Sequence[str], where: Path, compiled: P
     return done.stdout
 
 
-def _first_action(recording: Path) -> float:
+def first_action(recording: Path) -> float:
     """s of the wall clock; when the first action was published, whatever else a message of that version holds."""
     import msgpack
     from mcap.reader import make_reader

@@ -18,8 +18,6 @@ from safedpa_lab.benchmarks.hostile.offers import account_of_offers
 from safedpa_lab.benchmarks.usage import Usage, load_average, usage_of
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["LATE_SHARE", "FleetTrial", "fleet_benchmark", "largest_fleet"]
-
 LATE_SHARE = 0.001
 """Of all robot-ticks that may be late in a fleet that holds."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -19,9 +17,8 @@ import numpy as np
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
+from safedpa_lab.benchmarks.usage import output_of
 from safedpa_services.supervisor.child import Child
-
-__all__ = ["bare_chain", "bare_times", "latency_benchmark", "real_loop"]
 
 _HOPS = ("state", "latent", "nominal", "action")
 _PAYLOAD = bytes(600)
@@ -53,13 +50,8 @@ def real_loop(seconds: float, rate: float, *, watched: bool = False) -> dict[str
     The recorder and the diagnosis run next to it; where it is ``watched``, the dashboard and the workbench do too.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "safedpa_services", "up", "--json", "--out", folder]
-        command += [] if watched else ["--headless"]
-        command += ["--seconds", repr(seconds), "--rate", repr(rate), "--load", "box"]
-        finished = subprocess.run(command, capture_output=True, text=True, check=False)
-        if finished.returncode != 0:
-            raise SafedpaError(f"safedpa up: {finished.stderr.strip()}")
-        summary = json.loads(finished.stdout)
+        options = ["--seconds", repr(seconds), "--rate", repr(rate), "--load", "box", "--out", folder]
+        summary = json.loads(output_of("up", "--json", *([] if watched else ["--headless"]), *options))
         if watched:
             _check_watched(summary)
         return {**summary["latency_us"], "watchdog_ticks": summary["watchdog_ticks"]}

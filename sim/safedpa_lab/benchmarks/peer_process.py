@@ -11,8 +11,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ask_peer", "interpreter_with"]
-
 _ROOT = Path(__file__).resolve().parents[1]
 _BEGIN = """
 import sys, types

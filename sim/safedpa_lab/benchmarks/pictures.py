@@ -7,8 +7,6 @@ from typing import Any, Final
 
 from safedpa.extras import need
 
-__all__ = ["write_pictures"]
-
 _OURS, _THEIRS, _GRID = "#0072B2", "#7A8590", "#DCE1E6"
 _COLOURS: Final = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#CC79A7", "#7A8590", "#222222")
 """Okabe and Ito's, as in the other figures."""

@@ -16,10 +16,7 @@ from typing import Any
 import safedpa
 from safedpa.compiled import compiled_modules
 from safedpa.dynamics import load_model
-from safedpa_lab.benchmarks.filter_decisions import decisions
-from safedpa_lab.benchmarks.filter_problem import problem_with
-
-__all__ = ["of_source", "without"]
+from safedpa_lab.benchmarks.filter_problem import decisions, problem_with
 
 _MODULE = "safedpa_lab.benchmarks.python_source"
 _PATIENCE_SECONDS = 60.0

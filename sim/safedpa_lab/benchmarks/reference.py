@@ -18,8 +18,6 @@ from pathlib import Path
 
 from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 
-__all__ = ["held_up_seconds", "work"]
-
 _PERIOD_SECONDS = 0.005
 _LATE_SECONDS = 0.002
 _CACHED = 100_000

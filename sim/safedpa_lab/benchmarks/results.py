@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, final
 
-__all__ = ["Curve", "Effort", "Entry", "Floor", "Row", "Target", "microseconds", "missing"]
-
 
 @final
 @dataclass(frozen=True)
@@ -140,6 +138,12 @@ def microseconds(name: str, times: Mapping[str, Any], problem: str = "", note: s
         note=note,
         more={"calls": times["calls"], **more},
     )
+
+
+def steps(name: str, found: Mapping[str, float], note: str = "", problem: str = "") -> Entry:
+    """An entry of what ``timing.rate`` found."""
+    figures = {name: found[name] for name in ("per_second", "best_per_second")}
+    return Entry(name, figures, "steps/s", {"per_second": found["per_processor_second"]}, problem, note)
 
 
 def missing(name: str, why: str, problem: str = "", note: str = "") -> Entry:

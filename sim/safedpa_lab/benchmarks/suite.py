@@ -20,8 +20,6 @@ from safedpa_lab.benchmarks.rows import ROWS, measured
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_lab.provenance.record import KEY, provenance
 
-__all__ = ["chosen_rows", "machine", "read_document", "run_rows"]
-
 _FORMAT: Final = 1
 _VERSIONS: Final = ("safedpa", "numpy", "torch", "piqp", "eclipse-zenoh", "pymunk", "mujoco-core", "gymnasium")
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Final
 
-__all__ = ["figure_text", "markdown", "row_lines", "target_texts"]
-
 _SHOWN: Final = {"p50": "p50", "p99": "p99", "p999": "p99.9"}
 _UNITS: Final = {
     "right": "",
@@ -35,16 +33,11 @@ def row_lines(row: Document) -> tuple[list[str], list[Line]]:
         if entry["missing"]:
             lines.append((entry["name"], entry["problem"], *["-"] * len(names), "-", "-"))
             continue
-        values = [figure_text(entry["figures"].get(name), _unit(name, entry["unit"])) for name in names]
+        values = [figure_text(entry["figures"].get(name), _UNITS.get(name, entry["unit"])) for name in names]
         used = figure_text(entry["processor"].get(row["figure"]), entry["unit"])
         ratio = entry.get("ratio")
         lines.append((entry["name"], entry["problem"], *values, used, "" if ratio is None else f"{ratio:.2f}"))
     return _filled([*columns, "times ahead"], lines)
-
-
-def _unit(figure: str, unit: str) -> str:
-    """Some figures stand next to those that the entry's unit belongs to."""
-    return _UNITS.get(figure, unit)
 
 
 def _filled(columns: list[str], lines: list[Line]) -> tuple[list[str], list[Line]]:

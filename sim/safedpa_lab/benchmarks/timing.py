@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["PERCENTILES", "in_turn", "percentiles", "rate", "timed"]
-
 PERCENTILES = {"p10": 10.0, "p50": 50.0, "p99": 99.0, "p999": 99.9}
 _FEWEST = 20
 """Calls, however long one takes."""
@@ -76,20 +74,28 @@ def in_turn(
     }
 
 
-def rate(call: Callable[[], Any], units: float, seconds: float, least: int = 3) -> dict[str, float]:
-    """Units a second when one call does ``units`` of them: the best and the median call, by the clock and processor."""
-    call()
+def rate(call: Callable[[], Any], units: float, seconds: float, least: int = 3, times: int = 1) -> dict[str, float]:
+    """Units a second when one call does ``units`` of them: the best and the median turn, by the clock and processor.
+
+    A turn is ``times`` calls.
+    """
+
+    def turn() -> None:
+        for _ in range(times):
+            call()
+
+    turn()
     wall: list[float] = []
     processor: list[float] = []
     deadline = time.perf_counter() + seconds
     while len(wall) < least or time.perf_counter() < deadline:
         used, began = time.process_time(), time.perf_counter()
-        call()
+        turn()
         wall.append(time.perf_counter() - began)
         processor.append(time.process_time() - used)
     middle = sorted(wall)[len(wall) // 2], sorted(processor)[len(processor) // 2]
     return {
-        "per_second": units / middle[0],
-        "best_per_second": units / min(wall),
-        "per_processor_second": units / max(middle[1], 1e-9),
+        "per_second": times * units / middle[0],
+        "best_per_second": times * units / min(wall),
+        "per_processor_second": times * units / max(middle[1], 1e-9),
     }

@@ -1,13 +1,19 @@
-"""What a process has used so far, as the kernel counts it: robust where the machine is busy with other things."""
+"""What a process has used so far, as the kernel counts it, and what a command of this project writes.
+
+The kernel's account is robust where the machine is busy with other things.
+"""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-__all__ = ["Usage", "load_average", "usage_of"]
+from safedpa.errors import SafedpaError
 
 
 @final
@@ -42,6 +48,16 @@ def _of_threads(pid: int) -> float:
         except (OSError, IndexError):  # it ended meanwhile, or this kernel does not count it
             continue
     return 1e-9 * total
+
+
+def output_of(*arguments: str, environment: Mapping[str, str] | None = None) -> str:
+    """What ``safedpa`` writes, as a process of its own. Raises SafedpaError with its message where it fails."""
+    command = [sys.executable, "-m", "safedpa_services", *arguments]
+    surroundings = {**os.environ, **(environment or {})}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=surroundings)
+    if done.returncode != 0:
+        raise SafedpaError(f"safedpa {arguments[0]}: {done.stderr.strip()}")
+    return done.stdout
 
 
 def load_average() -> float | None:

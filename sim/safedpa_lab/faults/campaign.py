@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import random
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
+from safedpa_lab.faults.episode import (
+    Campaign,
+    Episode,
+    Evidence,
+    Outcome,
+    Recorded,
+    collisions_in,
+    joined,
+    read_recorded,
+    recovery_of,
+    stale_in,
+)
 from safedpa_lab.faults.fault import Fault
-from safedpa_lab.faults.outcome import Campaign, Outcome, joined
-from safedpa_lab.faults.recorded import Recorded, read_recorded
 from safedpa_lab.faults.world import DISK_BYTES, ROBOT, World, WorldSettings
 from safedpa_sim.robots.trace import TracedPeriod, read_trace
-
-__all__ = ["DEFAULT_SEED", "run_faults"]
 
 DEFAULT_SEED = 9
 """A scene in which the car is seldom slower than a fault wants it for more than a few seconds."""
@@ -72,18 +78,22 @@ def run_faults(
     """
     end = time.monotonic() + seconds
     parts: list[Campaign] = []
-    waiting = [_hastened(fault) for fault in faults] if is_hasty else list(faults)
+    waiting = (
+        [replace(fault, seconds=min(fault.seconds, _HASTE_SECONDS)) for fault in faults] if is_hasty else list(faults)
+    )
     with tempfile.TemporaryDirectory(prefix="safedpa-faults-") as own:
         while waiting and (not parts or time.monotonic() < end):
             done = len(faults) - len(waiting)
             settings = WorldSettings(
-                seed=seed + len(parts), diagnosis=waiting[0].diagnosis, disk_bytes=_disk_bytes(len(waiting))
+                seed=seed + len(parts),
+                diagnosis=waiting[0].diagnosis,
+                disk_bytes=DISK_BYTES * max(1, -(-len(waiting) // _FAULTS_OF_A_DISK)),
             )
             world = World((folder or Path(own)) / f"world-{len(parts)}", settings)
             lived: list[_Lived] = []
             with world, alongside(world):
-                for fault in _of_one_world(waiting):
-                    if lived and time.monotonic() >= end:
+                for fault in waiting:
+                    if fault.diagnosis != settings.diagnosis or (lived and time.monotonic() >= end):
                         break
                     report_progress(fault.name, done + len(lived), len(faults))
                     lived.append(_run(fault, world, is_hasty=is_hasty))
@@ -92,19 +102,6 @@ def run_faults(
             waiting = waiting[len(lived) :]
             parts.append(_judged(world, lived))
     return joined(parts)
-
-
-def _disk_bytes(faults: int) -> int:
-    """Of the recorder's disk; a hundred faults are about a quarter of an hour of messages."""
-    return DISK_BYTES * max(1, -(-faults // _FAULTS_OF_A_DISK))
-
-
-def _hastened(fault: Fault) -> Fault:
-    return replace(fault, seconds=min(fault.seconds, _HASTE_SECONDS))
-
-
-def _of_one_world(faults: Sequence[Fault]) -> Iterator[Fault]:
-    return itertools.takewhile(lambda fault: fault.diagnosis == faults[0].diagnosis, faults)
 
 
 def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:

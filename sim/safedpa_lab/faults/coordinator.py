@@ -36,8 +36,6 @@ from safedpa.live.versions import ModelVersion, OfferedEffect, VersionFolder
 from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import margin_text
 
-__all__ = ["EFFECT", "FINDING"]
-
 EFFECT = "steering_offset"
 FINDING = 1
 _ADDED = f'\n[[effects]]\nname = "{EFFECT}"\nangle = 0.01\n'

@@ -14,8 +14,6 @@ from typing import final
 from safedpa_lab.benchmarks.usage import usage_of
 from safedpa_lab.faults.world import World
 
-__all__ = ["Resources", "Retained", "Sample", "retained_by"]
-
 _EVERY_SECONDS = 5.0
 _WARM_SECONDS = 30.0
 """Of a process's life, in which it imports, joins and fills its windows."""

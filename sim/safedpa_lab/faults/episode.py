@@ -1,16 +1,44 @@
-"""From the robot's own trace and what was heard on the bus: what a fault did, in numbers. Pure functions."""
+"""What a fault did, in numbers: from the robot's own trace, what was heard on the bus, and what was recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from safedpa.bus import VerdictMessage
+from safedpa.bus import STATE, VERDICT, VerdictMessage
+from safedpa.records import read_messages
 from safedpa_sim.robots.trace import TracedPeriod
 
-__all__ = ["LARGEST_AGE_PERIODS", "Episode", "Evidence", "collisions_in", "recovery_of", "stale_in"]
-
 Stamp = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """(epoch, tick) of states and verdicts in the recordings of one robot."""
+
+    states: frozenset[Stamp]
+    verdicts: frozenset[Stamp]
+    messages: int
+    """Of every topic and robot."""
+
+    def lost(self, states: Iterable[Stamp], verdicts: Iterable[Stamp]) -> tuple[int, int]:
+        """How many of these states and verdicts are in no recording."""
+        return len(set(states) - self.states), len(set(verdicts) - self.verdicts)
+
+
+def read_recorded(files: Sequence[Path], robot: str) -> Recorded:
+    """Reads every file up to where it is damaged."""
+    found: dict[str, set[Stamp]] = {STATE.name: set(), VERDICT.name: set()}
+    count = 0
+    for file in files:
+        for key, _, message in read_messages(file, []):
+            count += 1
+            _, _, name, topic, *_ = key.split("/")
+            if name == robot and topic in found:
+                found[topic].add((message.epoch, message.tick))
+    return Recorded(frozenset(found[STATE.name]), frozenset(found[VERDICT.name]), count)
+
 
 LARGEST_AGE_PERIODS = 2.0
 """Between a state and the moment in which its action begins to act."""
@@ -103,3 +131,67 @@ def recovery_of(evidence: Evidence, episode: Episode) -> float | None:
     if sum(at >= over[-1] for at in driven) < _IN_A_ROW:
         return None
     return over[-1] - episode.corrected
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one fault did, from its beginning to a second after the loop drove again."""
+
+    name: str
+    sentence: str
+    held: bool
+    """Whether every invariant held."""
+    broken: tuple[str, ...]
+    """Those that did not, in words."""
+    speed: float
+    """m/s when it struck."""
+    collisions: int
+    stale_actions: int
+    """Applied, and older than allowed or of another state."""
+    periods: int
+    watchdog: int
+    """Periods in which the robot braked by itself."""
+    fallbacks: int
+    """Periods in which the filter braked for want of an input."""
+    recovery_seconds: float | None
+    """From the recovery until the loop drove again; 0 when it had never stopped, None when it did not."""
+    whole_seconds: float | None
+    """From the recovery until every process had reported its health again; None when one did not."""
+    states_not_recorded: int
+    verdicts_not_recorded: int
+    """Of those that were heard on the bus."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What came of all faults."""
+
+    outcomes: tuple[Outcome, ...]
+    periods: int
+    """Lived by all robots, between the faults as well."""
+    collisions: int
+    """In all of them."""
+    stale_actions: int
+    """In all of them."""
+    acknowledged: int
+    """Messages that the recorders said were on the disk."""
+    recorded: int
+    """Messages that can be read from the recordings; fewer than acknowledged would be a broken promise."""
+
+    @property
+    def held(self) -> bool:
+        """Whether every invariant held in every fault and between them, and no acknowledged message was lost."""
+        safe = self.collisions == 0 and self.stale_actions == 0
+        return safe and all(outcome.held for outcome in self.outcomes) and self.recorded >= self.acknowledged
+
+
+def joined(parts: Sequence[Campaign]) -> Campaign:
+    """What came of several fleets, one after another."""
+    return Campaign(
+        outcomes=tuple(outcome for part in parts for outcome in part.outcomes),
+        periods=sum(part.periods for part in parts),
+        collisions=sum(part.collisions for part in parts),
+        stale_actions=sum(part.stale_actions for part in parts),
+        acknowledged=sum(part.acknowledged for part in parts),
+        recorded=sum(part.recorded for part in parts),
+    )

@@ -9,11 +9,14 @@ from typing import Literal
 from safedpa_lab.faults.episode import Episode
 from safedpa_lab.faults.world import World
 
-__all__ = ["Fault", "Look", "Meanwhile", "Work", "no_more", "nothing", "nothing_to_see"]
-
 Work = Callable[[World], None]
 Look = Callable[[World], str]
 Meanwhile = Literal["undisturbed", "drives", "anything"]
+
+
+def meanwhile_of(*names: str) -> Meanwhile:
+    """What the loop must do while something happens to a process: of those that run alongside it, not even notice."""
+    return "undisturbed" if names and names[0] in ("diagnosis", "recorder") else "anything"
 
 
 def nothing(world: World) -> None:

@@ -10,8 +10,6 @@ from safedpa.bus import STATE
 from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, run_process
 from safedpa_sim.robots import CarRobot, Scene
 
-__all__ = ["work"]
-
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Sends states until ``stop``; returns exit code 0."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import time
 from typing import Literal
 
-from safedpa.bus import ModelMessage, Request, TakeoverMessage, VerdictMessage
-from safedpa_lab.faults.conduct import PASS, STALLED
+from safedpa.bus import ModelMessage, Request, TakeoverMessage
 from safedpa_lab.faults.coordinator import EFFECT, FINDING
 from safedpa_lab.faults.episode import Episode
 from safedpa_lab.faults.fault import Fault, Work
-from safedpa_lab.faults.observer import Observer, Stamp
-from safedpa_lab.faults.world import LOOP, World
-
-__all__ = ["agreed", "mixed_in", "partitioned_changes"]
+from safedpa_lab.faults.proxy import PASS, STALLED
+from safedpa_lab.faults.world import LOOP, Observer, Stamp, World
 
 Moment = Literal["asked", "ready", "take"]
 _MOMENTS: dict[Moment, str] = {
@@ -113,12 +110,8 @@ def mixed_in(observer: Observer) -> list[Stamp]:
     found = []
     for stamp, model in observer.latent_models.items():
         verdict = observer.verdicts.get(stamp)
-        if verdict is None or not _decided(verdict) or not verdict.model:
+        if verdict is None or verdict.status == "fallback" or not verdict.model:
             continue
         if verdict.model not in (model, observer.latent_models.get((stamp[0], stamp[1] - 1))):
             found.append(stamp)
     return found
-
-
-def _decided(verdict: VerdictMessage | None) -> bool:
-    return verdict is not None and verdict.status != "fallback"

@@ -6,16 +6,11 @@ import signal
 import time
 
 from safedpa.bus import NO_ROBOT
-from safedpa_lab.faults.fault import Fault, Look, Work, nothing_to_see
-from safedpa_lab.faults.member import Member
+from safedpa_lab.faults.fault import Fault, Look, Work, meanwhile_of, nothing_to_see
 from safedpa_lab.faults.sabotaged import GO_ON, GRIP, GRIPPED_SECONDS, HANG
-from safedpa_lab.faults.world import LOOP, ROBOT, SERVICES, World
-
-__all__ = ["hung", "killed", "paused", "twins"]
+from safedpa_lab.faults.world import LOOP, ROBOT, SERVICES, Member, World
 
 _EVERYONE = (*SERVICES, "robot", "router")
-_ALONGSIDE = ("diagnosis", "recorder")
-"""The loop must not even notice their end."""
 _PAUSE_SECONDS = 2.0
 _START_SECONDS = 20.0
 _INTO_THE_PERIOD_SECONDS = 0.02
@@ -31,7 +26,7 @@ def killed() -> list[Fault]:
             f"kill {name}",
             f"SIGKILL of {name}; a new one is started at once",
             strike=_restart(name),
-            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
+            meanwhile=meanwhile_of(name),
             small=name == "safety_filter",
         )
         for name in _EVERYONE
@@ -54,7 +49,7 @@ def paused() -> list[Fault]:
             repair=_send(name, signal.SIGCONT),
             seconds=_PAUSE_SECONDS,
             look=nothing_to_see if name == "router" else _shows(name, alive=False),
-            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
+            meanwhile=meanwhile_of(name),
             small=name == "robot",
         )
         for name in _EVERYONE
@@ -94,7 +89,7 @@ def hung() -> list[Fault]:
             repair=_send(name, GO_ON),
             seconds=_PAUSE_SECONDS,
             look=_shows(name, alive=True),
-            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
+            meanwhile=meanwhile_of(name),
             small=name == "safety_filter",
         )
         for name in SERVICES
@@ -105,7 +100,7 @@ def hung() -> list[Fault]:
             f"a C call of {name} keeps the interpreter's lock for {GRIPPED_SECONDS} s",
             strike=_send(name, GRIP),
             seconds=float(GRIPPED_SECONDS),
-            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
+            meanwhile=meanwhile_of(name),
         )
         for name in ("policy", "safety_filter", "recorder")
     ]

@@ -1,4 +1,15 @@
-"""A TCP proxy in front of the router with one port per process: the network of a test, bent while everything runs."""
+"""A TCP proxy in front of the router with one port per process: the network of a test, bent while everything runs.
+
+Zenoh's bytes on a TCP connection, cut into its own units, so that whole messages can be lost and nothing else.
+
+TCP loses nothing: a lost packet is a pause. What loses messages is a sender that drops under congestion, a radio link
+that carries datagrams, a full queue. To stand for those, whole batches are taken out of the stream: a batch is what
+Zenoh writes at once, two bytes of length (little-endian) and then one transport message. Messages of the control loop
+are sent `express`, one a batch. Left out are only batches that carry data, questions or answers (a frame whose first
+network message is a push, request or response, or a fragment of one); handshakes, signs of life and declarations of
+subscribers arrive, as Zenoh sends them once per connection and relies on it.
+Source: Zenoh protocol 1.x, `commons/zenoh-protocol` (identifiers in `transport/mod.rs` and `network/mod.rs`).
+"""
 
 from __future__ import annotations
 
@@ -9,14 +20,108 @@ import random
 import socket
 import threading
 from collections.abc import Coroutine
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, TypeVar, final
 
 from safedpa.errors import BusError
-from safedpa_lab.faults.batches import Batches, carries_data
-from safedpa_lab.faults.conduct import PASS, Conduct
 
-__all__ = ["Proxy"]
+
+@dataclass(frozen=True)
+class Conduct:
+    """Both directions alike unless their names say otherwise; towards the router is *out*, from it is *in*."""
+
+    delay: float = 0.0
+    """s that every byte is late."""
+    loss: float = 0.0
+    """Probability with which a batch that carries data is taken out of the stream."""
+    stalled_out: bool = False
+    stalled_in: bool = False
+    """Nothing is read or handed on; what was sent meanwhile arrives afterwards, as after a real partition."""
+    bytes_per_second_in: float = 0.0
+    """A reader that is no faster than this; 0: as fast as it comes."""
+    pause_every: float = 0.0
+    """s; in each such time the link is stationary for ``pause`` s, then hands on everything at once."""
+    pause: float = 0.0
+    cut: bool = False
+    """Every connection is closed and every new one refused."""
+
+
+PASS = Conduct()
+STALLED = Conduct(stalled_out=True, stalled_in=True)
+"""The network is gone: no byte arrives, and no one is informed."""
+HALF_OPEN = Conduct(stalled_out=True)
+"""What the process says is lost; it hears everything."""
+CUT = Conduct(cut=True)
+
+
+_LENGTH_BYTES = 2
+_IDENTIFIER = 0x1F
+_FRAME, _FRAGMENT = 0x05, 0x06
+_MORE = 0x80
+"""A continuation bit of a number, and the flag that extensions follow."""
+_DATA = (0x1D, 0x1C, 0x1B)
+"""push, request, response"""
+
+
+@final
+class Batches:
+    """Cuts a stream of bytes into batches, each with its length in front."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, chunk: bytes) -> list[bytes]:
+        """The batches that are complete now, in order."""
+        self._rest += chunk
+        whole = []
+        while len(self._rest) >= _LENGTH_BYTES:
+            end = _LENGTH_BYTES + int.from_bytes(self._rest[:_LENGTH_BYTES], "little")
+            if len(self._rest) < end:
+                break
+            whole.append(self._rest[:end])
+            self._rest = self._rest[end:]
+        return whole
+
+
+def carries_data(batch: bytes) -> bool:
+    """Whether a batch carries what a publisher, an asker or an answerer said; False for what cannot be read."""
+    body = batch[_LENGTH_BYTES:]
+    if not body:
+        return False
+    kind = body[0] & _IDENTIFIER
+    if kind == _FRAGMENT:
+        return True
+    if kind != _FRAME:
+        return False
+    try:
+        position = _after_number(body, 1)  # behind the sequence number
+        extended = bool(body[0] & _MORE)
+        while extended:
+            extended = bool(body[position] & _MORE)
+            position = _after_extension(body, position)
+        return body[position] & _IDENTIFIER in _DATA
+    except IndexError:
+        return False
+
+
+def _after_number(body: bytes, position: int) -> int:
+    while body[position] & _MORE:
+        position += 1
+    return position + 1
+
+
+def _after_extension(body: bytes, position: int) -> int:
+    """Two bits of its header say what follows: nothing, a number, or a number of bytes."""
+    encoding = (body[position] >> 5) & 0x03
+    if encoding == 0:
+        return position + 1
+    behind = _after_number(body, position + 1)
+    if encoding == 1:
+        return behind
+    size = sum((byte & 0x7F) << (7 * index) for index, byte in enumerate(body[position + 1 : behind]))
+    return behind + size
+
 
 _Result = TypeVar("_Result")
 _CHUNK_BYTES = 16 * 1024

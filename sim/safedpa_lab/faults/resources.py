@@ -16,8 +16,6 @@ from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.sabotaged import JUMP
 from safedpa_lab.faults.world import FLEET, World
 
-__all__ = ["clocks", "disks", "overload"]
-
 _LIBRARY = "faketime/libfaketime.so.1"
 _SECONDS = 3.0
 _GOES_ON_SECONDS = 10.0

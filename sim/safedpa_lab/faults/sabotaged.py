@@ -23,8 +23,6 @@ import threading
 import time
 from types import FrameType
 
-__all__ = ["GO_ON", "GRIP", "GRIPPED_SECONDS", "HANG", "JUMP"]
-
 HANG = signal.SIGUSR1
 GRIP = signal.SIGUSR2
 GO_ON = signal.SIGRTMIN

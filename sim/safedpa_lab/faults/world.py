@@ -1,25 +1,207 @@
-"""A fleet in real time, one process a service, a router between them and a proxy before it: what faults happen to."""
+"""A fleet in real time, one process a service, a router between them and a proxy before it: what faults happen to.
+
+Its observer hears everything on the bus from next to the proxy, and keeps what a fault is judged by.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
+import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, final
 
-from safedpa.bus import Answer, Bus, Request, ZenohSettings, ZenohTransport
+from safedpa.bus import (
+    NO_ROBOT,
+    TOPICS,
+    ActionMessage,
+    Answer,
+    Bus,
+    HealthMessage,
+    LatentMessage,
+    Message,
+    ModelMessage,
+    ReceivedMessage,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+    VerdictMessage,
+    ZenohSettings,
+    ZenohTransport,
+)
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import BusError, SafedpaError
-from safedpa_lab.faults.conduct import Conduct
-from safedpa_lab.faults.member import Member
-from safedpa_lab.faults.observer import Observer
-from safedpa_lab.faults.proxy import Proxy
+from safedpa_lab.faults.proxy import Conduct, Proxy
 
-__all__ = ["DISK_BYTES", "FLEET", "LOOP", "ROBOT", "SERVICES", "World", "WorldSettings"]
+_STARTING_PRIORITY = 1
+
+
+@dataclass
+class Member:
+    """A Python module run as a process of its own, with what it writes in a file."""
+
+    name: str
+    module: str
+    arguments: tuple[str, ...]
+    log: Path
+    environment: dict[str, str] = field(default_factory=dict)
+    """On top of this process's own."""
+
+    def __post_init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int:
+        """Of the process that runs now or ran last; 0 before the first start."""
+        return 0 if self._process is None else self._process.pid
+
+    @property
+    def lives(self) -> bool:
+        """Whether it runs, be it paused."""
+        return self._process is not None and self._process.poll() is None
+
+    def start(self) -> None:
+        """Starts the process; a later call starts it again."""
+        command = [sys.executable, "-m", "safedpa_lab.faults.sabotaged", self.module, *self.arguments]
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **self.environment}
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, env=environment
+            )
+
+        if "--realtime" in self.arguments:  # as the supervisor does
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
+
+    def send(self, number: int) -> None:
+        """Sends a signal to the process, if it still runs."""
+        if self._process is not None:
+            self._process.send_signal(number)
+
+    def kill(self) -> None:
+        """With SIGKILL; returns when it is gone."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def restart(self) -> None:
+        """Kills it and starts a new one at once, as a supervisor would."""
+        self.kill()
+        self.start()
+
+    def end(self, patience: float) -> None:
+        """Asks it to end, waits up to ``patience`` [s], then kills it and its group."""
+        if self._process is None:
+            return
+        self.send(signal.SIGCONT)
+        self.send(signal.SIGTERM)
+        try:
+            self._process.wait(patience)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+    def threads(self) -> list[int]:
+        """Ids of its threads now."""
+        return [int(entry.name) for entry in Path(f"/proc/{self.pid}/task").iterdir()]
+
+    def fate(self) -> str:
+        """Whether it runs, or how it ended: a negative number is the signal that ended it."""
+        code = None if self._process is None else self._process.poll()
+        return "its process lives" if code is None else f"its process ended with {code}: {self.last_text()}"
+
+    def last_text(self) -> str:
+        """The last line that it wrote."""
+        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1] if lines else "it said nothing"
+
+
+Stamp = tuple[int, int]
+"""(epoch, tick)."""
+
+
+@dataclass
+class Observer:
+    """Collects until asked; ``listen`` must be called often. ``robot`` is the one that is judged."""
+
+    bus: Bus
+    robot: str
+    health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
+    """By service: the newest heartbeat and when it came (monotonic, s)."""
+    states: dict[Stamp, StateMessage] = field(default_factory=dict)
+    verdicts: dict[Stamp, VerdictMessage] = field(default_factory=dict)
+    actions: dict[Stamp, set[tuple[float, ...]]] = field(default_factory=dict)
+    """All that were sent for a state."""
+    latent_models: dict[Stamp, str] = field(default_factory=dict)
+    """Fingerprint of the model to which the latent of a state belongs."""
+    acknowledged: dict[int, int] = field(default_factory=dict)
+    """By process of a recorder: how many messages it said were on the disk."""
+    notice: list[tuple[float, ModelMessage | TakeoverMessage]] = field(default_factory=list)
+    """When it came (monotonic, s), and every step of every change of the model."""
+    heard: dict[Stamp, float] = field(default_factory=dict)
+    """When each state came first; monotonic, s."""
+    newest: Stamp = (0, -1)
+
+    def __post_init__(self) -> None:
+        self._inbox = self.bus.inbox(tuple(TOPICS.values()), keep_all=True)
+
+    def listen(self, wait: float) -> None:
+        """Takes in what arrived within ``wait`` [s]."""
+        for item in self._inbox.take(wait):
+            if isinstance(item, ReceivedMessage) and item.robot in (self.robot, NO_ROBOT):
+                self._take(item.message, item.at)
+
+    def lives(self, robot: str, service: str) -> bool:
+        """Whether a sign of life of the service is seen now."""
+        return bool(self.bus.instances(robot, service))
+
+    def silent_for(self, service: str, now: float) -> float:
+        """Seconds since the last heartbeat; infinite before the first."""
+        return now - self.health[service][1] if service in self.health else float("inf")
+
+    def _take(self, message: Message, at: float) -> None:
+        stamp = (message.epoch, message.tick)
+        match message:
+            case HealthMessage():
+                self.health[message.service] = (message, at)
+                if message.service == "recorder":
+                    self.acknowledged[message.pid] = message.acknowledged
+            case StateMessage():
+                self.states[stamp], self.newest = message, stamp
+                self.heard.setdefault(stamp, at)
+            case VerdictMessage():
+                self.verdicts.setdefault(stamp, message)
+            case ActionMessage():
+                self.actions.setdefault(stamp, set()).add(message.values)
+            case LatentMessage():
+                self.latent_models[stamp] = message.model
+            case ModelMessage() | TakeoverMessage():
+                self.notice.append((at, message))
+            case _:
+                return
+
+    def drives(self, ticks: int, since: float = 0.0, within: float = inf) -> bool:
+        """Whether the newest ``ticks`` periods, all later than ``since``, were driven by a filter with all it needs.
+
+        ``within``: s from the first to the last of them at most; a robot that is held up itself lives no period at all.
+        """
+        epoch, last = self.newest
+        recent = [(epoch, tick) for tick in range(last - ticks + 1, last + 1)]
+        driven = last >= ticks and all(self.heard.get(one, 0.0) > since and self._driven(one) for one in recent)
+        return driven and self.heard[recent[-1]] - self.heard[recent[0]] <= within
+
+    def _driven(self, stamp: Stamp) -> bool:
+        state, before = self.states.get(stamp), self.verdicts.get((stamp[0], stamp[1] - 1))
+        return state is not None and state.applied_by == "filter" and before is not None and before.status != "fallback"
+
 
 FLEET = "faults"
 ROBOT = "r1"
@@ -60,7 +242,12 @@ class World:
         port = free_port()
         self.router_endpoint = f"tcp/127.0.0.1:{port}"
         self.proxy = Proxy(("127.0.0.1", port), (*SERVICES, "robot"), settings.seed)
-        self.members = {"router": self._router(), **{name: self._service(name) for name in SERVICES}}
+        self.members = {
+            "router": self._member(
+                "router", "safedpa_services.router", "--listen", self.router_endpoint, "--plain", "--realtime"
+            ),
+            **{name: self._service(name) for name in SERVICES},
+        }
         self.members["robot"] = self._robot()
         self._twins: list[Member] = []
         self._bus: Bus | None = None
@@ -184,11 +371,6 @@ class World:
             except BusError:
                 if time.monotonic() > end:
                     raise
-
-    def _router(self) -> Member:
-        return self._member(
-            "router", "safedpa_services.router", "--listen", self.router_endpoint, "--plain", "--realtime"
-        )
 
     def _service(self, name: str) -> Member:
         bus = ("--mode", "client", "--connect", self.proxy.endpoint(name))

@@ -1,7 +1,6 @@
 """Measurements with a hidden effect: simulators that share no code with the models that are fitted to them."""
 
-from safedpa_lab.hidden.case import Case, truth_of
-from safedpa_lab.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS, Strength
+from safedpa_lab.hidden.case import CAR_EFFECTS, PENDULUM_EFFECTS, Case, Strength, truth_of
 from safedpa_lab.hidden.suites import SUITES, cases_of
 from safedpa_lab.hidden.write import Log, write_case, write_cases
 

@@ -12,8 +12,6 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 
-__all__ = ["BAD", "Bad", "write_bad_files"]
-
 Table = dict[str, FloatArray]
 
 

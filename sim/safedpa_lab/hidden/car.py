@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.case import LARGEST_STEER, STEP
 from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
-from safedpa_lab.hidden.strengths import LARGEST_STEER, STEP
-
-__all__ = ["ACCELERATION_LIMIT", "WHEELBASE", "simulate_cars"]
 
 WHEELBASE: Final = 0.32
 """m"""

@@ -1,12 +1,111 @@
-"""One hidden-effect case: what is hidden, in which logs; and the truth about it."""
+"""One hidden-effect case: what is hidden, how strongly, in which logs; and the truth about it.
+
+The ordinary strength is what an engineer would call so; suites hide any fraction of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
-__all__ = ["ABSORBED", "Case", "equals_of", "truth_of"]
+import numpy as np
+
+STEP: Final = 0.002
+"""s; step of the simulators."""
+
+LARGEST_STEER: Final = 0.34
+"""rad; largest steer that is commanded."""
+
+_JITTER = 0.1
+"""Relative half width within which a strength varies from case to case, so that no case repeats another."""
+
+Drive = Literal["speed_servo", "throttle"]
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Parameters of one effect at ordinary strength.
+
+    ``neutral`` holds the values at which a parameter does nothing (0 unless named); parameters in ``shape`` only shape
+    the effect and keep their value at every strength; the sign of those in ``signed`` is drawn.
+    """
+
+    parameters: Mapping[str, float]
+    neutral: Mapping[str, float] = field(default_factory=dict)
+    shape: tuple[str, ...] = ()
+    signed: tuple[str, ...] = ()
+    drive: Drive = "speed_servo"
+
+    def drawn(self, random: np.random.Generator, share: float = 1.0) -> dict[str, float]:
+        """value = neutral + share (ordinary - neutral) (1 + up to 10 %), for ``share`` of the ordinary strength."""
+        values = {}
+        for name, ordinary in self.parameters.items():
+            scale = 1.0 + float(random.uniform(-_JITTER, _JITTER))
+            sign = float(random.choice([-1.0, 1.0])) if name in self.signed else 1.0
+            neutral = self.neutral.get(name, 0.0)
+            values[name] = ordinary if name in self.shape else neutral + share * scale * sign * (ordinary - neutral)
+            if name == "seconds":  # delays are whole steps of the simulator, so that the truth is what happened
+                values[name] = STEP * round(values[name] / STEP)
+        return values
+
+
+CAR_EFFECTS: Final[dict[str, Strength]] = {
+    "quadratic_drag": Strength({"coefficient": 0.12}),
+    "viscous_drag": Strength({"coefficient": 0.3}),
+    "rolling_resistance": Strength({"deceleration": 0.45}),
+    "constant_force": Strength({"ax": 0.4, "ay": 0.3}, signed=("ax", "ay")),
+    "payload": Strength({"mass_ratio": 0.3}),
+    "towed_load": Strength({"mass_ratio": 0.4, "deceleration": 2.0}, shape=("deceleration",)),
+    "understeer": Strength({"gradient": 0.02}),
+    "steering_offset": Strength({"angle": 0.04}, signed=("angle",)),
+    "steering_gain": Strength({"gain": 0.85}, {"gain": 1.0}, signed=("gain",)),
+    "steering_asymmetry": Strength({"difference": 0.15}, signed=("difference",)),
+    "steering_saturation": Strength({"limit": 0.22}, {"limit": LARGEST_STEER}),
+    "steering_lag": Strength({"time_constant": 0.15}),
+    "steering_delay": Strength({"seconds": 0.12}),
+    "drive_lag": Strength({"time_constant": 0.15}),
+    "drive_delay": Strength({"seconds": 0.12}),
+    "actuator_delay": Strength({"seconds": 0.12}),
+    "turning_drag": Strength({"coefficient": 2.0}),
+    "speed_command_gain": Strength({"gain": 0.85}, {"gain": 1.0}),
+    "drive_dead_zone": Strength({"width": 0.15}, drive="throttle"),
+    "back_emf": Strength({"coefficient": 1.0}, drive="throttle"),
+    "battery_sag": Strength({"rate": 0.01}),
+    "crosswind_drift": Strength({"vx": 0.12, "vy": 0.09}, signed=("vx", "vy")),
+    "tyre_slip": Strength({"compliance": 0.02}),
+    "speed_sensor_scale": Strength({"scale": 1.05}, {"scale": 1.0}, signed=("scale",)),
+}
+"""The car's effects; strengths assumed, as a 1:10 car at up to 2.4 m/s shows them."""
+
+PENDULUM_EFFECTS: Final[dict[str, Strength]] = {
+    "viscous_friction": Strength({"coefficient": 0.1}),
+    "coulomb_friction": Strength({"torque": 0.15}),
+    "stribeck_friction": Strength({"torque": 0.25, "fading_rate": 1.0}, shape=("fading_rate",)),
+    "tip_mass": Strength({"mass": 0.15}),
+    "torque_offset": Strength({"offset": 0.2}, signed=("offset",)),
+    "torque_gain": Strength({"gain": 0.85}, {"gain": 1.0}, signed=("gain",)),
+    "torque_lag": Strength({"time_constant": 0.06}),
+    "torque_delay": Strength({"seconds": 0.06}),
+    "wind": Strength({"speed": 3.0, "drag": 0.1}, shape=("speed",)),
+    "angle_offset": Strength({"offset": 0.06}, signed=("offset",)),
+    "backlash": Strength({"width": 0.5}),
+    "spring": Strength({"stiffness": 0.6, "rest_angle": 2.6}, shape=("rest_angle",)),
+}
+"""The pendulum's effects, for 1 kg at 0.5 m."""
+
+WHEELS_EFFECTS: Final[dict[str, Strength]] = {
+    "actuator_delay": Strength({"seconds": 0.12}),
+    "drive_lag": Strength({"time_constant": 0.15}),
+    "payload": Strength({"mass_ratio": 0.4}),
+    "rolling_resistance": Strength({"deceleration": 0.3}),
+    "track_error": Strength({"ratio": 1.1}, {"ratio": 1.0}, signed=("ratio",)),
+    "unequal_wheels": Strength({"pull": 0.3}, signed=("pull",)),
+    "wheel_radius": Strength({"ratio": 0.93}, {"ratio": 1.0}, signed=("ratio",)),
+    "wheel_slip": Strength({"compliance": 0.1}),
+}
+"""The differential drive's effects, for one of 0.5 m/s."""
+
 
 Effects = Mapping[str, Mapping[str, float]]
 

@@ -15,8 +15,6 @@ import numpy as np
 from safedpa_lab.hidden.case import Case, Effects
 from safedpa_lab.hidden.write import write_cases
 
-__all__ = ["COMMON", "FleetLogs", "fleet_truth", "write_fleet"]
-
 _BRAKE, _OFFSET = 0.05, 0.03
 """Share of the robots with a dragging brake, and with a bent steering."""
 COMMON: Final[Effects] = {"quadratic_drag": {"coefficient": 0.02}}
@@ -91,16 +89,19 @@ def write_fleet(
         report_progress(begin, len(names))
         part = names[begin : begin + _AT_ONCE]
         cases = [
-            Case("fleet", _seed(seed, begin + place), truth[name], hard=hard, runs=runs, seconds=seconds)
+            Case(
+                "fleet",
+                int(np.random.SeedSequence([seed, 12, begin + place]).generate_state(1)[0]),
+                truth[name],
+                hard=hard,
+                runs=runs,
+                seconds=seconds,
+            )
             for place, name in enumerate(part)
         ]
         _write_part(cases, part, logs)
     sealed.write_text(json.dumps(logs.truth, indent=1) + "\n", encoding="utf-8")
     return logs
-
-
-def _seed(seed: int, robot: int) -> int:
-    return int(np.random.SeedSequence([seed, 12, robot]).generate_state(1)[0])
 
 
 def _write_part(cases: Sequence[Case], names: Sequence[str], logs: FleetLogs) -> None:

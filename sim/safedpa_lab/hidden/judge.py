@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-__all__ = ["Found", "Outcome", "judged"]
-
 Document = Mapping[str, Any]
 
 _DELAY_FOR_LAG = {"steering_delay": "steering_lag", "drive_delay": "drive_lag"}
@@ -130,12 +128,9 @@ def judged(
 def _group(document: Document, name: str) -> set[str]:
     """An added effect and all that its candidates are reported to be indistinguishable from."""
     own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
-    return {name}.union(*(_parts(other) for item in own for other in item["indistinguishable_from"]))
-
-
-def _parts(name: str) -> set[str]:
-    """A pair is named with a plus sign between its effects."""
-    return {part.strip() for part in name.split("+")}
+    return {name}.union(
+        *({part.strip() for part in other.split("+")} for item in own for other in item["indistinguishable_from"])
+    )
 
 
 def _is_represented(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:

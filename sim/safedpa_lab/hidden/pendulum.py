@@ -12,10 +12,8 @@ from typing import Final
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.case import STEP
 from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
-from safedpa_lab.hidden.strengths import STEP
-
-__all__ = ["GRAVITY", "LENGTH", "MASS", "simulate_pendulums"]
 
 MASS: Final = 1.0
 """kg"""

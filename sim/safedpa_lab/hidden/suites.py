@@ -1,4 +1,7 @@
-"""Suites of hidden-effect cases."""
+"""Suites of hidden-effect cases; in some an effect acts somewhere only, or its number changes with time or speed.
+
+Borders are sharp where the library's models round them off.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,66 @@ import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.hidden.bad_data import BAD
-from safedpa_lab.hidden.case import Case
-from safedpa_lab.hidden.laws import LAWS
-from safedpa_lab.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS
+from safedpa_lab.hidden.case import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS, Case
 from safedpa_sim.robots.car.loads import LOADS
 
-__all__ = ["INSEPARABLE", "SUITES", "cases_of"]
+_JITTER = 0.1
+"""Relative half width within which numbers vary from case to case."""
+
+
+def _patches(index: int, seed: int) -> Case:
+    """A carpet: a circle, all that lies beyond a line, all that lies before one."""
+    random = np.random.default_rng(seed)
+    pull = 1.1 * _about(random)
+    if index % 3 == 0:
+        at_x, at_y = (float(value) for value in random.uniform(-2.0, 2.0, 2))
+        own = {"at_x": at_x, "at_y": at_y, "radius": 1.5 * _about(random)}
+        phrase = "where circle"
+    else:
+        axis, side = str(random.choice(["x", "y"])), "above" if index % 3 == 1 else "below"
+        own, phrase = {f"{axis}_{side}": float(random.uniform(-1.5, 1.5))}, f"where {axis} {side}"
+    effects = {"rolling_resistance": {"deceleration": pull, **own}}
+    return Case("patches", seed, effects, laws={"rolling_resistance": phrase})
+
+
+def _sags(index: int, seed: int) -> Case:
+    """Top speed, steering or dry friction falls with the time since the start."""
+    random = np.random.default_rng(seed)
+    name, number, at, rate = (
+        ("speed_command_gain", "gain", 1.0, -0.004),
+        ("steering_gain", "gain", 1.0, -0.004),
+        ("rolling_resistance", "deceleration", 0.9, -0.015),
+    )[index % 3]
+    at = at if name != "rolling_resistance" else at * _about(random)
+    effects = {name: {number: at, f"{number}_per_time": rate * _about(random)}}
+    return Case("sags", seed, effects, laws={name: f"varies {number} with time"})
+
+
+def _speed_gains(index: int, seed: int) -> Case:
+    """Steering that gives less the faster the car goes, or from one speed on; a motor that gives less as it turns."""
+    random = np.random.default_rng(seed)
+    if index % 3 == 0:
+        effects = {"steering_gain": {"gain": 1.0, "gain_per_abs_speed": -0.08 * _about(random)}}
+        return Case("speed_gains", seed, effects, laws={"steering_gain": "varies gain with abs_speed"})
+    if index % 3 == 1:
+        effects = {"torque_gain": {"gain": 1.0, "gain_per_abs_rate": -0.04 * _about(random)}}
+        laws = {"torque_gain": "varies gain with abs_rate"}
+        return Case("speed_gains", seed, effects, "pendulum", seconds=20.0, laws=laws)
+    effects = {"steering_gain": {"gain": 1.0 - 0.2 * _about(random), "abs_speed_above": 1.2 * _about(random)}}
+    return Case("speed_gains", seed, effects, laws={"steering_gain": "where abs_speed above"})
+
+
+def _about(random: np.random.Generator) -> float:
+    return 1.0 + float(random.uniform(-_JITTER, _JITTER))
+
+
+LAWS: Final[dict[str, Callable[[int, int], Case]]] = {
+    "patches": _patches,
+    "sags": _sags,
+    "speed_gains": _speed_gains,
+}
+"""By name of the suite: the case with a number and a seed."""
+
 
 INSEPARABLE: Final[tuple[frozenset[str], ...]] = tuple(
     frozenset(pair)
@@ -73,34 +130,8 @@ def _several(suite: str, seed: int, count: int) -> Case:
         return Case(suite, seed, effects, drive="throttle" if "throttle" in drives else "speed_servo")
 
 
-def _ordinary(index: int, seed: int) -> Case:
-    return _single("ordinary", index, seed, 1.0, False)
-
-
-def _fifth(index: int, seed: int) -> Case:
-    return _single("fifth", index, seed, 0.2, False)
-
-
-def _hard(index: int, seed: int) -> Case:
-    return _single("hard", index, seed, 1.0, True)
-
-
-def _two(index: int, seed: int) -> Case:
-    del index
-    return _several("two", seed, 2)
-
-
-def _three(index: int, seed: int) -> Case:
-    del index
-    return _several("three", seed, 3)
-
-
-def _none(index: int, seed: int) -> Case:
-    return Case("none", seed, {}, drive="throttle" if index % 4 == 3 else "speed_servo")
-
-
-def _none_hard(index: int, seed: int) -> Case:
-    return Case("none_hard", seed, {}, drive="throttle" if index % 4 == 3 else "speed_servo", hard=True)
+def _none(suite: str, index: int, seed: int, hard: bool) -> Case:
+    return Case(suite, seed, {}, drive="throttle" if index % 4 == 3 else "speed_servo", hard=hard)
 
 
 def _pendulum(index: int, seed: int) -> Case:
@@ -113,11 +144,6 @@ def _wheels(index: int, seed: int) -> Case:
     name = list(WHEELS_EFFECTS)[index % len(WHEELS_EFFECTS)]
     effects = {name: WHEELS_EFFECTS[name].drawn(np.random.default_rng(seed))}
     return Case("wheels", seed, effects, "differential_drive", runs=4, seconds=30.0)
-
-
-def _wheels_none(index: int, seed: int) -> Case:
-    del index
-    return Case("wheels_none", seed, {}, "differential_drive", runs=4, seconds=30.0)
 
 
 def _towing(index: int, seed: int) -> Case:
@@ -133,19 +159,19 @@ def _bad(index: int, seed: int) -> Case:
 
 
 SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
-    "ordinary": _ordinary,
-    "fifth": _fifth,
-    "two": _two,
-    "three": _three,
-    "hard": _hard,
-    "none": _none,
-    "none_hard": _none_hard,
+    "ordinary": lambda index, seed: _single("ordinary", index, seed, 1.0, False),
+    "fifth": lambda index, seed: _single("fifth", index, seed, 0.2, False),
+    "two": lambda _, seed: _several("two", seed, 2),
+    "three": lambda _, seed: _several("three", seed, 3),
+    "hard": lambda index, seed: _single("hard", index, seed, 1.0, True),
+    "none": lambda index, seed: _none("none", index, seed, False),
+    "none_hard": lambda index, seed: _none("none_hard", index, seed, True),
     "pendulum": _pendulum,
     "towing": _towing,
     **LAWS,
     "bad": _bad,
     "wheels": _wheels,
-    "wheels_none": _wheels_none,
+    "wheels_none": lambda _, seed: Case("wheels_none", seed, {}, "differential_drive", runs=4, seconds=30.0),
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard
 logs; two or three drawn ones; nothing; a pendulum's; the pymunk car with a chair hitched; effects in a place, that sag,

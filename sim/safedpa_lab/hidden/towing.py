@@ -7,11 +7,9 @@ from math import atan, atan2, cos, hypot, sin, tan
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa_lab.hidden.excitation import reference
+from safedpa_lab.hidden.lanes import reference
 from safedpa_sim.robots.car.loads import load_named
 from safedpa_sim.robots.car.world import CarWorld
-
-__all__ = ["drive_in", "drive_towing", "turning_share"]
 
 _FIELD = (-200.0, 200.0, -200.0, 200.0)
 _LATERAL = 2.5

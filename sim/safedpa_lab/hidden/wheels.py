@@ -12,10 +12,8 @@ from typing import Final
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.case import STEP
 from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
-from safedpa_lab.hidden.strengths import STEP
-
-__all__ = ["LIMIT", "SERVO", "TRACK", "simulate_wheels"]
 
 TRACK: Final = 0.233
 """m"""

@@ -15,8 +15,6 @@ from safedpa.safety import FilterSettings
 from safedpa_sim.pendulum.policy_task import starts_beneath
 from safedpa_sim.pendulum.task import BALANCING, HAZARD, TORQUE, WIND, filter_settings
 
-__all__ = ["AXES", "Axis", "Difficulty", "Episodes"]
-
 _START = 0.2
 """rad; largest angle at the start of the first question, at rest."""
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.dynamics import PhysicsModel, Setting
-from safedpa_sim.pendulum.task import AHEAD, BALANCING, TORQUE, simulated_pendulum
-
-__all__ = ["Reserve", "largest_wind", "least_reserve", "reserve"]
+from safedpa.dynamics import PhysicsModel
+from safedpa_lab.pendulum.rollouts import physics_in_any_wind
+from safedpa_sim.pendulum.task import AHEAD, BALANCING, TORQUE
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ def reserve(state: FloatArray, wind: FloatArray, edges: tuple[float, float], eta
     when the least torque does not overshoot its end and the largest reaches its beginning. ``state`` (n, 2),
     ``wind`` (n, 2) as speed and upward [m/s].
     """
-    model = _in_any_wind()
+    model = physics_in_any_wind()
     low, high = edges
     ahead = state[:, 0] + AHEAD * state[:, 1]
     lowest, highest = (_ahead_after(model, state, wind, torque) for torque in (-TORQUE, TORQUE))
@@ -45,12 +44,6 @@ def _ahead_after(model: PhysicsModel, state: FloatArray, wind: FloatArray, torqu
     action = np.full((len(state), 1), torque)
     following = model.advance(state, action, model.initial_memory(action, wind), wind)[0]
     return np.asarray(following[:, 0] + AHEAD * following[:, 1])
-
-
-def _in_any_wind() -> PhysicsModel:
-    model = simulated_pendulum()
-    free = {path: Setting(0.0, free=True) for path in ("wind.speed", "wind.upward")}
-    return model.with_settings({**model.settings, **free})
 
 
 def least_reserve(

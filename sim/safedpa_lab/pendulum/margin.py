@@ -14,14 +14,11 @@ from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety import split_conformal_margin
 from safedpa.safety.margins.conformal import margins_over_drives
 from safedpa_lab.experiments.common.seeds import seeds_for
-from safedpa_lab.pendulum.balancing import balanced
-from safedpa_lab.pendulum.crossing import crossed
 from safedpa_lab.pendulum.difficulty import Difficulty, Episodes
 from safedpa_lab.pendulum.methods import FILTERED, Method, model_named
+from safedpa_lab.pendulum.questions import balanced, crossed
 from safedpa_lab.pendulum.rollouts import Swung
 from safedpa_sim.pendulum.task import AHEAD
-
-__all__ = ["COVERAGE", "covered_share", "errors_of", "measured_margins"]
 
 COVERAGE: Final = 0.99
 _ORACLE: Final = FILTERED[-1]

@@ -12,17 +12,6 @@ from safedpa_lab.pendulum.difficulty import Difficulty
 from safedpa_lab.pendulum.rollouts import Closed, physics_in_any_wind
 from safedpa_sim.pendulum.task import FIXED_DIRECTIONS
 
-__all__ = [
-    "BALANCING_METHODS",
-    "FILTERED",
-    "HAZARD_METHODS",
-    "PENALISED",
-    "Method",
-    "closed_of",
-    "method_named",
-    "model_named",
-]
-
 _FIX: Final = tuple(f"fix_{direction}" for direction in FIXED_DIRECTIONS)
 _GOAL_SEEKER: Final = "goal_seeker"
 

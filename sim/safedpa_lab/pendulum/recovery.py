@@ -15,8 +15,6 @@ from safedpa_lab.pendulum.methods import model_named
 from safedpa_lab.pendulum.rollouts import Closed, Swung, believed_wind, physics_in_any_wind, swung
 from safedpa_sim.pendulum.task import BALANCING, TORQUE, WIND
 
-__all__ = ["fitted_wind", "recovery", "refined_latent", "swung_all_around"]
-
 _TICKS = 300
 _EVERY = 20
 """Ticks between two looks."""

@@ -18,8 +18,6 @@ from safedpa.safety.batch.filter import STATUSES, BatchFilter
 from safedpa.safety.verdict import Status
 from safedpa_sim.pendulum.task import TORQUE, corridor, simulated_pendulum
 
-__all__ = ["Closed", "Swung", "believed_wind", "blown", "physics_in_any_wind", "swung"]
-
 NominalPolicy = Callable[[FloatArray, FloatArray], FloatArray]
 """Torques (n, 1) [N m] for states (n, 2) and latents (n, latents)."""
 _FAILED = tuple(STATUSES.index(status) for status in (Status.relaxed, Status.violated, Status.fallback))

@@ -7,23 +7,6 @@ import copy
 import re
 from collections.abc import Iterator, Sequence
 
-__all__ = [
-    "dropped",
-    "everything_used",
-    "field_left_out",
-    "guard_gone",
-    "later_wins",
-    "longer",
-    "miscounted",
-    "not_durable",
-    "not_ended",
-    "one_ahead",
-    "other_extreme",
-    "spread",
-    "turned",
-    "unit_lost",
-]
-
 _EXTREMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "fmin": "fmax", "fmax": "fmin"}
 _UNITS = {1000, 1e-3, 1e6, 1e-6, 1e9, 1e-9, 3.6, 60, 3600, 180, 100, 0.01, 9.81}
 _PATIENCE = re.compile(r"patience|timeout|seconds|wait|deadline|grace|ticks|periods|_age|interval", re.IGNORECASE)

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
-__all__ = ["Nearness"]
-
 _FOLDERS = ("shared", "services", "sim")
 _ELSEWHERE = ("tests/fleet/", "tests/docs/", "tests/architecture/")
 """What needs containers, and what looks at texts: it would notice a docstring, and no fault."""

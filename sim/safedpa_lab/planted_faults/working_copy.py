@@ -25,8 +25,6 @@ from pathlib import Path
 from safedpa_lab.planted_faults.fault_classes import Fault
 from safedpa_lab.planted_faults.reached import CALL
 
-__all__ = ["NEAR", "Copy", "Outcome", "Run", "probed"]
-
 NEAR = 12
 """Files of tests for each fault; more where none of these reaches it."""
 _NEAREST, _SHARE = 3, 0.5

@@ -18,8 +18,6 @@ from safedpa.networks import Description, Layer, dense_stack, frame_of
 from safedpa.networks.layers import layers_of
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = ["FreeModel", "load_free", "save_free"]
-
 _KEY = "safedpa_free"
 _VECTORS = ("feature_middle", "feature_scale", "action_middle", "action_scale", "increment_scale")
 _ENVIRONMENT = ("environment_middle", "environment_scale")

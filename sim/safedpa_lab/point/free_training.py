@@ -23,8 +23,6 @@ from safedpa_sim.training.networks.explained_variance import explained
 from safedpa_sim.training.networks.modules import ENVIRONMENT, VECTORS, Dense, tensors_of
 from safedpa_sim.training.progress import ReportProgress, silent
 
-__all__ = ["FreeNetworks", "free_hidden", "held_out_errors", "train_free"]
-
 Tensor = torch.Tensor
 _SCALES, _TRAINING, _HELD_OUT = 1, 2, 3
 """Streams of ``train_affine``: configuration.seed * 10 + this; so are the pairs the same."""

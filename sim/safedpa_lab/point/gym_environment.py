@@ -19,9 +19,6 @@ from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, Layout, draw_go
 from safedpa_sim.point.observation import GOAL_ENTRIES, LIDAR_BINS, SENSOR_ENTRIES, goal_seen, hazard_lidar
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, control_of
 
-__all__ = ["ENVIRONMENT_ID", "PointGoalEnvironment"]
-
-
 ENVIRONMENT_ID: Final = "safedpa/PointGoal-v0"
 
 

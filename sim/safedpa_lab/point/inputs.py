@@ -28,9 +28,6 @@ from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
 from safedpa_sim.point.task import GOAL_REWARD, PointTask
 
-__all__ = ["OBSERVATION_SCALE", "Inputs", "WayAhead", "entries_of", "inputs_of"]
-
-
 OBSERVATION_SCALE: Final = np.array(
     [2.0, 2.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5] + [1.0] * 16
 )

@@ -8,8 +8,6 @@ from typing import Final, final
 from safedpa_lab.point.plan import COST_LIMIT, LIMITED, Plan
 from safedpa_lab.point.shield import FIXED_DIRECTIONS
 
-__all__ = ["BASELINE_TITLES", "FILTERS", "METHODS", "PENALISED", "SEEKER", "Method"]
-
 BASELINE_TITLES: Final = {
     "ppo": "PPO",
     "trpo": "TRPO",

@@ -8,8 +8,6 @@ from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["BASELINES", "COST_LIMIT", "INPUTS", "LIMITED", "MULTIPLIERS", "Plan", "score"]
-
 BASELINES: Final = ("ppo", "trpo", "ppo_lagrangian", "trpo_lagrangian", "cpo")
 LIMITED: Final = ("ppo_lagrangian", "trpo_lagrangian", "cpo")
 """Those that heed a limit of the cost."""

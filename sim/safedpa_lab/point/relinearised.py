@@ -75,7 +75,12 @@ class AffineModel:
 
     def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:  # noqa: D102
         del action
-        return _of(self._believed, which)
+        return PointPrediction(
+            self._believed.drift[which],
+            self._believed.gain[which],
+            self._believed.motion.of(which),
+            self._believed.scale,
+        )
 
     def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:  # noqa: D102
         return self.about(action, which).next_state(action)
@@ -145,10 +150,6 @@ class SimulatedBody:
     def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:  # noqa: D102
         sent = action * self._scale
         return after_one_period(self._state[which], sent, self._rate[which], self._wind[which])[0]
-
-
-def _of(believed: PointPrediction, which: NDArray[np.intp]) -> PointPrediction:
-    return PointPrediction(believed.drift[which], believed.gain[which], believed.motion.of(which), believed.scale)
 
 
 ABOUT: Final = ("middle", "nominal", "own")

@@ -10,8 +10,6 @@ import numpy as np
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["steps_per_second"]
-
 
 def steps_per_second(robots: int = 128, steps: int = 200, repeats: int = 5) -> dict[str, float]:
     """The best of ``repeats``: ``simulation`` (10 physics steps each) and ``task`` (reward, cost, observation too) of

@@ -15,9 +15,6 @@ from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
 from safedpa_lab.point.shield import LearningShield, true_shelter
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
-__all__ = ["PointEnvironment"]
-
-
 _RETAINED = 200
 """Episodes over which their means are reported."""
 
@@ -79,7 +76,8 @@ class PointEnvironment(VecEnv):
         self._gained += stepped.reward
         self._paid += stepped.cost
         self.paid, self.stepped = self.paid + float(stepped.cost.sum()), self.stepped + self.num_envs
-        reward = (self._reward(stepped) - self.weight * stepped.cost) / (1.0 + self.weight)
+        gained = stepped.reward if self._way is None else self._way.gained(stepped.reached)
+        reward = (gained - self.weight * stepped.cost) / (1.0 + self.weight)
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         which = np.flatnonzero(stepped.timed_out)
         if len(which):
@@ -92,9 +90,6 @@ class PointEnvironment(VecEnv):
             if self._way is not None:
                 self._way.renew()
         return self._inputs.see(), reward.astype(np.float32), stepped.timed_out, infos
-
-    def _reward(self, stepped: StepResult) -> NDArray[np.float64]:
-        return stepped.reward if self._way is None else self._way.gained(stepped.reached)
 
     def _close(self, which: NDArray[np.intp]) -> None:
         whole = which[self._whole[which]]

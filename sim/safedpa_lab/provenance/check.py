@@ -12,8 +12,6 @@ from safedpa.errors import InputError
 from safedpa_lab.provenance.code import digests
 from safedpa_lab.provenance.record import KEY
 
-__all__ = ["Standing", "standings"]
-
 
 @dataclass(frozen=True)
 class Standing:

@@ -10,8 +10,6 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["DATA", "code_behind", "digests", "without_text"]
-
 _OURS = ("safedpa", "safedpa_services", "safedpa_sim", "safedpa_lab")
 _FROM = re.compile(r"^\s*from (safedpa\w*(?:\.\w+)*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^\s*import (safedpa\w*(?:\.\w+)*)", re.MULTILINE)

@@ -20,8 +20,6 @@ import safedpa
 from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.provenance.code import digests
 
-__all__ = ["KEY", "command_line", "provenance", "write_result"]
-
 KEY = "provenance"
 """Of the table that a file of results holds."""
 

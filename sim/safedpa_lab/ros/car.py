@@ -26,8 +26,6 @@ from safedpa_lab.ros.foreign import DIAGNOSTICS, DRIVE, ODOMETRY, address, hash_
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
 
-__all__ = ["Car", "Reported", "blind_policy"]
-
 _PERIOD = 0.02
 _DRIVER_PATIENCE = 0.25
 """s; the driver brakes by itself without a command for so long."""

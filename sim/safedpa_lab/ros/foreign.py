@@ -7,8 +7,6 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk.session import ZenohSession
 
-__all__ = ["DIAGNOSTICS", "DRIVE", "HASHES", "ODOMETRY", "address", "hash_of", "session"]
-
 ODOMETRY, DRIVE = "nav_msgs/msg/Odometry", "ackermann_msgs/msg/AckermannDriveStamped"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 HASHES = {

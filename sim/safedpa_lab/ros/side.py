@@ -18,8 +18,6 @@ from safedpa.bus.transport import ports
 from safedpa.errors import SafedpaError
 from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["Loop", "Node", "Side", "robot_file", "services", "side"]
-
 _START_SECONDS = 60.0
 _PATIENCE = 15.0
 

@@ -26,8 +26,6 @@ from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import Frame
 
-__all__ = ["ErrorConstants", "barrier_error_bound", "scaled_gradient"]
-
 
 @final
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from typing import final
 
 from safedpa.errors import InputError
 
-__all__ = ["Stay", "least_after", "stays_in_layer"]
-
 
 @final
 @dataclass(frozen=True)

@@ -24,8 +24,6 @@ from safedpa_lab.tuning.paper import sequence_of
 from safedpa_lab.tuning.predictors import AbstractPredictor, PredictorDrives, open_loop_errors
 from safedpa_sim.training.data.recorded_runs import HORIZON, TuningDrive
 
-__all__ = ["OnlineTuning", "TuningResult", "add_to_heads", "head_features", "tuned_online"]
-
 Tensor = torch.Tensor
 _HELD_OUT: Final = 0.25
 """Share of a single drive, at its end, that is held out."""

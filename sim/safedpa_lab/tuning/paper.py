@@ -27,8 +27,6 @@ from safedpa_sim.training.networks.modules import AffineNetworks, tensors_of
 from safedpa_sim.training.networks.rollout import ALONG
 from safedpa_sim.training.progress import ReportProgress, silent
 
-__all__ = ["PaperTuning", "sequence_of", "tune_as_written"]
-
 _SAMPLES: Final = 5000
 
 

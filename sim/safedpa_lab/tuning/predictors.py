@@ -23,16 +23,6 @@ from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork, affine_networks, history_network
 from safedpa_sim.training.networks.rollout import ALONG, along, latents_along
 
-__all__ = [
-    "AbstractPredictor",
-    "NetworkPredictor",
-    "PredictorDrives",
-    "ResidualPredictor",
-    "one_step_errors",
-    "open_loop_errors",
-    "spread_latents",
-]
-
 Tensor = torch.Tensor
 _SETTLED = 8
 """Periods after which the actuators' earlier memory no longer matters."""

@@ -20,8 +20,6 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 
-__all__ = ["ReferencePoint", "weights_reported_of_axle"]
-
 Tensor = torch.Tensor
 _YAW: Final = 2
 _SPEED: Final = 3

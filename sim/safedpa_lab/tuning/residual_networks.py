@@ -47,15 +47,6 @@ from safedpa_sim.training.networks.modules import (
 from safedpa_sim.training.networks.rollout import ALONG
 from safedpa_sim.training.progress import ReportProgress, silent
 
-__all__ = [
-    "ResidualTuning",
-    "judged_error",
-    "learn_residual",
-    "residual_predictor",
-    "residual_weights",
-    "untrained_residual",
-]
-
 Tensor = torch.Tensor
 _CHANGE: Final = 0.005
 """Probability per period that the environment changes in the simulator."""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from safedpa_lab.experiments.ros.faults import _judged
+from safedpa_lab.experiments.ros.experiment import _judged
 
 
 @pytest.mark.parametrize(

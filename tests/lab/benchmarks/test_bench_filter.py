@@ -15,23 +15,25 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.barriers.stopping import Braking
-from safedpa_lab.benchmarks import filter_growth, python_source
-from safedpa_lab.benchmarks.diagnosis_cases import CASES, NAMES, expression_is_right, reported, terms_are_right, written
-from safedpa_lab.benchmarks.filter_decisions import (
+from safedpa_lab.benchmarks import python_source
+from safedpa_lab.benchmarks.filter_problem import (
     FLOORS,
     MODELS,
+    FilterProblem,
     decided,
     each_part_once,
     networks_alone,
     once,
+    problem_with,
     program_alone,
+    wedged,
     with_floors,
 )
-from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
 from safedpa_lab.benchmarks.peers.problem import Problem, compared
 from safedpa_lab.benchmarks.python_source import of_source, without
 from safedpa_lab.benchmarks.results import Curve, Effort, Floor, Row, Target
 from safedpa_lab.benchmarks.rows import filter as row
+from safedpa_lab.benchmarks.rows.diagnosis import CASES, NAMES, expression_is_right, reported, terms_are_right, written
 from safedpa_lab.benchmarks.rows.sensed import places_seen
 from safedpa_lab.benchmarks.table import target_texts
 from safedpa_lab.benchmarks.timing import in_turn
@@ -201,10 +203,10 @@ def test_a_peer_that_gives_up_is_not_asked_about_more(monkeypatch: pytest.Monkey
         return {"answers": [{"wall": {"p50": 7.0}}]}
 
     nothing = {"wall": {"p50": 1.0}}
-    monkeypatch.setattr(filter_growth, "ask_peer", ask)
-    monkeypatch.setattr(filter_growth, "decisions", lambda *_: nothing)
+    monkeypatch.setattr(row, "ask_peer", ask)
+    monkeypatch.setattr(row, "decisions", lambda *_: nothing)
     peers = [("there", "there", "", "script"), ("absent", "absent", "", "script")]
-    curve = filter_growth.over_obstacles(peers, Effort(quick=True))
+    curve = row.over_obstacles(peers, Effort(quick=True))
     assert curve.series["there"] == (7.0, None)
     assert "absent" not in curve.series
     assert asked == [1, 8, 1]

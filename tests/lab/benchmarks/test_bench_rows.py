@@ -20,16 +20,14 @@ from safedpa.safety import Status, Verdict
 from safedpa.safety.decision import Decision
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa_lab.benchmarks import latency
-from safedpa_lab.benchmarks.diagnosis_cases import written
-from safedpa_lab.benchmarks.filter_decisions import MODELS
-from safedpa_lab.benchmarks.filter_problem import problem_with
-from safedpa_lab.benchmarks.first_page import answers, seconds_to_pages
+from safedpa_lab.benchmarks.filter_problem import MODELS, problem_with
 from safedpa_lab.benchmarks.fleet import FleetTrial
-from safedpa_lab.benchmarks.real_drives import dart_drives
 from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row
 from safedpa_lab.benchmarks.rows import diagnosis, long_logs, sense_to_act, start, weights
 from safedpa_lab.benchmarks.rows import largest_fleet as row
 from safedpa_lab.benchmarks.rows.decision_parts import WHOLE, measure, parts
+from safedpa_lab.benchmarks.rows.diagnosis import dart_drives, written
+from safedpa_lab.benchmarks.rows.start import answers, seconds_to_pages
 from safedpa_lab.benchmarks.table import row_lines
 from safedpa_lab.experiments.diagnosis.real_logs_data import CAR
 from safedpa_sim.training.configuration import load_configuration
@@ -423,7 +421,7 @@ def _answering(monkeypatch: pytest.MonkeyPatch, code: int) -> Commands:
         asked.append((command, settings["env"]))
         return subprocess.CompletedProcess(command, code, "{}", "no disk left\n")
 
-    monkeypatch.setattr(weights.subprocess, "run", run)
+    monkeypatch.setattr(subprocess, "run", run)
     return asked
 
 

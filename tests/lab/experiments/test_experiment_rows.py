@@ -16,7 +16,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval, wilson_interval
 from safedpa_lab.experiments.diagnosis import hidden_effects as hidden_horizons
 from safedpa_lab.experiments.diagnosis import live
-from safedpa_lab.experiments.diagnosis.live_drive import LiveDrive
+from safedpa_lab.experiments.diagnosis.live import LiveDrive
 from safedpa_lab.experiments.driving import controllers, long_drives, safety, safety_pays
 from safedpa_lab.experiments.driving import differential_drive as wheels
 from safedpa_lab.experiments.driving.long_drives import LongOutcome

@@ -8,8 +8,8 @@ import pytest
 
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.diagnosis import real_logs
-from safedpa_lab.experiments.diagnosis.hidden_report import page_of as hidden_page
-from safedpa_lab.experiments.diagnosis.hidden_report import summary
+from safedpa_lab.experiments.diagnosis.hidden_effects import page_of as hidden_page
+from safedpa_lab.experiments.diagnosis.hidden_effects import summary
 from safedpa_lab.experiments.diagnosis.real_logs import folds_target, targets_of
 from safedpa_lab.experiments.fleet import diagnosis as fleet_diagnosis
 from safedpa_lab.experiments.fleet import diagnosis as fleet_screen

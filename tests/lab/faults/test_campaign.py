@@ -19,11 +19,18 @@ from safedpa_lab.experiments.report import output_folder, write_report
 from safedpa_lab.experiments.table import EXPERIMENTS
 from safedpa_lab.faults import campaign
 from safedpa_lab.faults.campaign import run_faults
-from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
+from safedpa_lab.faults.episode import (
+    Campaign,
+    Episode,
+    Evidence,
+    Outcome,
+    collisions_in,
+    joined,
+    recovery_of,
+    stale_in,
+)
+from safedpa_lab.faults.experiment import all_faults, faults_named, markdown_of, small_faults
 from safedpa_lab.faults.fault import Fault
-from safedpa_lab.faults.outcome import Campaign, Outcome, joined
-from safedpa_lab.faults.report import markdown_of
-from safedpa_lab.faults.table import all_faults, faults_named, small_faults
 from safedpa_sim.robots.trace import TracedPeriod
 
 PERIOD = 0.05

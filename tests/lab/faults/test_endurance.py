@@ -14,13 +14,11 @@ import pytest
 from safedpa.bus import NOMINAL, STATE, VERDICT, ModelMessage, TakeoverMessage
 from safedpa.errors import InputError
 from safedpa_lab.commands.experiment import EXPERIMENTS, ExperimentCommand
-from safedpa_lab.faults import recorded
+from safedpa_lab.faults import episode
 from safedpa_lab.faults.endurance import Resources, Retained, Sample, retained_by
-from safedpa_lab.faults.member import Member
+from safedpa_lab.faults.experiment import all_faults, faults_for, markdown_of
 from safedpa_lab.faults.model_changes import partitioned_changes
-from safedpa_lab.faults.report import markdown_of
-from safedpa_lab.faults.table import all_faults, faults_for
-from safedpa_lab.faults.world import World, WorldSettings
+from safedpa_lab.faults.world import Member, World, WorldSettings
 
 COMMAND = ExperimentCommand(EXPERIMENTS["faults"])
 
@@ -242,12 +240,12 @@ def test_all_messages_are_counted_and_stamps_are_those_of_one_robot(monkeypatch:
               (f"f/v/r1/{state}/x", message(1, 2)), (f"f/v/r1/{verdict}/x", message(1))],
     }  # fmt: skip
     monkeypatch.setattr(
-        recorded, "read_messages", lambda file, _: iter([(key, 0, one) for key, one in files[file.name]])
+        episode, "read_messages", lambda file, _: iter([(key, 0, one) for key, one in files[file.name]])
     )
-    found = recorded.read_recorded([Path("a"), Path("b")], "r1")
+    found = episode.read_recorded([Path("a"), Path("b")], "r1")
     assert (found.messages, found.states, found.verdicts) == (7, {(1, 1), (1, 2), (2, 1)}, {(1, 1)})
     assert found.lost([(1, 1), (1, 3), (1, 3), (2, 2)], [(1, 1), (1, 2)]) == (2, 1)
-    assert recorded.read_recorded([], "r1").messages == 0
+    assert episode.read_recorded([], "r1").messages == 0
 
 
 def test_a_robot_of_the_campaign_writes_its_own_trace_and_connects_through_the_proxy(tmp_path, monkeypatch) -> None:

@@ -9,9 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa_lab.faults.batches import Batches, carries_data
-from safedpa_lab.faults.conduct import CUT, HALF_OPEN, PASS, STALLED, Conduct, bursts, delayed, losing, slow
-from safedpa_lab.faults.proxy import Proxy
+from safedpa_lab.faults.proxy import (
+    CUT,
+    HALF_OPEN,
+    PASS,
+    STALLED,
+    Batches,
+    Conduct,
+    Proxy,
+    carries_data,
+)
 
 FRAME, FRAGMENT, KEEP_ALIVE, INIT = 0x05, 0x06, 0x04, 0x01
 PUSH, REQUEST, RESPONSE, DECLARE, INTEREST, FINAL = 0x1D, 0x1C, 0x1B, 0x1E, 0x19, 0x1A
@@ -166,7 +173,7 @@ def test_a_link_that_is_cut_ends_its_connections_and_refuses_new_ones(proxy: Pro
 
 
 def test_loss_takes_whole_batches_of_data_and_nothing_else(proxy: Proxy) -> None:
-    proxy.set("a", losing(0.3))
+    proxy.set("a", Conduct(loss=0.3))
     with joined(proxy) as connection:
         connection.sendall((DATA + SIGN_OF_LIFE) * 1000 + b"\x02\x00\x04\x07")
         found = b""
@@ -179,7 +186,12 @@ def test_loss_takes_whole_batches_of_data_and_nothing_else(proxy: Proxy) -> None
 
 
 @pytest.mark.parametrize(
-    ("conduct", "seconds"), [(delayed(0.2), 0.4), (bursts(0.4, 0.5), 0.35), (slow(len(DATA) / 0.2), 0.15)]
+    ("conduct", "seconds"),
+    [
+        (Conduct(delay=0.2), 0.4),
+        (Conduct(pause=0.4, pause_every=0.5), 0.35),
+        (Conduct(bytes_per_second_in=len(DATA) / 0.2), 0.15),
+    ],
 )
 def test_what_is_slow_arrives_late_and_whole(proxy: Proxy, conduct: Conduct, seconds: float) -> None:
     with joined(proxy) as connection:

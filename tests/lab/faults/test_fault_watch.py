@@ -33,7 +33,7 @@ from safedpa.bus.messages.codec import decode
 from safedpa.bus.messages.requests import ORDER
 from safedpa.errors import RecordingError
 from safedpa_lab.faults.model_changes import mixed_in
-from safedpa_lab.faults.observer import Observer
+from safedpa_lab.faults.world import Observer
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_sim.robots import CarRobot, Scene, TraceWriter, read_trace

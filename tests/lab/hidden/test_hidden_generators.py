@@ -20,10 +20,9 @@ from safedpa.records import load_run
 from safedpa_lab import hidden
 from safedpa_lab.hidden import CAR_EFFECTS, PENDULUM_EFFECTS, SUITES, Case, cases_of, write_case, write_cases
 from safedpa_lab.hidden.car import simulate_cars
-from safedpa_lab.hidden.excitation import Commands
-from safedpa_lab.hidden.lanes import Lane
+from safedpa_lab.hidden.case import WHEELS_EFFECTS
+from safedpa_lab.hidden.lanes import Commands, Lane
 from safedpa_lab.hidden.pendulum import GRAVITY, LENGTH, simulate_pendulums
-from safedpa_lab.hidden.strengths import WHEELS_EFFECTS
 
 pytestmark = pytest.mark.slow
 

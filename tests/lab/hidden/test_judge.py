@@ -9,8 +9,13 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments.diagnosis import hidden_effects
-from safedpa_lab.experiments.diagnosis.hidden_effects import hidden_effects_experiment
-from safedpa_lab.experiments.diagnosis.hidden_report import document_of, page_of, read_outcomes, write_document
+from safedpa_lab.experiments.diagnosis.hidden_effects import (
+    document_of,
+    hidden_effects_experiment,
+    page_of,
+    read_outcomes,
+    write_document,
+)
 from safedpa_lab.hidden import Case, truth_of
 from safedpa_lab.hidden.case import TURNS_LESS, equals_of
 from safedpa_lab.hidden.judge import Found, Outcome, judged

@@ -33,6 +33,7 @@ from safedpa_lab.experiments.pendulum.episodes import DEVELOPMENT, Choice, Work,
 from safedpa_lab.experiments.pendulum.experiment import PendulumExperiment, pendulum_experiment
 from safedpa_lab.experiments.pendulum.report import markdown_of
 from safedpa_lab.experiments.pendulum.story import (
+    PERIOD,
     PayloadCases,
     PendulumStory,
     diagnosed_payload,
@@ -41,12 +42,10 @@ from safedpa_lab.experiments.pendulum.story import (
 )
 from safedpa_lab.experiments.report import write_report
 from safedpa_lab.experiments.table import EXPERIMENTS
-from safedpa_lab.pendulum.balancing import balanced, balanced_account, sensors_of
-from safedpa_lab.pendulum.crossing import crossed, crossed_account
 from safedpa_lab.pendulum.difficulty import AXES, Difficulty, Episodes
-from safedpa_lab.pendulum.hidden import PERIOD
 from safedpa_lab.pendulum.margin import covered_share, measured_margins
 from safedpa_lab.pendulum.methods import Method, method_named
+from safedpa_lab.pendulum.questions import balanced, balanced_account, crossed, crossed_account, sensors_of
 from safedpa_lab.pendulum.rollouts import Closed, swung
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.pendulum.task import BALANCING, TORQUE, WIND, corridor, filter_settings

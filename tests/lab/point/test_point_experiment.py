@@ -14,12 +14,19 @@ from gymnasium.utils.seeding import np_random
 from safedpa.errors import InputError
 from safedpa_lab.experiments.common.seeds import SEEDS
 from safedpa_lab.experiments.common.statistics import ratio_interval, wilson_interval
-from safedpa_lab.experiments.point import episodes as point_episodes
 from safedpa_lab.experiments.point import experiment as point
+from safedpa_lab.experiments.point import experiment as point_module
 from safedpa_lab.experiments.point import learning as point_learning
 from safedpa_lab.experiments.point import relinearised as point_relinearised
-from safedpa_lab.experiments.point.episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
-from safedpa_lab.experiments.point.experiment import PointExperiment, point_experiment
+from safedpa_lab.experiments.point.experiment import (
+    DEVELOPMENT,
+    PointExperiment,
+    Work,
+    account_of,
+    best_penalty,
+    over_seeds,
+    point_experiment,
+)
 from safedpa_lab.experiments.point.learning import PointLearning, driven_table
 from safedpa_lab.experiments.point.report import against_table, short_table
 from safedpa_lab.point import drivers, margin
@@ -241,7 +248,7 @@ def driven_accounts(first_goal: tuple[float, ...] = (INF, 2.0, 4.0, INF, INF, 3.
 
 
 def account(monkeypatch: pytest.MonkeyPatch, found: Driven) -> dict[str, Any]:
-    monkeypatch.setattr(point_episodes, "driven", lambda *_: found)
+    monkeypatch.setattr(point_module, "drive", lambda *_: found)
     reported = account_of(Work("oracle", "", "", "", None, 0.002, 2, 3, 50, 0.008, 1))
     assert (reported["method"], reported["epsilon"], reported["steps"]) == ("oracle", 0.002, 50)
     row: dict[str, Any] = reported["account"]

@@ -17,8 +17,6 @@ from safedpa.bus.messages.topics import TOPICS, key_of
 from safedpa.bus.service.process import StopSignal, add_bus_options, run_process, transport_settings_from_options
 from safedpa.errors import BusError
 
-__all__ = ["work"]
-
 _AT_A_TIME = 50
 _PAUSE_SECONDS = 0.0005
 """After so many, for anyone who shares the processor with it."""

@@ -24,8 +24,6 @@ from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_services.supervisor.supervisor import Supervisor
 from safedpa_sim.robots.trace import TracedPeriod, read_trace
 
-__all__ = ["FLOODS", "Flood", "floods_benchmark"]
-
 _FLEET, _ROBOT, _RATE = "fleet", "r1", 20.0
 _MARGIN_SECONDS = 0.25
 """Five periods: an action and the state after it are in flight when a flood ends."""

@@ -9,8 +9,6 @@ from safedpa_lab.benchmarks.fleet import LATE_SHARE, FleetTrial, fleet_benchmark
 from safedpa_lab.benchmarks.hostile.offering import FREEZES
 from safedpa_lab.benchmarks.hostile.offers import MOST_REFUSAL_SECONDS
 
-__all__ = ["offers_benchmark"]
-
 _ROBOTS = 8
 _STRETCH_SECONDS = 5.0
 

@@ -33,8 +33,6 @@ from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
 
-__all__ = ["BOMBS", "FREEZES", "costly_model", "work"]
-
 FREEZES = "a key of 50,000 parts"
 """It once froze a machine for 22 s."""
 BOMBS = {

@@ -10,8 +10,6 @@ from typing import Any
 
 from safedpa_lab.benchmarks.reference import held_up_seconds
 
-__all__ = ["MACHINE_SHARE", "MOST_REFUSAL_SECONDS", "account_of_offers"]
-
 MOST_REFUSAL_SECONDS = 0.010
 """Between the action of a tick, behind which offers are looked at, and the refusal in the same tick."""
 MACHINE_SHARE = 0.5

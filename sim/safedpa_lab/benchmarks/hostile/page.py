@@ -10,8 +10,6 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["attack_tables", "write_page"]
-
 _TITLES = {
     "offers": "Eight robots in real time, and models offered that take long to read",
     "silent": "A whole drive with 1024 descriptors, and a thousand silent connections",

@@ -25,8 +25,6 @@ from safedpa.errors import BusError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_services.supervisor.certificate_store import OPERATOR
 
-__all__ = ["DESCRIPTORS", "MOST_JOIN_SECONDS", "SILENT", "silent_benchmark"]
-
 SILENT = 1000
 DESCRIPTORS = 1024
 MOST_JOIN_SECONDS = 1.0

@@ -11,8 +11,6 @@ import numpy as np
 
 from safedpa_lab.benchmarks.timing import timed
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Answers one question."""

@@ -9,8 +9,6 @@ from typing import Any
 
 from safedpa_lab.benchmarks.timing import timed
 
-__all__ = ["main"]
-
 _STRIDE = 4
 
 

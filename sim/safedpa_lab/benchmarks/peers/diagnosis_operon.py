@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["main"]
-
 _LEAST = 0.1
 """Of the variance that an expression has to explain; one that explains less counts as nothing found."""
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["main"]
-
 _WAYS = {"polynomial": "_polynomial", "weak": "_weak"}
 
 

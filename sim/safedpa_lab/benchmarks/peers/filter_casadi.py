@@ -9,8 +9,6 @@ import numpy as np
 
 from safedpa_lab.benchmarks.peers.problem import Problem, answered, compared
 
-__all__ = ["main"]
-
 _QUIET = {"print_time": False, "error_on_fail": False}
 
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from safedpa_lab.benchmarks.peers.problem import Problem, answered, compared
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Answers about the backend named in the question."""

@@ -9,8 +9,6 @@ import numpy as np
 
 from safedpa_lab.benchmarks.peers.problem import Problem, answered, compared
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Answers about the solver named in the question."""

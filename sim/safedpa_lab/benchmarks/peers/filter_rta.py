@@ -11,8 +11,6 @@ import numpy as np
 
 from safedpa_lab.benchmarks.peers.problem import Problem, answered, compared
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Answers with its quadprog filter."""

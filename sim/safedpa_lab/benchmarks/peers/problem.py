@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from safedpa_lab.benchmarks.timing import timed
 
-__all__ = ["Problem", "answered", "compared"]
-
 FloatArray = NDArray[np.float64]  # a peer runs where safedpa is not installed
 
 

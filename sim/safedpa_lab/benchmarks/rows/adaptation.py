@@ -15,8 +15,6 @@ from safedpa_lab.benchmarks.peer_process import ask_peer
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds, missing
 from safedpa_lab.benchmarks.timing import timed
 
-__all__ = ["measure"]
-
 _MODEL: Final = "car_learned"
 _LACKS = "the networks alone, on rows that are ready: no scaling, no history, no range"
 

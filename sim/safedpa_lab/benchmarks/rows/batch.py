@@ -20,8 +20,6 @@ from safedpa.safety.defaults import settings_named
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
 from safedpa_lab.benchmarks.timing import percentiles
 
-__all__ = ["measure"]
-
 _MODEL: Final = "car_learned"
 _LOADS: Final = ("none", "box", "chair", "large_chair")
 _WARM = 10

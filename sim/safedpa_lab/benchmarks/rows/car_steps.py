@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from safedpa.dynamics import load_model
-from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing
+from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing, steps
 from safedpa_lab.benchmarks.timing import rate
-
-__all__ = ["measure"]
 
 _PERIOD = 0.05
 _STEPS = 20
@@ -23,19 +21,13 @@ def measure(effort: Effort) -> Row:
     seconds = effort.of(0.3, 2.0)
     found = {size: _batched(size, seconds) for size in sizes}
     best = max(found, key=lambda size: found[size]["per_second"])
-    ours = tuple(_entry(f"safedpa, {size} cars at once", found[size]) for size in dict.fromkeys((best, sizes[0])))
+    ours = tuple(steps(f"safedpa, {size} cars at once", found[size]) for size in dict.fromkeys((best, sizes[0])))
     series: dict[str, tuple[float | None, ...]] = {"safedpa": tuple(found[size]["per_second"] for size in sizes)}
     curve = Curve("car_steps", "cars in a batch", "steps a second", tuple(float(size) for size in sizes), series)
     target = Target("car steps a second", 5e6, found[best]["per_second"], "steps/s", "more")
     work = "one step of 0.05 s of a simulated car with load, wind and wear drawn at random"
     peers = (_pymunk(seconds), _gymnasium_car(seconds), _gymnasium_vector(seconds))
     return Row("car-steps", work, "per_second", ours, peers, (target,), (curve,), better="more")
-
-
-def _entry(name: str, found: dict[str, float], note: str = "") -> Entry:
-    processor = {"per_second": found["per_processor_second"]}
-    figures = {"per_second": found["per_second"], "best_per_second": found["best_per_second"]}
-    return Entry(name, figures=figures, unit="steps/s", processor=processor, note=note)
 
 
 def _batched(count: int, seconds: float) -> dict[str, float]:
@@ -65,12 +57,8 @@ def _pymunk(seconds: float) -> Entry:
 
     world = CarWorld((0.0, 0.0, 0.0), (-1e4, 1e4, -1e4, 1e4), load=load_named("chair"))
 
-    def several() -> None:
-        for _ in range(_STEPS):
-            world.advance(1.0, 0.1, _PERIOD)
-
     note = "a rigid body with tyres and a towed chair, 20 physics steps of 2.5 ms each; one car after the other"
-    return _entry("pymunk, one by one", rate(several, _STEPS, seconds), note)
+    return steps("pymunk, one by one", rate(lambda: world.advance(1.0, 0.1, _PERIOD), 1, seconds, times=_STEPS), note)
 
 
 def _gymnasium_car(seconds: float) -> Entry:
@@ -99,13 +87,8 @@ def _gymnasium_car(seconds: float) -> Entry:
     environment.reset(seed=0)
     action = np.array([1.0, 0.1])
 
-    def several() -> None:
-        for _ in range(_STEPS):
-            environment.step(action)
-
-    return _entry(
-        name, rate(several, _STEPS, seconds), "this project's kinematic car with a towed load, as an environment"
-    )
+    found = rate(lambda: environment.step(action), 1, seconds, times=_STEPS)
+    return steps(name, found, "this project's kinematic car with a towed load, as an environment")
 
 
 def _gymnasium_vector(seconds: float) -> Entry:
@@ -119,8 +102,5 @@ def _gymnasium_vector(seconds: float) -> Entry:
     environments.reset(seed=0)
     actions = environments.action_space.sample()
 
-    def several() -> None:
-        for _ in range(_STEPS):
-            environments.step(actions)
-
-    return _entry(name, rate(several, 64 * _STEPS, seconds), "its own Pendulum-v1, which has two states and no load")
+    found = rate(lambda: environments.step(actions), 64, seconds, times=_STEPS)
+    return steps(name, found, "its own Pendulum-v1, which has two states and no load")

@@ -9,12 +9,9 @@ from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.decision import Decision, FilterInput
 from safedpa.safety.solver.sqp import backtrack_towards, solve_sqp
-from safedpa_lab.benchmarks.filter_decisions import MODELS, Asked, decided, networks_alone
-from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with
+from safedpa_lab.benchmarks.filter_problem import MODELS, Asked, FilterProblem, decided, networks_alone, problem_with
 from safedpa_lab.benchmarks.results import Effort, Row, microseconds
 from safedpa_lab.benchmarks.timing import in_turn
-
-__all__ = ["WHOLE", "measure", "parts"]
 
 WHOLE: Final = "the whole decision"
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import concurrent.futures
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 from safedpa.errors import SafedpaError
 from safedpa_lab.benchmarks.fleet import LATE_SHARE, FleetTrial, fleet_benchmark, largest_fleet
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing
-
-__all__ = ["measure"]
 
 _STACKS = 2
 """The asked number of robots is for two cores."""
@@ -72,7 +70,7 @@ def _steady(found: Mapping[str, Any]) -> Entry:
     name, problem = f"safedpa, {_ASKED} robots, two stacks", f"{_STEADY_SECONDS:g} s"
     if "failed" in found:
         return missing(name, found["failed"], problem)
-    used = _used(found)
+    used = [each for each in found["processes"].values() if each]
     figures = {
         "robots": float(_ASKED),
         "mib": round(sum(each["mib_end"] for each in used), 1),
@@ -98,11 +96,6 @@ def _steady_targets(entry: Entry) -> list[Target]:
         Target(f"p99 of {what}", _MOST_P99, p99, "ms"),
         Target(f"memory gained by {what}", _MOST_GAIN * _ASKED, gained, "MiB"),
     ]
-
-
-def _used(found: Mapping[str, Any]) -> Sequence[Mapping[str, float]]:
-    """Of each process that the system lists."""
-    return [each for each in found["processes"].values() if each]
 
 
 def _cost(found: Mapping[str, Any]) -> float:

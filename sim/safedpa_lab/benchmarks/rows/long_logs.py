@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from typing import Any
 
-from safedpa.errors import SafedpaError
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
-
-__all__ = ["measure"]
+from safedpa_lab.benchmarks.usage import output_of
 
 _PERIOD = 0.01
 _MOST_SECONDS = 60.0
@@ -47,10 +43,6 @@ def _entry(hours: float, row: dict[str, Any]) -> Entry:
 
 
 def _diagnosed(runs: int, seconds: float) -> dict[str, Any]:
-    command = [sys.executable, "-m", "safedpa_services", "experiment", "long-logs", "--json"]
-    command += ["--runs", str(runs), "--seconds", repr(seconds), "--period", repr(_PERIOD)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise SafedpaError(f"long-logs: {done.stderr.strip()}")
-    rows = json.loads(done.stdout)["rows"]
+    length = ("--runs", str(runs), "--seconds", repr(seconds), "--period", repr(_PERIOD))
+    rows = json.loads(output_of("experiment", "long-logs", "--json", *length))["rows"]
     return next(dict(row) for row in rows if row["command"] == "diagnose")

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing
+from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing, steps
 from safedpa_lab.benchmarks.timing import rate
-
-__all__ = ["measure"]
 
 _STEPS = 50
 _SOURCE = (
@@ -32,13 +29,13 @@ def measure(effort: Effort) -> Row:
     for size in sizes:
         actions = random.uniform(-1.0, 1.0, (size, 2))
         alone = partial(PointSimulation(size).advance, 0.05 * actions.T)
-        found["body alone"][size] = _several(alone, size, seconds)
-        found["whole task"][size] = _several(partial(_whole, PointTask(size, 0), actions), size, seconds)
+        found["body alone"][size] = rate(alone, size, seconds, times=_STEPS)
+        found["whole task"][size] = rate(partial(_whole, PointTask(size, 0), actions), size, seconds, times=_STEPS)
     ours = []
     for what, own in found.items():
         best = max(own, key=lambda size: own[size]["per_second"])
         note = "reward, cost, observation and new goals too" if what == "whole task" else "ten physics steps each"
-        ours.append(_entry(f"safedpa, {what}, {best} at once", own[best], what, note))
+        ours.append(steps(f"safedpa, {what}, {best} at once", own[best], note, what))
     target = Target(
         "point robot steps a second, whole task", 20_000.0, ours[1].figures["per_second"], "steps/s", "more"
     )
@@ -56,20 +53,6 @@ def _whole(task: Any, actions: Any) -> None:
     task.observation()
 
 
-def _several(step: Callable[[], object], robots: int, seconds: float) -> dict[str, float]:
-    def several() -> None:
-        for _ in range(_STEPS):
-            step()
-
-    return rate(several, _STEPS * robots, seconds)
-
-
-def _entry(name: str, found: dict[str, float], problem: str, note: str) -> Entry:
-    figures = {"per_second": found["per_second"], "best_per_second": found["best_per_second"]}
-    processor = {"per_second": found["per_processor_second"]}
-    return Entry(name, figures=figures, unit="steps/s", processor=processor, problem=problem, note=note)
-
-
 def _mujoco(seconds: float) -> Entry:
     name = "mujoco, one robot"
     try:
@@ -81,8 +64,8 @@ def _mujoco(seconds: float) -> Entry:
 
     hazards = draw_layouts(1, np.random.default_rng(0)).hazards[0]
     world = MujocoPoint([(float(x), float(y)) for x, y in hazards])
-    found = _several(lambda: world.advance(np.array([0.03, 0.4])), 1, seconds)
-    return _entry(name, found, "body alone", "the same MJCF, ten mj_step and the sensors each")
+    found = rate(lambda: world.advance(np.array([0.03, 0.4])), 1, seconds, times=_STEPS)
+    return steps(name, found, "the same MJCF, ten mj_step and the sensors each", "body alone")
 
 
 def _environment(seconds: float) -> Entry:
@@ -97,8 +80,8 @@ def _environment(seconds: float) -> Entry:
     environment = PointGoalEnvironment()
     environment.reset(seed=0)
     action = np.array([0.5, 0.3])
-    found = _several(lambda: environment.step(action), 1, seconds)
-    return _entry(name, found, "whole task", "this project's environment around it: reward, cost, observation")
+    found = rate(lambda: environment.step(action), 1, seconds, times=_STEPS)
+    return steps(name, found, "this project's environment around it: reward, cost, observation", "whole task")
 
 
 def _safety_gymnasium() -> Entry:

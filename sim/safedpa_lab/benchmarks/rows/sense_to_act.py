@@ -9,8 +9,6 @@ from safedpa.errors import SafedpaError
 from safedpa_lab.benchmarks.latency import latency_benchmark, real_loop
 from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row, Target, missing
 
-__all__ = ["measure"]
-
 _TIMES: Final = 1.2
 """As long as the bare chain at its p99, at most: what the services may add."""
 _WATCHED_RATE: Final = 20.0

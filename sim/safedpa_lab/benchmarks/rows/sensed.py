@@ -5,26 +5,84 @@ All of them in turn within one run, so that what else the machine does is shared
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
+from safedpa.adaptation import AdaptationNode
 from safedpa.arrays import FloatArray
-from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    NOMINAL,
+    SURROUNDINGS,
+    ActionMessage,
+    ScanMessage,
+    StateMessage,
+    SurroundingsMessage,
+    decode,
+    encode,
+)
 from safedpa.compiled import compiled_modules
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.perception import PerceptionNode
+from safedpa.policy import PolicyNode
 from safedpa.robots.car.scenes.perceived import CarScene
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.benchmarks.filter_decisions import first_program
-from safedpa_lab.benchmarks.filter_problem import car_message, problem_with
+from safedpa_lab.benchmarks.filter_problem import car_message, first_program, problem_with
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds
-from safedpa_lab.benchmarks.sensed_chain import chain_times
 from safedpa_lab.benchmarks.timing import in_turn, percentiles
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.people import walkers
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-__all__ = ["measure", "places_seen"]
+_NAME, _PEOPLE, _WARM, _SEED = "r1", 3, 20, 0
+
+
+def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
+    """Microseconds, by the clock and of the processor, of each tick that a scan came before, from its bytes to the
+    action's; ``scans`` of them.
+
+    A car drives among pillars and people; what adaptation, perception, policy and filter need is counted, the
+    simulation and the network are not.
+    """
+    model, scene = load_model("car"), Scene.random(_SEED)
+    robot = CarRobot(
+        scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(rays=rays), _SEED),), walkers(scene, _PEOPLE))
+    )
+    adaptation, perception = AdaptationNode(model), PerceptionNode()
+    policy, safety = PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin_for(model))
+    nodes = (adaptation, perception, policy, safety)
+    for node in nodes:
+        node.adopt_model(_NAME, None)
+    wall: list[float] = []
+    processor: list[float] = []
+    while len(wall) < _WARM + scans:
+        state, reported = robot.state_message(), [encode(scan) for scan in robot.scans()]
+        used, began = time.process_time(), time.perf_counter()
+        for data in reported:
+            perception.hear(_NAME, decode(ScanMessage, data))
+        inputs: dict[Any, Any] = {LATENT: adaptation.step(_NAME, state, {})[LATENT]}
+        inputs[SURROUNDINGS] = decode(SurroundingsMessage, encode(perception.step(_NAME, state, {})[SURROUNDINGS]))
+        inputs[NOMINAL] = policy.step(_NAME, state, inputs)[NOMINAL]
+        action = safety.step(_NAME, state, inputs)[ACTION]
+        heard = encode(action)
+        elapsed, spent = time.perf_counter() - began, time.process_time() - used
+        for node in nodes:
+            node.afterwards(_NAME)
+        robot.receive(decode(ActionMessage, heard))
+        robot.advance()
+        if reported:
+            wall.append(1e6 * elapsed)
+            processor.append(1e6 * spent)
+    return wall[_WARM:], processor[_WARM:]
 
 
 _COUNTS: Final = (64, 256, 1080)

@@ -3,20 +3,97 @@
 from __future__ import annotations
 
 import json
+import queue
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from statistics import median
+from typing import IO, Any, Final
+from urllib.request import HTTPCookieProcessor, ProxyHandler, build_opener
 
 from safedpa.errors import SafedpaError
-from safedpa_lab.benchmarks.first_page import seconds_to_pages
+from safedpa_lab.benchmarks.against import first_action
 from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row, Target
-from safedpa_lab.benchmarks.usage import usage_of
+from safedpa_lab.benchmarks.usage import output_of, usage_of
 
-__all__ = ["measure"]
+_PATIENCE_SECONDS: Final = 60.0
+_PAGE_LOOK_SECONDS: Final = 0.02
+_END_SECONDS: Final = 20.0
+_ANSWER_SECONDS: Final = 5.0
+_PAGES: Final = ("live view ", "workbench ")
+"""How ``safedpa up`` begins the lines that tell an address."""
+
+
+def seconds_to_pages(pages: tuple[str, ...] = _PAGES) -> dict[str, float]:
+    """Seconds from the command until each page that it reports of has answered a request, by the page's name.
+
+    Raises SafedpaError where ``safedpa up`` ends before that, or where no page answers within a minute.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "safedpa_services", "up", "--out", folder]
+        began = time.monotonic()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        listener = threading.Thread(target=_hand_on, args=(process.stderr, lines), daemon=True)
+        listener.start()
+        try:
+            return _answered(process, lines, pages, began)
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(_END_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            listener.join(_END_SECONDS)
+            process.stderr.close()
+
+
+def _answered(
+    process: subprocess.Popen[str], lines: queue.SimpleQueue[str], pages: tuple[str, ...], began: float
+) -> dict[str, float]:
+    reported: dict[str, str] = {}
+    found: dict[str, float] = {}
+    notice = ""
+    while len(found) < len(pages):
+        while not lines.empty():
+            notice = lines.get()
+            reported |= {page.strip(): notice.removeprefix(page).strip() for page in pages if notice.startswith(page)}
+        for page, address in reported.items():
+            if page not in found and answers(address):
+                found[page] = time.monotonic() - began
+        if process.poll() is not None:
+            raise SafedpaError(f"safedpa up: ended with exit code {process.returncode}: {notice.strip()}")
+        if time.monotonic() - began > _PATIENCE_SECONDS:
+            absent = ", ".join(page.strip() for page in pages if page.strip() not in found)
+            raise SafedpaError(f"safedpa up: no answer of {absent} within {_PATIENCE_SECONDS:.0f} s")
+        time.sleep(_PAGE_LOOK_SECONDS)
+    return found
+
+
+def _hand_on(stream: IO[str], lines: queue.SimpleQueue[str]) -> None:
+    for line in stream:
+        lines.put(line)
+
+
+def answers(address: str) -> bool:
+    """Whether a request there gets a page, as a browser would: with the cookie that its address brings, past proxies.
+
+    That something is not found, or not allowed, is an answer of the server, and no page.
+    """
+    browser = build_opener(ProxyHandler({}), HTTPCookieProcessor())
+    try:
+        with browser.open(address, timeout=_ANSWER_SECONDS) as reply:
+            return bool(reply.status == 200)
+    except OSError:  # what HTTP says of errors is one of them
+        return False
+
 
 _SERVICES: Final = ("adaptation", "policy", "safety_filter", "recorder", "diagnosis", "dashboard")
 _ACTING: Final = ("adaptation", "policy", "safety_filter")
@@ -36,9 +113,9 @@ def measure(effort: Effort) -> Row:
     """``safedpa up`` a few times, and every service imported a few times in a fresh Python; the median of each."""
     times = effort.of(1, 5)
     starts, memory = zip(*(_started() for _ in range(times)), strict=True)
-    first = _median(list(starts))
+    first = median(list(starts))
     shown = [seconds_to_pages() for _ in range(times)]
-    pages = {page: _median([each[page] for each in shown]) for page in shown[0]}
+    pages = {page: median([each[page] for each in shown]) for page in shown[0]}
     imports = {name: _imported(f"safedpa_services.{name}.__main__", times) for name in _SERVICES}
     alone, numpy = (_imported(name, times)[0] for name in ("safedpa", "numpy"))
     compared = _compared(times)
@@ -76,24 +153,16 @@ def _import_entries(imports: Mapping[str, tuple[float, bool]], alone: float) -> 
 
 def _compared(times: int) -> float:
     """Median seconds of ``safedpa compare`` by the clock, of a drive that is recorded for it in lockstep, seed 0."""
-    safedpa = [sys.executable, "-m", "safedpa_services"]
     with tempfile.TemporaryDirectory() as folder:
         drive = ["up", "--headless", "--json", "--lockstep", "--seconds", repr(_RECORDED_SECONDS), "--out", folder]
-        recording = json.loads(_message([*safedpa, *drive]))["recording"]
+        recording = json.loads(output_of(*drive))["recording"]
         found = []
         for number in range(times):
             report = str(Path(folder) / f"report {number}")
             began = time.perf_counter()
-            _message([*safedpa, "compare", "car", recording, "--json", "--out", report])
+            output_of("compare", "car", recording, "--json", "--out", report)
             found.append(time.perf_counter() - began)
-    return _median(found)
-
-
-def _message(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise SafedpaError(f"{' '.join(command[2:5])}: {done.stderr.strip()}")
-    return done.stdout
+    return median(found)
 
 
 def _started() -> tuple[float, dict[str, float]]:
@@ -113,7 +182,7 @@ def _started() -> tuple[float, dict[str, float]]:
         out, phrase = process.communicate()
         if process.returncode != 0:
             raise SafedpaError(f"safedpa up: {phrase.strip()}")
-        return _first_action(Path(json.loads(out)["recording"])) - began, memory
+        return first_action(Path(json.loads(out)["recording"])) - began, memory
 
 
 def _children(parent: int) -> dict[int, str]:
@@ -133,20 +202,6 @@ def _children(parent: int) -> dict[int, str]:
     return found
 
 
-def _first_action(recording: Path) -> float:
-    """When the first action was published, in seconds of the wall clock."""
-    from mcap.reader import make_reader
-
-    from safedpa.bus.messages.codec import decode
-    from safedpa.bus.messages.messages import ActionMessage
-
-    with recording.open("rb") as stream:
-        for _, channel, message in make_reader(stream).iter_messages():
-            if channel.topic.endswith("/action"):
-                return float(decode(ActionMessage, message.data).publish_time)
-    raise SafedpaError(f"{recording}: got no action, wanted some; the loop did not begin")
-
-
 def _imported(module: str, times: int) -> tuple[float, bool]:
     """Median seconds of an import in a fresh Python, and whether torch came with it."""
     found: list[Any] = []
@@ -156,8 +211,4 @@ def _imported(module: str, times: int) -> tuple[float, bool]:
         if done.returncode != 0:
             raise SafedpaError(f"import of {module}: {done.stderr.strip()}")
         found.append(done.stdout.split()[-2:])
-    return _median([float(seconds) for seconds, _ in found]), any(torch == "True" for _, torch in found)
-
-
-def _median(values: list[float]) -> float:
-    return sorted(values)[len(values) // 2]
+    return median([float(seconds) for seconds, _ in found]), any(torch == "True" for _, torch in found)

@@ -10,8 +10,6 @@ from pathlib import Path
 from safedpa_lab.benchmarks.results import Effort, Entry, Row
 from safedpa_lab.benchmarks.timing import rate
 
-__all__ = ["measure"]
-
 _ALL = 20_000_000
 _AT_ONCE = 65_536
 _NO_TARGET = "no target: the row weights has one, for everything that is trained"

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from safedpa.errors import SafedpaError
 from safedpa.fleet.workers import available_cores
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target
-
-__all__ = ["measure"]
+from safedpa_lab.benchmarks.usage import output_of
 
 _ROBOTS: Final = ("car", "pendulum", "point")
 """The longest first, so that no core waits for it at the end."""
@@ -41,11 +36,7 @@ def measure(effort: Effort) -> Row:
 
 def _trained(robot: str, folder: Path, effort: Effort) -> float:
     """Minutes by the clock."""
-    command = [sys.executable, "-m", "safedpa_services", "train", robot, "--out", str(folder), "--json"]
-    command += ["--small"] if effort.quick else []
+    small = ("--small",) if effort.quick else ()
     began = time.perf_counter()
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode != 0:
-        raise SafedpaError(f"train {robot}: {done.stderr.strip()}")
+    output_of("train", robot, "--out", str(folder), "--json", *small, environment={"OMP_NUM_THREADS": "1"})
     return (time.perf_counter() - began) / 60.0

@@ -138,7 +138,7 @@ EXPERIMENTS = (
             path("--page", "also write the tables to this Markdown file", writes="markdown"),
             switch("--horizons", "only compare verdict and names for horizons of 0.2 to 1 s"),
         ),
-        report=f"{__name__}.hidden_report:report",
+        report=f"{__name__}.hidden_effects:report",
         extras=("sim", "diagnosis"),
         small=("--cases", "1", "--suite", "ordinary"),
     ),

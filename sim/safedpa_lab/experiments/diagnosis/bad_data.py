@@ -6,8 +6,6 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 
-__all__ = ["report", "run"]
-
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment bad-data``. Raises InputError for a log that does not exist."""

@@ -13,8 +13,6 @@ from typing import Any
 
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 
-__all__ = ["judged", "report", "run"]
-
 _WANTED_FALL, _WANTED_WAY, _LONGEST_UNSAID = 0.6, 5.0, 10.0
 """Reduction of the error; m driven in the 20 s after the model was changed; s of standing without a message."""
 _TIMEOUT = 300.0

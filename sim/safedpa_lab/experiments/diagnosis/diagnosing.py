@@ -21,8 +21,6 @@ from safedpa.effects.law import law_of
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
-__all__ = ["HORIZON", "alongside_the_truth", "diagnosed", "oracle_error"]
-
 HORIZON = 1.0
 """s, as the command has it."""
 _EDGE = 0.05

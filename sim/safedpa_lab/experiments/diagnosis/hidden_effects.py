@@ -1,31 +1,246 @@
-"""Diagnosis against truths that it cannot see: how often it names what is hidden, and nothing else."""
+"""Diagnosis against truths that it cannot see: how often it names what is hidden, and nothing else.
+
+The cases become counts with intervals, a JSON document, and Markdown.
+"""
 
 from __future__ import annotations
 
 import json
 import multiprocessing
 import os
+import platform
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
+from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, RunError, SafedpaError
 from safedpa.records import load_run
+from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed, oracle_error
-from safedpa_lab.experiments.diagnosis.hidden_report import document_of, read_outcomes, write_document
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.hidden import SUITES, Case, Log, cases_of, write_case, write_cases
-from safedpa_lab.hidden.judge import Outcome, judged
+from safedpa_lab.hidden.judge import Found, Outcome, judged
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["ALL", "HORIZONS", "hidden_effects_experiment", "hidden_horizons", "run", "run_cases"]
+
+def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Rows by suite and, where one effect is hidden, by effect; and the cases that were not right."""
+    rows, effects = [], []
+    for suite in suites:
+        own = [item for item in outcomes if item.suite == suite]
+        rows.append(_suite_row(suite, "all", own))
+        for name in sorted({item.hidden[0] for item in own if len(item.hidden) == 1}):
+            effects.append(_suite_row(suite, name, [item for item in own if item.hidden == (name,)]))
+    missed = [
+        {
+            "case": item.case,
+            "hidden": list(item.hidden),
+            "verdict": item.verdict,
+            "added": [*item.added, *item.reported],
+        }
+        for item in outcomes
+        if not item.right or item.wrong or item.false_laws
+    ]
+    return {"suites": rows, "effects": effects, "missed": missed}
+
+
+def _suite_row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    deviations = np.abs([value for item in outcomes for value in item.deviations])
+    ratios = np.array([item.error_ratio for item in outcomes if np.isfinite(item.error_ratio)])
+    seconds = np.array([item.seconds for item in outcomes])
+    processor = np.array([item.processor_seconds for item in outcomes if np.isfinite(item.processor_seconds)])
+    hidden = any(item.hidden for item in outcomes)
+    return {
+        "suite": suite,
+        "effect": effect,
+        "cases": len(outcomes),
+        "right": _share([item.right for item in outcomes]),
+        "named_first": _share([item.first_named for item in outcomes]) if hidden else None,
+        "all_named": _share([item.all_named for item in outcomes]) if hidden else None,
+        "wrong_additions": _share([bool(item.wrong) for item in outcomes]),
+        "false_laws": _share([bool(item.false_laws) for item in outcomes]),
+        "parameters_within_two": _share([value <= 2.0 for value in deviations]) if len(deviations) else None,
+        "error_ratio_median": float(np.median(ratios)) if len(ratios) else None,
+        "error_ratio_largest": float(ratios.max()) if len(ratios) else None,
+        "error_ratio_within": _share([value <= 1.1 for value in ratios]) if len(ratios) else None,
+        "seconds_median": float(np.median(seconds)),
+        "seconds_largest": float(seconds.max()),
+        "processor_seconds_median": float(np.median(processor)) if len(processor) else None,
+        "processor_seconds_largest": float(processor.max()) if len(processor) else None,
+    }
+
+
+def _share(hits: Sequence[Any]) -> dict[str, Any]:
+    """Hits, trials and the 95 % interval of the share."""
+    count = int(sum(bool(hit) for hit in hits))
+    return {"hits": count, "of": len(hits), "interval_95": [round(end, 4) for end in wilson_interval(count, len(hits))]}
+
+
+_FORMAT = 1
+_LISTS = ("hidden", "added", "wrong", "reported", "false_laws")
+_PACKAGES = ("safedpa", "numpy", "pymunk")
+
+
+def document_of(outcomes: Sequence[Outcome], seeds: Sequence[int], end: datetime | None = None) -> dict[str, Any]:
+    """What was measured when and with what, the figures by suite and effect, and every case."""
+    suites = tuple(dict.fromkeys(item.suite for item in outcomes))
+    versions = {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+    return {
+        "experiment": "hidden-effects",
+        "format": _FORMAT,
+        "seeds": sorted(set(seeds)),
+        "date": (end or datetime.now(UTC)).isoformat(timespec="seconds"),
+        "versions": versions,
+        **summary(suites, outcomes),
+        "cases": [_case_row(item) for item in outcomes],
+    }
+
+
+def _case_row(item: Outcome) -> dict[str, Any]:
+    row = asdict(item)
+    row["parameters"] = [{**asdict(found), "deviation": found.deviation} for found in item.parameters]
+    row.update({name: list(row[name]) for name in _LISTS})
+    plain = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
+    return {**plain, "right": item.right}
+
+
+def write_document(document: Mapping[str, Any], path: Path) -> None:
+    """Writes the record whole or not at all: a reader never finds half of one."""
+    write_result(path, document)
+
+
+def read_outcomes(path: Path) -> tuple[list[Outcome], list[int]]:
+    """The cases and seeds of a record, none of one that is not there yet. Raises InputError for another document."""
+    if not path.exists():
+        return [], []
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if (document["experiment"], document.get("format")) != ("hidden-effects", _FORMAT):
+            raise KeyError("format")
+        return [_read_outcome(row) for row in document["cases"]], list(document["seeds"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: got something else than a record of this experiment ({error}); name a new file"
+        ) from error
+
+
+def _read_outcome(row: Mapping[str, Any]) -> Outcome:
+    known = {field.name for field in fields(Outcome)}
+    values = {name: value for name, value in row.items() if name in known}
+    for name in _LISTS:
+        values[name] = tuple(values.get(name, ()))
+    for name in ("error", "error_ratio", "seconds", "processor_seconds"):
+        values[name] = _float_or_nan(values[name])
+    values["parameters"] = tuple(
+        Found(item["path"], *(_float_or_nan(item[name]) for name in ("value", "std", "truth")))
+        for item in row["parameters"]
+    )
+    return Outcome(**values)
+
+
+def _float_or_nan(reported: float | None) -> float:
+    """Values that are not finite become null."""
+    return float("nan") if reported is None else float(reported)
+
+
+_HEAD = (
+    "cases", "right", "95 % interval", "named first", "all named", "wrong extra", "false law", "parameters within 2 sd",
+    "error over oracle: median", "worst", "at most 1.1", "seconds: median", "worst", "of one core: median", "worst",
+)  # fmt: skip
+
+
+def page_of(document: Mapping[str, Any]) -> str:
+    """Markdown: a table by suite, one by effect, and the cases that were missed."""
+    versions = ", ".join(f"{name} {number}" for name, number in document["versions"].items())
+    seeds = ", ".join(map(str, document["seeds"]))
+    count = len(document["cases"])
+    lines = [
+        "# Hidden effects: results",
+        "",
+        f"{count} cases, seeds {seeds}; finished {document['date'][:10]}; {versions}.",
+        "What the suites are and what counts as right: [Hidden effects](../hidden-effects.md). Shares in %.",
+        "",
+        "## By suite",
+        "",
+        *_table("suite", document["suites"]),
+    ]
+    if document["effects"]:
+        lines += ["", "## By effect", "", *_table("effect", document["effects"])]
+    return "\n".join([*lines, "", "## Missed, or something wrong added too", "", *_missed(document["missed"])]) + "\n"
+
+
+def _table(first: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = (first, *_HEAD) if first == "suite" else ("suite", first, *_HEAD)
+    lines = [_line(names), _line(["---"] * (len(names) - len(_HEAD)) + ["--:"] * len(_HEAD))]
+    for row in rows:
+        title = [row["suite"]] if first == "suite" else [row["suite"], row["effect"]]
+        lines.append(_line([*title, *_cells(row)]))
+    return lines
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    low, high = row["right"]["interval_95"]
+    shares = ("named_first", "all_named", "wrong_additions", "false_laws", "parameters_within_two")
+    seconds = (
+        "seconds_median", "seconds_largest", "processor_seconds_median", "processor_seconds_largest",
+    )  # fmt: skip
+    return [
+        str(row["cases"]),
+        _percent(row["right"]),
+        f"{100 * low:.0f} to {100 * high:.0f}",
+        *(_percent(row[name]) for name in shares),
+        _number(row["error_ratio_median"], 3),
+        _number(row["error_ratio_largest"], 3),
+        _percent(row["error_ratio_within"]) if row["error_ratio_median"] is not None else "",
+        *(_number(row[name], 1) for name in seconds),
+    ]
+
+
+def _missed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    if not rows:
+        return ["None."]
+    found = []
+    for row in rows:
+        hidden, added = (" + ".join(row[key]) or "nothing" for key in ("hidden", "added"))
+        found.append(f"- `{row['case']}`: hidden {hidden}; {row['verdict']}, added {added}")
+    return found
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _percent(share: Mapping[str, Any] | None) -> str:
+    return "" if share is None else f"{100 * share['hits'] / share['of']:.0f}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def report(result: Result) -> str:
+    """The tables of a run; of the comparison of horizons, the cases in which they differ."""
+    if "suites" in result:
+        return page_of(result)
+    lines = [f"Verdict and names are equal for every horizon in {result['equal']} of {result['of']} cases.", ""]
+    for row in result["cases"]:
+        if not row["equal"]:
+            found = "; ".join(f"{own['horizon']} s {own['verdict']} {'+'.join(own['added'])}" for own in row["notice"])
+            lines.append(f"- differs: {row['case']}: {found}")
+    return "\n".join(lines)
+
 
 _AT_ONCE = 4
 """Cases that one process simulates together."""

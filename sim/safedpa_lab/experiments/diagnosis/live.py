@@ -1,28 +1,258 @@
-"""Live diagnosis, measured: how soon a change is found, named and corrected; and is anything found where nothing is?"""
+"""Live diagnosis, measured: how soon a change is found, named and corrected; and is anything found where nothing is?
+
+In one drive something changes, is found and accepted automatically, and the error falls.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
+from safedpa.adaptation import AdaptationNode, LatentEstimator
+from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, ReceivedMessage, Request, StateMessage
+from safedpa.calibration.from_runs import live_margin
+from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.errors import InputError
+from safedpa.live.finding import RobotDiagnosis
 from safedpa.live.model_monitor import ALPHA
+from safedpa.live.search_jobs import named_candidate
+from safedpa.live.node import DiagnosisNode
+from safedpa.live.search_jobs import Calibrate, InlineWorker, WorkOutcome
+from safedpa.policy import PolicyNode
+from safedpa.records.run import Run
+from safedpa.records.writers.mcap import McapRecorder
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_text
 from safedpa_lab.experiments.common.workers import each_result
-from safedpa_lab.experiments.diagnosis.live_drive import CASES, MODEL_NAME, LiveDrive, drive_live, record_drive
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.changes import PlannedChange
 
-__all__ = ["NOTHING", "LiveExperiment", "live_experiment", "report", "run"]
+CASES: Final = {"hitch": "towed_load", "headwind": "constant_force", "steering_offset": "steering_offset"}
+"""What changes, and the effect of the library that says so."""
+MODEL_NAME: Final = "car_measured"
+"""The car without a load, nothing of it free: a model whose free parameters are a load's would adapt to the chair."""
+
+_PERIOD: Final = 0.05
+_ROBOT: Final = "r1"
+_SETTINGS: Final = "car"
+_GOALS = 400
+_FALL: Final = 0.4
+"""Of the error before, to which it has to fall."""
+_SEARCHES: Final = 2
+"""So many are awaited while the data cannot tell the first effect from another one, as a patient engineer would."""
+
+
+@dataclass
+class LiveDrive:
+    """What became of a drive; times in s by the robot's clock, None for what did not happen."""
+
+    case: str
+    seed: int
+    changed: float | None = None
+    raised: float | None = None
+    found: float | None = None
+    """End of the first search that named the first effect."""
+    effect: str = ""
+    """Named first."""
+    group: tuple[str, ...] = ()
+    """What the data cannot tell from it."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    where: str = ""
+    taken: float | None = None
+    before: float = 0.0
+    """Mean of the live error, sampled once a second, from the finding to the change of the model."""
+    after: float | None = None
+    """Mean of the live error from 10 to 20 s after the change of the model."""
+    fell: float | None = None
+    """When the live error of five seconds with the new model was first below 40 % of that before."""
+    findings: int = 0
+    evidence: float = 0.0
+    """Largest."""
+    collisions: int = 0
+    least_h: float = float("inf")
+    goals: int = 0
+    driven: float = 0.0
+    """s until the end."""
+
+
+def live_scene(seed: int) -> Scene:
+    """The scene of a seed with passages wide enough for a chair, which the car does not tow yet."""
+    scene = Scene.random(seed, "chair")
+    return dataclasses.replace(scene, load=None, fixed_goals=tuple(itertools.islice(scene.goals(), _GOALS)))
+
+
+def drive_live(
+    case: str,
+    seed: int,
+    seconds: float,
+    after: float = 30.0,
+    *,
+    model: str = MODEL_NAME,
+    hear: Callable[[ReceivedMessage], None] | None = None,
+    reading: float = 0.0,
+    period: float = _PERIOD,
+) -> LiveDrive:
+    """Drives until ``seconds``, or until 25 s after the model was changed; the case's change comes ``after`` [s].
+
+    ``case`` is one of ``CASES`` or ``nothing``; ``reading`` [s] goes by before a candidate is accepted; the robot's
+    ``period`` [s] need not be its model's. In lockstep, all in one process: the same drive repeats bit for bit.
+    """
+    loaded = load_model(model)
+    change = None if case == "nothing" else PlannedChange(case, after)
+    robot = CarRobot(live_scene(seed), period, change=change)
+    diagnosis, nodes = _nodes(loaded)
+    found = LiveDrive(case, seed)
+    notes = _Notes(found, diagnosis, reading, period)
+
+    def listen(item: ReceivedMessage) -> None:
+        notes.hear(item)
+        if hear is not None:
+            hear(item)
+
+    for tick in drive(robot, nodes, round(seconds / period), hear=listen):
+        found.least_h = min(found.least_h, tick.verdict.h_now)
+        found.changed = None if robot.changed_at is None else robot.changed_at * period
+        if found.taken is not None and tick.state.robot_time > found.taken + 25.0:
+            break
+    found.collisions, found.goals, found.driven = len(robot.collisions), robot.goals_reached, robot.tick * period
+    return found
+
+
+def _nodes(model: PhysicsModel) -> tuple[DiagnosisNode, list[Any]]:
+    settings, margin = settings_named(_SETTINGS), margin_for(model)
+    text = "" if margin is None else margin_text(margin)
+    diagnosis = DiagnosisNode(write_model(model), InlineWorker(_calibrate()), text)
+    return diagnosis, [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings, margin), diagnosis]
+
+
+def _calibrate() -> Calibrate:
+    def calibrate(model: PhysicsModel, run: Run, footprint: tuple[float, ...]) -> str:
+        along = (lambda: LatentEstimator(model)) if model.latent_names else None
+        return live_margin(model, settings_named(_SETTINGS), run, footprint, along)
+
+    return calibrate
+
+
+class _Notes:
+    """Takes down what the findings say, and accepts the first effect that is confirmed."""
+
+    def __init__(self, found: LiveDrive, node: DiagnosisNode, reading: float, period: float = _PERIOD) -> None:
+        self._found, self._reading, self._period = found, reading, period
+        self._node = node
+        self._errors: list[float] = []
+        self._later: list[float] = []
+        self._seen: WorkOutcome | None = None
+        self._shown: tuple[WorkOutcome | None, float] = (None, 0.0)
+        """The newest outcome, and the robot's time when it was first there."""
+        self._searches = 0
+
+    def hear(self, item: ReceivedMessage) -> None:
+        message = item.message
+        if item.topic is FINDING and isinstance(message, FindingMessage):
+            self._finding(message)
+        elif item.topic is MODEL and isinstance(message, ModelMessage) and message.step == "take":
+            if self._found.taken is None:
+                self._found.taken = message.from_tick * self._period
+        elif item.topic is STATE and isinstance(message, StateMessage):
+            self._accept(message.robot_time)
+
+    def _finding(self, message: FindingMessage) -> None:
+        found = self._found
+        found.findings = max(found.findings, message.number)
+        found.evidence = max(found.evidence, message.evidence)
+        if found.raised is None and message.number > 0:
+            found.raised = message.robot_time
+        if found.taken is None and message.stage in ("raised", "searching", "candidates", "nothing"):
+            self._errors.append(message.error)
+            found.before, found.where = sum(self._errors) / len(self._errors), message.where
+        elif found.taken is not None:
+            self._after(message, message.robot_time - found.taken)
+
+    def _after(self, message: FindingMessage, seconds: float) -> None:
+        """Takes down the error after the change of the model, once a whole stretch was driven with it."""
+        found = self._found
+        if seconds >= 5.0 and found.fell is None and message.error < _FALL * found.before:
+            found.fell = message.robot_time
+        if 10.0 <= seconds <= 20.0:
+            self._later.append(message.error)
+            found.after = sum(self._later) / len(self._later)
+
+    def _accept(self, now: float) -> None:
+        diagnosis = self._node.diagnosis_of(_ROBOT)
+        outcome = None if diagnosis is None else diagnosis.outcome
+        if diagnosis is None or outcome is None or outcome is self._seen:
+            return
+        if self._shown[0] is not outcome:
+            self._shown = outcome, now
+        if now < self._shown[1] + self._reading:
+            return
+        self._seen = outcome
+        self._searches += 1
+        if not outcome.documents or self._found.taken is not None:
+            return
+        effect, report = outcome.effects[0], json.loads(outcome.report)
+        self._take_down(diagnosis, effect, report)
+        if not self._worth_it(effect, report) or (self._found.group and self._searches < _SEARCHES):
+            return  # the next search has twice the data
+        request = Request(
+            do="accept", effect=effect, model=diagnosis.fingerprint, finding=diagnosis.number, who="experiment"
+        )
+        self._node.answer(_ROBOT, request)
+
+    @staticmethod
+    def _worth_it(effect: str, report: dict[str, Any]) -> bool:
+        """Whether unseen data confirm the required reduction of the error."""
+        own = named_candidate(report["candidates"], effect)
+        before: float | None = report["stages"][0]["heldout_error"]
+        after: float | None = None if own is None else own["heldout_error"]
+        return before is not None and after is not None and after < _FALL * before
+
+    def _take_down(self, diagnosis: RobotDiagnosis, effect: str, report: dict[str, Any]) -> None:
+        found = self._found
+        if effect != found.effect:
+            found.found, found.effect = diagnosis.time, effect
+        own = named_candidate(report["candidates"], effect)
+        if own is not None:
+            found.group = tuple(own["indistinguishable_from"])
+            found.numbers = {name: value["value"] for name, value in own["parameters"].items()}
+
+
+_READING = 5.0
+"""s."""
+_BEGIN = 1_700_000_000 * 10**9
+"""ns since 1970 at which the recording's clock begins: the same drive gives the same times."""
+
+
+def record_drive(case: str, seed: int, seconds: float, after: float, path: Path) -> LiveDrive:
+    """Drives as ``drive_live`` does and writes every message; log times follow the robot's clock.
+
+    A person who looks at it later reads the candidates for some seconds, so it takes these before it accepts.
+    """
+    with McapRecorder(path) as recorder:
+
+        def write(item: ReceivedMessage) -> None:
+            at = _BEGIN + round(1e9 * item.message.robot_time)
+            recorder.write(item.key, item.payload, at, at)
+
+        return drive_live(case, seed, seconds, after, hear=write, reading=_READING)
+
 
 NOTHING: Final = "nothing"
 _RAISED, _NAMED, _FELL = 10.0, 60.0, 20.0
 """s from the change to the finding and to the effect, and from the model's change to the fallen error."""
 _LONGEST = 150.0
 """s of a drive in which something changes."""
-_FALL = 0.4
 
 
 @dataclass(frozen=True)

@@ -25,13 +25,9 @@ from safedpa.robots.car.system import CAR
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
-from safedpa_lab.hidden.case import Effects
-from safedpa_lab.hidden.excitation import car_commands
-from safedpa_lab.hidden.lanes import Lane
-from safedpa_lab.hidden.sensor import measured
-from safedpa_lab.hidden.strengths import LARGEST_STEER
-
-__all__ = ["HIDDEN", "KINDS", "LongLogs", "report", "run", "write_long_logs"]
+from safedpa_lab.hidden.case import LARGEST_STEER, Effects
+from safedpa_lab.hidden.lanes import Lane, car_commands
+from safedpa_lab.hidden.write import measured
 
 HIDDEN: Final[Effects] = {"quadratic_drag": {"coefficient": 0.12}}
 KINDS: Final = ("csv", "parquet", "mcap")

@@ -24,7 +24,6 @@ from safedpa_lab.hidden import Case, write_case
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["PICTURES", "diagnosis_pictures", "report", "run"]
 
 PICTURES = ("missing", "undecided", "rehearse", "condition")
 """Files are called diagnosis_{name}.png."""

@@ -42,8 +42,6 @@ from safedpa_lab.experiments.diagnosis.real_logs_data import (
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 
-__all__ = ["PARTS", "RealLogs", "folds_target", "real_logs_experiment", "report", "run", "targets_of"]
-
 _SLOW = ("torque_lag", "torque_delay", "torque_offset")
 """Which the pendulum's own authors, and fits elsewhere, leave out."""
 
@@ -167,7 +165,7 @@ def real_logs_experiment(experiment: RealLogs, report_progress: ReportProgress =
         "parts": list(experiment.parts),
         "targets": [*targets_of(rows), *([folds_target(together)] if together is not None else [])],
         "folds_together": together,
-        "stable_names": _stable(left_out),
+        "stable_names": dict(Counter((name for row in left_out for name in row["added"])).most_common()),
         "rows": rows,
     }
 
@@ -182,7 +180,7 @@ def _jobs(part: str, experiment: RealLogs) -> list[_Job]:
         return [_Job(part, folder, None)] if paths_of(folder, PENDULUM) else []
     if ball is None or not paths_of(folder, BALLS):
         return []
-    return [_Job(part, folder, ball, name) for name in _balls(folder, ball)]
+    return [_Job(part, folder, ball, name) for name in list(_drops(folder, ball))]
 
 
 def _row(job: _Job) -> dict[str, Any]:
@@ -256,10 +254,6 @@ def _drops(folder: Path, ball: Path | None) -> dict[str, list[Run]]:
     return ball_runs(paths_of(folder, BALLS)[0], _falling(ball))
 
 
-def _balls(folder: Path, ball: Path) -> list[str]:
-    return list(_drops(folder, ball))
-
-
 def _summary(report: Report) -> dict[str, Any]:
     """What a diagnosis said: names, numbers, errors stage by stage, and what it left out of all that it tried."""
     errors = [round(stage.heldout_error, 4) for stage in report.stages]
@@ -290,11 +284,6 @@ def _together(left_out: list[dict[str, Any]]) -> float | None:
     """By how much the errors on the logs that were left out fall, all of them added up; None where there are none."""
     before, after = (sum(row[f"unseen_{when}"] for row in left_out) for when in ("before", "after"))
     return round(after / before - 1.0, 4) if left_out and before > 0 else None
-
-
-def _stable(left_out: list[dict[str, Any]]) -> dict[str, int]:
-    """In how many of the diagnoses with a log left out each effect was added, the most frequent first."""
-    return dict(Counter(name for row in left_out for name in row["added"]).most_common())
 
 
 def _circumstances() -> dict[str, Any]:

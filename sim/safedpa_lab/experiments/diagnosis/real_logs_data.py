@@ -21,19 +21,6 @@ from safedpa.records.column_map.column_map import native_map
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.run import RawRows, Run
 
-__all__ = [
-    "BALLS",
-    "CAR",
-    "OTHER_DAY",
-    "PENDULUM",
-    "VARIABLES",
-    "ball_runs",
-    "mapped_runs",
-    "paths_of",
-    "reported_windows",
-    "uncovered",
-]
-
 CAR = "car_1_Datarecording_09_16_2024_*.csv"
 """Lorenzo-Lyons/DART, System_identification/Data/91_free_driving_16_sept_2024."""
 OTHER_DAY = "car_1_Datarecording_09_27_2024_*.csv"

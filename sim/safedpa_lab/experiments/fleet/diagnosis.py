@@ -33,8 +33,6 @@ from safedpa_lab.hidden.case import ABSORBED
 from safedpa_lab.hidden.fleet import fleet_truth, write_fleet
 from safedpa_lab.provenance.record import KEY
 
-__all__ = ["fleet_diagnosis_experiment", "fleet_screen", "judged_fleet", "page_of", "report", "run"]
-
 
 def fleet_diagnosis_experiment(
     robots: int,
@@ -91,12 +89,16 @@ def judged_fleet(document: Mapping[str, Any], truth: Mapping[str, Mapping[str, A
     rows = [_robot(name, hidden, place[name], document, shared) for name, hidden in truth.items()]
     healthy = [row for row in rows if not row["hidden"]]
     ill = [row for row in rows if row["hidden"]]
-    false = [group for group in groups if group["kind"] in ("missing", "unexplained") and not _any_hidden(group, truth)]
+    false = [
+        group
+        for group in groups
+        if group["kind"] in ("missing", "unexplained") and not any(truth[name] for name in group["robots"])
+    ]
     deviations = [abs(value) for row in rows for value in row["deviations"].values()]
     return {
         "hidden": _share([row["right"] for row in ill]),
         "healthy": _share([row["right"] for row in healthy]),
-        "groups_hidden": _kinds(rows),
+        "groups_hidden": len({tuple(row["hidden"]) for row in rows if row["hidden"]}),
         "groups_right": _right_groups(rows, groups),
         "groups_false": len(false),
         "within_two_deviations": _share([value <= 2.0 for value in deviations]),
@@ -149,14 +151,6 @@ def _deviations(hidden: Mapping[str, Mapping[str, float]], found: Sequence[Mappi
         for name, number in item["parameters"].items()
         if number["std"]
     }
-
-
-def _any_hidden(group: Mapping[str, Any], truth: Mapping[str, Mapping[str, Any]]) -> bool:
-    return any(truth[name] for name in group["robots"])
-
-
-def _kinds(rows: Sequence[Mapping[str, Any]]) -> int:
-    return len({tuple(row["hidden"]) for row in rows if row["hidden"]})
 
 
 def _right_groups(rows: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]]) -> int:
@@ -311,7 +305,13 @@ def fleet_screen(
     speed servo and with a throttle, as many as there are; each is compared with its own kind.
     """
     weak = [
-        Case("screen", seed + 1000 + n, {name: _drawn(name, seed + n, hard)}, drive=CAR_EFFECTS[name].drive, hard=hard)
+        Case(
+            "screen",
+            seed + 1000 + n,
+            {name: CAR_EFFECTS[name].drawn(np.random.default_rng(seed + n), _SHARE[hard])},
+            drive=CAR_EFFECTS[name].drive,
+            hard=hard,
+        )
         for n, name in enumerate(CAR_EFFECTS)
         if not (hard and name in ABSORBED)
     ]
@@ -337,10 +337,6 @@ def fleet_screen(
         "missed": [str(row["effect"]) for row in rows if float(row["over_limit"]) <= 1.0],
         "rows": sorted(rows, key=lambda row: float(row["over_limit"])),
     }
-
-
-def _drawn(name: str, seed: int, hard: bool) -> dict[str, float]:
-    return CAR_EFFECTS[name].drawn(np.random.default_rng(seed), _SHARE[hard])
 
 
 def _errors(cases: Sequence[Case], report_progress: ReportProgress) -> list[float]:

@@ -65,7 +65,7 @@ EXPERIMENTS = (
                 "--hidden",
                 "hidden",
                 "only this one: payload, 'dry friction' or both; repeatable",
-                known="safedpa_lab.pendulum.hidden:HIDDEN",
+                known="safedpa_lab.experiments.pendulum.story:HIDDEN",
             ),
             integer("--directions", 12, "wind directions, evenly spaced", positive=True),
             integer("--episodes", 2, "per model and direction", positive=True),

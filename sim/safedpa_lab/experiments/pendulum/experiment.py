@@ -20,18 +20,15 @@ from safedpa.safety.margins.conformal import smallest_sample
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import advantages
 from safedpa_lab.experiments.common.workers import Workers
-from safedpa_lab.experiments.pendulum.episodes import QUESTIONS, Choice, Work, accounts, best_penalty
-from safedpa_lab.experiments.pendulum.sweeps import Sweeps, swept
+from safedpa_lab.experiments.pendulum.episodes import QUESTIONS, Choice, Sweeps, Work, accounts, best_penalty, swept
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.pendulum.balancing import balanced
 from safedpa_lab.pendulum.difficulty import AXES, Axis, Difficulty, Episodes
 from safedpa_lab.pendulum.invariance import largest_wind, least_reserve
 from safedpa_lab.pendulum.margin import COVERAGE, measured_margins
-from safedpa_lab.pendulum.methods import BALANCING_METHODS, FILTERED, HAZARD_METHODS, Method
+from safedpa_lab.pendulum.methods import BALANCING_METHODS, FILTERED, HAZARD_METHODS
+from safedpa_lab.pendulum.questions import balanced
 from safedpa_lab.pendulum.recovery import recovery, swung_all_around
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, TORQUE, WIND
-
-__all__ = ["TABLES", "PendulumExperiment", "pendulum_experiment", "run"]
 
 _FITTED = 5
 """Episodes of each direction whose histories are fitted."""
@@ -128,7 +125,10 @@ def _tables(
         "same": dict.fromkeys(_of_each(epsilon), epsilon["safedpa"]),
     }
     work = [
-        ((table, question, method.name), _work(experiment, question, method, margin[method.name], table == "own"))
+        (
+            (table, question, method.name),
+            Work(question, method, margin[method.name], experiment.evaluation, experiment.models, table == "own"),
+        )
         for table, margin in margins.items()
         for question, methods in _METHODS.items()
         for method in methods
@@ -142,10 +142,6 @@ def _tables(
         found[table][QUESTIONS[question]][name] = account
         count.more()
     return found
-
-
-def _work(experiment: PendulumExperiment, question: int, method: Method, epsilon: float, shown: bool) -> Work:
-    return Work(question, method, epsilon, experiment.evaluation, experiment.models, shown)
 
 
 def _sweeps(

@@ -27,7 +27,6 @@ from safedpa_lab.experiments.pendulum.report import calibration_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_sweeps", "write_figures"]
 
 _SAFE, _UNSAFE, _STUCK = "#0072B2", "#D55E00", "#7A8590"
 _COLOURS = {"safedpa": "#0072B2", "mix": "#CC79A7", "oracle": "#222222"}

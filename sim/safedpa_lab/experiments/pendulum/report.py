@@ -7,21 +7,8 @@ from math import degrees
 from typing import Any, Final
 
 from safedpa.safety import MarginCalibration
-from safedpa_lab.experiments.pendulum.sweeps import BEST_PENALTY
+from safedpa_lab.experiments.pendulum.episodes import BEST_PENALTY
 from safedpa_lab.experiments.report import markdown_table
-
-__all__ = [
-    "advantages_table",
-    "balancing_table",
-    "calibration_of",
-    "hazard_table",
-    "latent_table",
-    "margins_table",
-    "markdown_of",
-    "penalties_table",
-    "sweeps_table",
-    "without_points",
-]
 
 _TABLES: Final = {"own": "each filter its own margin", "same": "SafeDPA's margin for all"}
 _OUTCOMES: Final = {"safe": "safe", "success": "upright", "both": "both"}
@@ -182,16 +169,14 @@ def sweeps_table(result: Mapping[str, Any]) -> str:
         values = " | ".join(f"{value:g}" for value in axis["shown"])
         lines = [f"| {axis['label']} | {values} |", "|---|" + "---|" * len(axis["shown"])]
         for row in axis.get("balancing", {}).values():
-            lines.append(f"| {row['title']}, within the edges: safe | {_shares(row, 'safe')} |")
+            lines.append(
+                f"| {row['title']}, within the edges: safe | {' | '.join((str(count) for count in row['safe']))} |"
+            )
         for row in axis.get("hazard", {}).values():
             both = [f"{safe} / {good}" for safe, good in zip(row["safe"], row["both"], strict=True)]
             lines.append(f"| {row['title']}, past the hazard: safe / upright and safe | {' | '.join(both)} |")
         parts.append("\n".join(lines))
     return f"Of {result['directions'] * result['sweep_episodes']} episodes each.\n\n" + "\n\n".join(parts)
-
-
-def _shares(row: Mapping[str, Any], outcome: str) -> str:
-    return " | ".join(str(count) for count in row[outcome])
 
 
 def latent_table(result: Mapping[str, Any]) -> str:

@@ -14,7 +14,6 @@ from safedpa_lab.provenance.record import write_result
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["markdown_of", "write_baselines"]
 
 _COLOURS = {
     "ppo": "#D55E00",
@@ -50,13 +49,10 @@ def markdown_of(found: dict[str, dict[str, Any]]) -> str:
         reward, cost = PUBLISHED[name]
         published = f"{reward:.1f} / {cost:.1f}"
         lines.append(f"| {BASELINE_TITLES[name]} | {reported[0]} | {published} | {reported[1]} | {steps} | {minutes} |")
-    others = {key: row for key, row in found.items() if key not in _plain()}
+    others = {
+        key: row for key, row in found.items() if key not in {f"{name}_{task}" for name in BASELINES for task in TASKS}
+    }
     return "\n".join([*lines, *(("", *_others(others)) if others else ())]) + "\n"
-
-
-def _plain() -> set[str]:
-    """The keys of those with the benchmark's inputs and limit."""
-    return {f"{name}_{task}" for name in BASELINES for task in TASKS}
 
 
 def _others(found: dict[str, dict[str, Any]]) -> list[str]:

@@ -14,7 +14,6 @@ from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["write_figures"]
 
 _COLOURS = {
     "safedpa": "#0072B2",

@@ -1,7 +1,4 @@
-"""The point robot near hazards: a map of h over the actions, as Markdown, JSON and one picture.
-
-The change of h that each model predicts over turn and thrust, next to what the simulator does (the paper's heat
-map).
+"""The change of h that each model predicts over turn and thrust, next to the simulator's: the paper's heat map.
 
 At moments near hazards, wind towards 135 degrees: delta h = h(next state) - h(state), h the least room to any hazard
 along the stopping manoeuvre, both by the model's own belief; the reference by the simulator and the true wind.

@@ -27,19 +27,6 @@ from safedpa_lab.point.online_learning import COUNTS, STARTS, WARMING, Learning,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "BEHIND",
-    "MARGIN",
-    "PointLearning",
-    "driven_table",
-    "judged_table",
-    "learning_markdown",
-    "per_thousand",
-    "point_learning",
-    "run",
-    "smoothed",
-    "write_figure",
-]
 
 MARGIN: Final = 0.0013749980236822945
 """m; 99 % of a step of SafeDPA's filter, conformal over 400 drives, calibration seeds 1000100 and 1000101, as

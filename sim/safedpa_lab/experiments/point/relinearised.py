@@ -47,26 +47,6 @@ from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.explained_variance import affine_floor
 from safedpa_sim.training.phases.phase_1a import train_affine
 
-__all__ = [
-    "FILTERS",
-    "PLACES",
-    "CarWork",
-    "Relinearised",
-    "Row",
-    "against_table",
-    "car_errors",
-    "car_table",
-    "models_table",
-    "point_errors",
-    "point_relinearised",
-    "relinearised_markdown",
-    "row_of",
-    "rows_table",
-    "run",
-    "thrust_configuration",
-    "train_networks",
-]
-
 _DRAWN: Final = 20_000
 _HELD_OUT, _FLOOR = 2401, 2402
 """Seeds of what is counted; training and its own held-out pairs have seeds below 10."""

@@ -8,16 +8,6 @@ from typing import Any
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.methods import FILTERS
 
-__all__ = [
-    "against_table",
-    "margins_table",
-    "markdown_of",
-    "penalty_table",
-    "seeds_table",
-    "short_table",
-    "without_paths",
-]
-
 
 def without_paths(result: dict[str, Any]) -> dict[str, Any]:
     """The result without the paths that only the figures need."""

@@ -1,6 +1,4 @@
-"""Point robots with something about them that no model knows, logs that show it, and what a diagnosis is worth.
-
-The whole story on a third robot: logs, compare, diagnose, add; and is the point robot safer for it?
+"""The whole story on a third robot: logs, compare, diagnose, add; and is the point robot safer for it?
 
 A force pushes and the slides drag, and no model has either. The filter keeps robots out of hazards under random nominal
 actions with the shipped model, the one that the diagnosis corrected, and the true one.
@@ -166,7 +164,10 @@ def point_story_markdown(result: dict[str, Any]) -> str:
 
 
 def _case(name: str, case: dict[str, Any]) -> str:
-    true = ", ".join(f"{effect} {_numbers(entries)}" for effect, entries in case["true"].items())
+    true = ", ".join(
+        f"{effect} {', '.join((f'{value:.3g}' for value in entries.values()))}"
+        for effect, entries in case["true"].items()
+    )
     found = ", ".join(
         f"{path} {value['value']:.3f} +- {value['std'] or 0.0:.3f} {value['unit']}"
         for path, value in case["values"].items()
@@ -188,10 +189,6 @@ def _case(name: str, case: dict[str, Any]) -> str:
         )
         + "\n"
     )
-
-
-def _numbers(entries: dict[str, float]) -> str:
-    return ", ".join(f"{value:.3g}" for value in entries.values())
 
 
 def run(options: Options, report_progress: ReportProgress) -> Result:

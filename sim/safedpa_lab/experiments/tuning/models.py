@@ -36,8 +36,6 @@ from safedpa_sim.training.data.recorded_runs import TuningDrive, drives_of, reco
 from safedpa_sim.training.phases.grounded_simulator import ground_simulator
 from safedpa_sim.training.phases.phase_3 import tune
 
-__all__ = ["AHEAD", "REFUSED", "ROWS", "Retained", "TunedModels", "key_of"]
-
 
 def key_of(module: str, *settings: Any) -> str:
     """Sixteen digits that change with the settings, and with the training code behind a module."""
