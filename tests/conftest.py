@@ -21,7 +21,7 @@ from hypothesis import HealthCheck, settings
 
 from safedpa.bus import logging
 from safedpa.bus.transport import ports
-from safedpa.dynamics import bases
+from safedpa.dynamics import base as bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.systems import registry

@@ -31,7 +31,7 @@ from safedpa.bus import (
 from safedpa.bus.messages.requests import Request
 from safedpa.bus.messages.service_info import setup_message
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
-from safedpa.dynamics.model_setup import model_setup
+from safedpa.dynamics.model_offer import model_setup
 from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder

@@ -11,7 +11,7 @@ from safedpa.dynamics import load_model, load_user_file
 from safedpa.errors import InputError
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.systems import Variable
-from safedpa.systems.driven import why_not_driven
+from safedpa.systems.registry import why_not_driven
 from safedpa_services.workbench.session.controller import SessionController
 from safedpa_services.workbench.session.files import (
     SESSION_FILE,

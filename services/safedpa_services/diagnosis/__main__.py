@@ -13,7 +13,7 @@ from safedpa.bus.messages.service_info import setup_message
 from safedpa.bus.service.process import StopSignal, bus_from_options, log_lifetime, run_process
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
-from safedpa.dynamics.model_setup import model_setup
+from safedpa.dynamics.model_offer import model_setup
 from safedpa.errors import BusError
 from safedpa.live.candidate_forecasts import forecast_with
 from safedpa.live.change import ModelChanges

@@ -30,7 +30,7 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
 from safedpa.safety.defaults import settings_named
-from safedpa.systems.driven import why_not_driven
+from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
 from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway, Limits
@@ -39,8 +39,6 @@ from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListe
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
 from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, SensorInputs, goal_paths, pose_paths
-
-__all__ = ["load_ros_interface", "make_gateway", "parser", "work"]
 
 _POLICY = "policy"
 """Role whose certificate is used to publish nominal actions; its files are in the same folder as the robot's."""

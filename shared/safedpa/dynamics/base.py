@@ -1,18 +1,28 @@
-"""The interface of a base model: the physics that is known before any effect is added."""
+"""Base models, the physics known before any effect is added: interface, integrators, and registry by robot and kind."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
-from safedpa.dynamics.runge_kutta import Derivative, runge_kutta
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
+from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
 from safedpa.systems import System
+from safedpa.systems.robots import robots
 
-__all__ = ["AbstractBase"]
+__all__ = [
+    "REGISTERED",
+    "AbstractBase",
+    "Derivative",
+    "add_base",
+    "bases_of",
+    "euler",
+    "robots_with_bases",
+    "runge_kutta",
+]
 
 
 class AbstractBase(ABC):
@@ -40,3 +50,61 @@ class AbstractBase(ABC):
         """Returns the state after ``period`` seconds of d(state)/dt = derivative(state, time)."""
         # a method, so that learned networks can override it: they predict the change over a whole period
         return runge_kutta(derivative, state, time, period)
+
+
+Derivative = Callable[[Named, Scalar], Named]
+
+
+def euler(derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
+    """Returns state + period derivative(state, time)."""
+    rates = derivative(state, time)
+    return {name: value + period * rates[name] for name, value in state.items()}
+
+
+def runge_kutta(derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
+    """Returns the state after ``period`` [s] of d(state)/dt = derivative(state, time); local error O(period^5).
+
+    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.1.
+    """
+    # computed once: period may be an array over many robots, or a number that is being recorded
+    half, sixth = 0.5 * period, period / 6.0
+    first = derivative(state, time)
+    second = derivative({name: value + half * first[name] for name, value in state.items()}, time + half)
+    third = derivative({name: value + half * second[name] for name, value in state.items()}, time + half)
+    fourth = derivative({name: value + period * third[name] for name, value in state.items()}, time + period)
+    # the order of these operations is fixed: generated, recorded and reference steps must agree to the last bit
+    return {
+        name: value + sixth * (first[name] + 2.0 * (second[name] + third[name]) + fourth[name])
+        for name, value in state.items()
+    }
+
+
+Maker = Callable[..., AbstractBase]
+
+REGISTERED: dict[str, dict[str, Maker]] = {}
+"""Constructors of the user's base models in this process, by robot and kind."""
+
+
+def bases_of(robot: str) -> dict[str, Maker]:
+    """Returns the constructors of one robot's base models, by kind; empty for an unknown robot."""
+    known = robots()
+    declared = known[robot].bases() if robot in known else {}
+    # shipped kinds come last and win: a user's file must not change what the name of a shipped model means
+    return {**REGISTERED.get(robot, {}), **declared}
+
+
+def robots_with_bases() -> tuple[str, ...]:
+    """Returns the names of the robots that have a base model."""
+    return tuple(sorted({*robots(), *REGISTERED}))
+
+
+def add_base(maker: Maker) -> None:
+    """Registers a user's base model; registering the same kind again replaces it.
+
+    Raises InputError if a shipped model of that robot has the same kind.
+    """
+    base = maker()  # the robot is an attribute of the instance: a variant may choose its system
+    robot = base.system.name
+    if robot in robots() and base.kind in robots()[robot].bases():
+        raise InputError(f"base '{base.kind}' of robot '{robot}' ships with the project; choose another kind")
+    REGISTERED.setdefault(robot, {})[base.kind] = maker

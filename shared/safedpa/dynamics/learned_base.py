@@ -7,9 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
-from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.base import AbstractBase, Derivative, euler
 from safedpa.dynamics.recorded_step import call_function, is_recorded
-from safedpa.dynamics.runge_kutta import Derivative, euler
 from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter

@@ -1,14 +1,18 @@
-"""Reads and writes model files: TOML that users can read and change. Errors name the file and the key."""
+"""Reads and writes model files: TOML that users can read and change. Errors name the file and the key.
+
+``fingerprint`` is a short hash of everything that a model's predictions depend on.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from hashlib import sha256
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from safedpa.dynamics.base import AbstractBase
-from safedpa.dynamics.bases import bases_of, robots_with_bases
+from safedpa.dynamics.base import AbstractBase, bases_of, robots_with_bases
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
@@ -22,7 +26,8 @@ from safedpa.errors import InputError, ModelFileError
 from safedpa.limits import finite_number, limit, parse_toml, refuse_unknown, text_of_file_or_shipped, too_much
 from safedpa.networks import load_weights, save_weights
 
-__all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
+__all__ = ["FORMAT", "fingerprint", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
+
 
 FORMAT = 1
 """Version of the file format."""
@@ -264,3 +269,15 @@ def _period(table: Mapping[str, Any]) -> float:
 def _number(path: str, unit: str, value: Any) -> float:
     in_unit = "without unit" if unit in ("1", "") else f"in {unit}"
     return finite_number(path, value, f"a finite number {in_unit}", ModelFileError)
+
+
+def fingerprint(model: PhysicsModel) -> str:
+    """Returns twelve hexadecimal digits of the SHA-256 over the model file's keys and values, without comments.
+
+    Learned networks count by the digest of their weights, not by the name of the weights' file.
+    """
+    # through the text: two models are the same if their files say the same, however they were constructed
+    table = parse_toml(write_model(model))
+    table.get("networks", {}).pop("weights", None)
+    # sorted keys: the order in a file does not matter; the order of effects does, and lists keep theirs
+    return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:12]

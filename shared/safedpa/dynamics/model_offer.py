@@ -1,16 +1,17 @@
-"""Reads and checks a model that the bus offers as a replacement of the current one."""
+"""Models on the bus: in setup messages, and as offered replacements of the current one, which are checked."""
 
 from __future__ import annotations
 
-from safedpa.bus import ModelMessage
-from safedpa.dynamics.fingerprint import fingerprint
+from dataclasses import replace
+
+from safedpa.bus import ModelMessage, SetupMessage
 from safedpa.dynamics.learned_base import LearnedBase
-from safedpa.dynamics.model_file import parse_model
+from safedpa.dynamics.model_file import fingerprint, parse_model, write_model
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.errors import ModelFileError
 from safedpa.limits import check_plain_model
 
-__all__ = ["offered_model"]
+__all__ = ["model_setup", "offered_model"]
 
 
 def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
@@ -42,3 +43,8 @@ def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
 
 def _digest(model: PhysicsModel) -> str:
     return model.base.weights.digest if isinstance(model.base, LearnedBase) else "none"
+
+
+def model_setup(setup: SetupMessage, model: PhysicsModel) -> SetupMessage:
+    """Returns ``setup`` with the model's fingerprint and document."""
+    return replace(setup, fingerprint=fingerprint(model), document=write_model(model))

@@ -15,8 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from safedpa.barrier_setting import BarrierSetting
-from safedpa.dynamics.base import AbstractBase
-from safedpa.dynamics.bases import add_base
+from safedpa.dynamics.base import AbstractBase, add_base
 from safedpa.effects.library import add_effects, module_from
 from safedpa.errors import InputError
 from safedpa.installed import entry_points_of_group

@@ -2,19 +2,29 @@
 
 ``table`` lists the limits; read it first. All text, tables and archives from users, files, the bus and web pages are
 parsed through the functions here. A refusal is one line that names the limit; its time and memory are bounded whatever
-the input. ``text`` parses TOML and JSON, ``reading`` reads files, ``readable`` makes foreign text safe to print.
+the input. ``text`` parses and checks text, ``files`` reads files and checks archives and weights.
 """
 
 from __future__ import annotations
 
-from safedpa.limits.archive import check_archive
-from safedpa.limits.numbers import finite_number, whole_number
-from safedpa.limits.plain_model import check_plain_model
-from safedpa.limits.readable import printable, readable
-from safedpa.limits.reading import file_of_at_most, text_of_file, text_of_file_or_shipped
+from safedpa.limits.files import (
+    check_archive,
+    check_tensor_file,
+    file_of_at_most,
+    text_of_file,
+    text_of_file_or_shipped,
+)
 from safedpa.limits.table import TABLE, VARIABLE, Limit, LimitError, limit, too_much
-from safedpa.limits.tensors import check_tensor_file
-from safedpa.limits.text import parse_json, parse_toml, refuse_unknown
+from safedpa.limits.text import (
+    check_plain_model,
+    finite_number,
+    parse_json,
+    parse_toml,
+    printable,
+    readable,
+    refuse_unknown,
+    whole_number,
+)
 
 __all__ = [
     "TABLE",

@@ -1,8 +1,13 @@
-"""Parses TOML and JSON after a check of their size and nesting, in one pass of linear time."""
+"""Foreign text: parses TOML and JSON after a check of their size and nesting, in one pass of linear time.
+
+Checks keys, numbers and offered models, and makes foreign names and sentences safe to show in a terminal, a log or a
+web page.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Collection, Iterable
@@ -12,7 +17,17 @@ from typing import Any
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits.table import limit, too_much
 
-__all__ = ["parse_json", "parse_toml", "refuse_unknown"]
+__all__ = [
+    "check_plain_model",
+    "finite_number",
+    "parse_json",
+    "parse_toml",
+    "printable",
+    "readable",
+    "refuse_unknown",
+    "whole_number",
+]
+
 
 _TOML = r"[\"'#\[\]{}.\n=,]"
 _OPENING, _CLOSING = frozenset("[{"), frozenset("]}")
@@ -138,3 +153,68 @@ def _integer(text: str) -> int:
 
 def _error_text(error: Exception) -> str:
     return "brackets too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())[:200]
+
+
+def finite_number(key: str, value: Any, wanted: str = "a finite number", error: type[InputError] = InputError) -> float:
+    """Returns a finite number as a float; raises ``error`` naming ``key`` for anything else, including booleans."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise error(f"{key}: got {value!r}, wanted {wanted}")
+    return float(value)
+
+
+def whole_number(key: str, value: Any, wanted: str = "a whole number", error: type[InputError] = InputError) -> int:
+    """Returns an int; raises ``error`` naming ``key`` for anything else, including booleans."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise error(f"{key}: got {value!r}, wanted {wanted}")
+    return value
+
+
+def readable(text: str, longest: int | None = None) -> str:
+    r"""Returns the text with every unprintable character escaped as ``\xNN`` or ``\uNNNN``.
+
+    Unprintable are control, format and unassigned characters, and all spaces but the ordinary one: they can move,
+    colour, hide or reorder text. A text longer than ``longest`` characters (default: the limit ``name_letters``) is
+    cut, with a note of its length.
+    """
+    most = limit("name_letters") if longest is None else longest
+    shown = text[:most]
+    if not shown.isprintable():
+        shown = "".join(sign if sign.isprintable() else _visible(sign) for sign in shown)
+    return shown if len(text) <= most else f"{shown}... ({len(text)} characters)"
+
+
+def printable(text: str, but: str = "", also: str = "") -> str:
+    """Replaces each unprintable character, and each of ``but``, by ``?``; keeps those of ``also``. The length stays."""
+    return "".join(sign if (sign.isprintable() or sign in also) and sign not in but else "?" for sign in text)
+
+
+def _visible(sign: str) -> str:
+    code = ord(sign)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+_NAME = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
+_NUMBER = r"[-+]?[0-9.][0-9.eE+-]{0,39}|[-+]?inf|[-+]?nan|true|false"
+_TEXT = r"""\"[^"\\\x00-\x1f]{0,200}"|'[^'\x00-\x1f]{0,200}'"""
+_INLINE_TABLE = r"\{[^{}\[\]]{0,300}\}"
+"""An inline table such as ``{ value = 0.3, free = true }``."""
+_STATEMENT = rf"\[\[?{_NAME}\]?\]|{_NAME}[ \t]*+=[ \t]*+(?:{_NUMBER}|{_TEXT}|{_INLINE_TABLE})"
+_LINE = re.compile(rf"[ \t]*+(?:{_STATEMENT})?[ \t]*+(?:#.{{0,400}})?\r?")
+
+
+def check_plain_model(document: str) -> None:
+    """Checks that each line of an offered model has a form that we write: the parser then needs a bounded time.
+
+    Raises LimitError if the document is too large, and InputError that names the first line of another form.
+    """
+    if len(document) > limit("offer_bytes"):
+        raise too_much("offer_bytes", f"{len(document)} characters")
+    lines = document.split("\n")
+    if len(lines) > limit("offer_lines"):
+        raise too_much("offer_lines", len(lines))
+    for number, line in enumerate(lines, 1):
+        if _LINE.fullmatch(line) is None:
+            raise InputError(
+                f"not TOML as this program writes models: line {number}; wanted 'name = value' or a table's name, no "
+                "dotted keys and no lists; write it by the diagnosis or with 'safedpa add'"
+            )

@@ -13,7 +13,7 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode, LatentMessage, SetupMessage
 from safedpa.bus.messages.service_info import setup_message
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model, parse_model, shipped_models
-from safedpa.dynamics.model_setup import model_setup
+from safedpa.dynamics.model_offer import model_setup
 from safedpa.errors import InputError
 from safedpa.limits import parse_toml
 from safedpa.perception import PerceptionNode, parse_perception
@@ -23,8 +23,6 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings, write_settings
-
-__all__ = ["REPLAYED", "complete_setups", "model_of_document", "node_of"]
 
 REPLAYED = ("adaptation", "policy", "safety_filter")
 """Replayed services with a model, in the order of the data flow; perception comes before them if there are sensors."""

@@ -29,7 +29,7 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.dynamics.model_setup import model_setup
+from safedpa.dynamics.model_offer import model_setup
 from safedpa.errors import InputError, RunError
 from safedpa.replay.driver import Driver, InputOverride
 from safedpa.replay.setups import node_of
@@ -37,8 +37,6 @@ from safedpa.replay.tape import RobotTape
 from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import MarginCalibration, margin_text
 from safedpa.safety.settings import parse_settings, write_settings
-
-__all__ = ["DecisionPair", "WhatIfChange", "WhatIfSummary", "summary_of", "what_if"]
 
 _SAME = 1e-6
 """Actions that differ by less are the same."""

@@ -1,4 +1,4 @@
-"""The registry of systems: those of robots, and those that users define."""
+"""The registry of systems: those of robots and of users; which of them ``safedpa up`` can drive."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from safedpa.errors import InputError
 from safedpa.systems.robots import forget_robot, robots
 from safedpa.systems.system import System
 
-__all__ = ["REGISTERED", "add_system", "systems"]
+__all__ = ["REGISTERED", "add_system", "systems", "why_not_driven"]
+
 
 REGISTERED: dict[str, System] = {}
 """The user's systems in this process, by name."""
@@ -44,3 +45,16 @@ def add_system(system: System) -> None:
             )
     forget_robot(system.name)
     REGISTERED[system.name] = system
+
+
+def why_not_driven(system: System, robot: str) -> str:
+    """Returns why ``up`` rejects a model of this system: what it is, what is wanted; empty: it can be driven."""
+    known = robots()
+    is_ = f"a {system.name} with {', '.join(system.action_names)} (states {', '.join(system.state_names)})"
+    if robot not in known:
+        return f"{is_}, wanted one of {', '.join(known)}"
+    driven = known[robot].of_system(system).system
+    if (system.name, system.state_names, system.action_names) == (robot, driven.state_names, driven.action_names):
+        return ""
+    wanted = " or ".join(", ".join(one.system.action_names) for one in (known[robot], *known[robot].variants))
+    return f"{is_}, wanted a {robot} with {wanted} (states {', '.join(driven.state_names)})"
