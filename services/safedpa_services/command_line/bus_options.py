@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
 from safedpa.errors import InputError, SafedpaError
+from safedpa_services.command_line.options import PATH, as_json_option
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
@@ -20,10 +20,7 @@ _C = TypeVar("_C", bound=Callable[..., Any])
 
 
 _certificates_option = click.option(
-    "--certificates",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="folder with the operator's certificate",
+    "--certificates", type=PATH, metavar="DIR", help="folder with the operator's certificate"
 )
 who_option = click.option("--who", default="", help="your name, for the recording; default: your user name")
 
@@ -32,7 +29,7 @@ def listening_options(command: _C) -> _C:
     """Adds ``--fleet``, ``--connect``, ``--certificates`` and ``--json`` to a command."""
     for option in (
         _certificates_option,
-        click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
+        as_json_option,
         click.option(
             "--connect",
             multiple=True,

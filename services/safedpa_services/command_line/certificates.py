@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 
 from safedpa_services.command_line.json_answer import answers_json, report_progress
+from safedpa_services.command_line.options import PATH
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("folder", type=PATH, metavar="DIR")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet")
 @click.option("--robot", "robots", multiple=True, metavar="NAME", help="a robot of the fleet; repeatable")
 @click.option("--host", "hosts", multiple=True, metavar="NAME", help="host name or IP address of a router; repeatable")

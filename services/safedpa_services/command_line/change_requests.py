@@ -1,24 +1,22 @@
-"""Requests to a running diagnosis to change a robot's model: for ``accept``, ``reject`` and ``roll-back``."""
+"""``safedpa accept``, ``reject`` and ``roll-back``: requests to a running diagnosis to change a robot's model."""
 
 from __future__ import annotations
 
 import getpass
 import json
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.bus_options import bus_of, listening_options, who_option
+from safedpa_services.command_line.names import complete_effects
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
 
-
-_C = TypeVar("_C", bound=Callable[..., Any])
 
 _TIMEOUT_SECONDS = 2.0
 _LONGEST_CHANGE_SECONDS = 120.0
@@ -28,9 +26,42 @@ _SILENCE_SECONDS = 10.0
 """Single answers may be late or lost; without any answer for this long, the diagnosis is gone."""
 
 
-def bus_options(command: _C) -> _C:
-    """Adds the options for joining the bus, and ``--who``."""
-    return listening_options(who_option(command))
+@click.command()
+@click.argument("robot")
+@click.argument("effect", shell_complete=complete_effects)
+@listening_options
+@who_option
+def accept(robot: str, effect: str, **options: Any) -> None:
+    """Add a proposed EFFECT to the model of a driving ROBOT.
+
+    Adaptation, policy and safety filter switch to the new model at the same tick, or all keep the old one.
+    """
+    ask_for_change("accept", robot, effect, options)
+
+
+@click.command()
+@click.argument("robot")
+@click.argument("effect", shell_complete=complete_effects)
+@listening_options
+@who_option
+def reject(robot: str, effect: str, **options: Any) -> None:
+    """Reject an EFFECT proposed for a driving ROBOT.
+
+    The model does not change.
+    """
+    ask_for_change("reject", robot, effect, options)
+
+
+@click.command()
+@click.argument("robot")
+@listening_options
+@who_option
+def roll_back(robot: str, **options: Any) -> None:
+    """Restore the previous model of a driving ROBOT.
+
+    This is the model before the last accepted effect.
+    """
+    ask_for_change("roll_back", robot, "", options)
 
 
 def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) -> None:

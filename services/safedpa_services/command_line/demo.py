@@ -14,6 +14,7 @@ import click
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
 from safedpa.systems.robots import DEFAULT_ROBOT
+from safedpa_services.command_line.options import PATH, as_json_option, recordings_option
 from safedpa_services.command_line.up import default_options, make_plan, run_plan
 from safedpa_services.plain_output import print_plain
 
@@ -37,16 +38,9 @@ _BAR = 40
 @click.option("--seed", type=click.IntRange(0), default=2, show_default=True, help="scene: obstacles, start, goals")
 @click.option("--headless", is_flag=True, help="serve no page; requires --yes")
 @click.option("--no-browser", is_flag=True, help="do not open a browser; the terminal shows the address of the page")
-@click.option(
-    "--picture",
-    type=click.Path(path_type=Path),
-    metavar="FILE.png",
-    help="take a screenshot of the page at the end (Chromium)",
-)
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="folder for recordings"
-)
-@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@click.option("--picture", type=PATH, metavar="FILE.png", help="take a screenshot of the page at the end (Chromium)")
+@recordings_option
+@as_json_option
 def command(**options: Any) -> None:
     """See a fault diagnosed and corrected during a drive.
 

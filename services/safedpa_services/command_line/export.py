@@ -10,22 +10,18 @@ from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.json_answer import answers_json, report_progress
 from safedpa_services.command_line.names import SuggestingChoice
+from safedpa_services.command_line.options import PATH
 
 
 @click.command()
-@click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING.mcap|MODEL.toml|WEIGHTS.safetensors")
+@click.argument("source", type=PATH, metavar="RECORDING.mcap|MODEL.toml|WEIGHTS.safetensors")
 @click.option(
     "--format",
     "kind",
     type=SuggestingChoice(["csv", "parquet", "ros2", "simulators"]),
     help="csv: text with full precision; parquet: smaller, faster; ros2: a rosbag2 (MCAP); simulators: for a model.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="PATH",
-    help="The file, or for ros2 and simulators the folder, to write.",
-)
+@click.option("--out", type=PATH, metavar="PATH", help="The file, or for ros2 and simulators the folder, to write.")
 @click.option("--robot", metavar="NAME", help="The robot to export, if the recording has several.")
 @click.option(
     "--onnx",

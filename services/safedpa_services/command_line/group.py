@@ -16,7 +16,12 @@ COMMANDS = (
     "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
     "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
-"""Names of modules in this package, each with a click command ``command``; imported when it is called."""
+"""Each is the click command ``command`` of the module of its name in this package, imported when it is called."""
+_IN_SHARED_MODULES = {
+    "accept": "change_requests", "reject": "change_requests", "roll-back": "change_requests",
+    "go": "stop_orders", "stop": "stop_orders",
+}  # fmt: skip
+"""Commands of which several are in one module, each under its own name."""
 
 ENTRY_POINTS = "safedpa.commands"
 """Entry-point group with which other distributions add commands: name = "module:command"."""
@@ -48,8 +53,9 @@ class _Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
         if cmd_name in COMMANDS:
-            module = importlib.import_module(f"safedpa_services.command_line.{cmd_name.replace('-', '_')}")
-            command: click.Command = module.command
+            name = cmd_name.replace("-", "_")
+            module = importlib.import_module(f"{__package__}.{_IN_SHARED_MODULES.get(cmd_name, name)}")
+            command: click.Command = getattr(module, name if cmd_name in _IN_SHARED_MODULES else "command")
             return command
         for point in entry_points(group=ENTRY_POINTS, name=cmd_name):
             return _load_command(point)

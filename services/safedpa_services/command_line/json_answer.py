@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from safedpa_services.command_line.options import as_json_option
 from safedpa_services.plain_output import print_plain
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -22,7 +23,7 @@ def answers_json(function: _Function) -> _Function:
     Put it below the options.
     """
 
-    @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+    @as_json_option
     @wraps(function)
     def answered(*arguments: Any, as_json: bool, **options: Any) -> Any:
         context = click.get_current_context()

@@ -31,9 +31,6 @@ effects_option = click.option(
     metavar="FILE.py",
     help="Python file with your own effects, systems and robots.",
 )
-bus_certificates_option = click.option(
-    "--certificates", type=PATH, metavar="DIR", help="folder with the certificate of this command's role"
-)
 recordings_option = click.option(
     "--out", type=PATH, default=Path("runs"), show_default=True, help="folder for recordings"
 )

@@ -11,7 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import need
-from safedpa_services.command_line.options import as_json_option, effects_option
+from safedpa_services.command_line.options import PATH, as_json_option, effects_option
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=PATH)
 @click.option("--robot", metavar="NAME", help="The robot to replay, if the recording has several.")
 @click.option("--from", "begin", type=float, metavar="SECONDS", help="Compare from this robot time on.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Compare up to this robot time.")
@@ -41,18 +41,14 @@ if TYPE_CHECKING:
 )
 @click.option("--exact", is_flag=True, help="Require bit-identical numbers.")
 @click.option("--recorded-model", default="", metavar="MODEL", help="Model for a recording without setup messages.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), metavar="DIR", help="Folder with the weights of a learned model."
-)
+@click.option("--weights", type=PATH, metavar="DIR", help="Folder with the weights of a learned model.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="Write every tick to a .csv file, or the replayed messages to an .mcap file.",
 )
-@click.option(
-    "--rrd", type=click.Path(path_type=Path), metavar="FILE", help="Write the recording for the Rerun viewer."
-)
+@click.option("--rrd", type=PATH, metavar="FILE", help="Write the recording for the Rerun viewer.")
 @effects_option
 @as_json_option
 def command(**options: Any) -> int:
@@ -129,10 +125,9 @@ def _change(options: dict[str, Any]) -> WhatIfChange:
 
 
 def _compare(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
-    from safedpa.replay.comparison import TOLERANCE
-    from safedpa.replay.gaps import gaps_of
-    from safedpa.replay.replay import replay
+    from safedpa.replay.replay import TOLERANCE, replay
     from safedpa.replay.report import ReplayOutputs, document_of, lines_of
+    from safedpa.replay.tape import gaps_of
 
     saved = ReplayOutputs()
     wanted = options["out"] is not None

@@ -11,7 +11,7 @@ import click
 
 from safedpa.extras import needs
 from safedpa_services.command_line.names import SuggestingChoice
-from safedpa_services.command_line.options import as_json_option
+from safedpa_services.command_line.options import PATH, as_json_option
 
 
 @click.group(name="ros")
@@ -54,15 +54,13 @@ def _discover(endpoint: str, domain: int, as_json: bool) -> None:
 
 
 @command.command(name="run")
-@click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
+@click.argument("file", type=PATH, metavar="ROBOT.toml")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option(
     "--connect", multiple=True, metavar="ENDPOINT", help="endpoint of the services; default: discovered on this machine"
 )
 @click.option("--mode", type=SuggestingChoice(["peer", "client"]), help="how to join the bus; default: peer")
-@click.option(
-    "--certificates", type=click.Path(path_type=Path), metavar="DIR", help="folder with the robot's certificate"
-)
+@click.option("--certificates", type=PATH, metavar="DIR", help="folder with the robot's certificate")
 @needs("ros")
 def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, certificates: Path | None) -> None:
     """Drive the robot of ROBOT.toml through running services.

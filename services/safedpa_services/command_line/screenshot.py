@@ -12,6 +12,7 @@ import click
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
 from safedpa_services.command_line.json_answer import answers_json, report_progress
+from safedpa_services.command_line.options import PATH
 
 if TYPE_CHECKING:
     import subprocess
@@ -24,8 +25,8 @@ _RENDER_SECONDS = 1.0
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file")
+@click.argument("recording", type=PATH)
+@click.option("--out", type=PATH, required=True, help="PNG file")
 @click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in pixels")
 @click.option("--at", type=float, default=None, help="time on the time line in seconds; default: the end")
 @answers_json
@@ -57,9 +58,12 @@ def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
     import tempfile
 
     from safedpa.bus.transport.ports import free_port
+    from safedpa_services.web.viewer import viewer_program
 
-    port = free_port()
-    command = [_viewer(), "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]
+    program, port = viewer_program(), free_port()
+    if program is None:
+        raise SafedpaError("screenshot: Rerun's viewer is not installed; install it with: pip install 'safedpa[view]'")
+    command = [program, "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]
     quiet = {**os.environ, "RUST_LOG": "error"}  # otherwise notices cover a part of the picture
     with tempfile.TemporaryFile("w+") as log:
         viewer = subprocess.Popen(command, env=quiet, stdout=log, stderr=log)
@@ -100,16 +104,6 @@ def _save_screenshot(viewer: subprocess.Popen[bytes], url: str, recording: Path,
     client.save_screenshot(str(out))
     if not out.is_file():
         raise TimeoutError("the viewer wrote no file")
-
-
-def _viewer() -> str:
-    import importlib.util
-
-    found = importlib.util.find_spec("rerun_cli")
-    binary = Path(found.origin).parent / "rerun" if found and found.origin else None
-    if binary is None or not binary.is_file():
-        raise SafedpaError("screenshot: Rerun's viewer is not installed; install it with: pip install 'safedpa[view]'")
-    return str(binary)
 
 
 def _reason(recording: Path, complaint: str) -> str:

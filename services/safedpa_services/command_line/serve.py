@@ -12,6 +12,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
 from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
+from safedpa_services.command_line.options import PATH, recordings_option
 from safedpa_services.command_line.up import default_options, make_plan
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
-@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
+@click.argument("file", type=PATH, metavar="ROBOT.toml")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
 @click.option("--policy", "controller", metavar="NAME", help="run this policy: goal_seeker, learned, planner ...")
 @click.option(
     "--perception", default="", metavar="FILE.toml", help="file with settings, sources and zones of perception"
@@ -41,14 +42,9 @@ if TYPE_CHECKING:
 )
 @click.option("--secure", is_flag=True, help="use mutual TLS with temporary certificates")
 @click.option(
-    "--certificates",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="use mutual TLS with the certificates of 'safedpa certificates'",
+    "--certificates", type=PATH, metavar="DIR", help="use mutual TLS with the certificates of 'safedpa certificates'"
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="folder for recordings"
-)
+@recordings_option
 @answers_json
 def command(file: Path, **options: Any) -> None:
     """Run the services for the real robot of ROBOT.toml.

@@ -7,6 +7,7 @@ import json
 import re
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.bus_options import bus_of, listening_options
+from safedpa_services.command_line.options import PATH
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,9 +32,7 @@ _FEWEST_COLUMNS = 80
 @click.option("--robot", default="*", help="only this robot")
 @click.option("--seconds", type=float, default=3.0, show_default=True, help="how long to listen before reporting")
 @click.option("--watch", is_flag=True, help="show a live table until Ctrl-C")
-@click.option(
-    "--picture", type=click.Path(path_type=Path), metavar="FILE.svg", help="also write the table to an SVG file"
-)
+@click.option("--picture", type=PATH, metavar="FILE.svg", help="also write the table to an SVG file")
 def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
     """Show the health of a fleet's robots and processes.
 
@@ -144,19 +144,8 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
         "listened": round(now - fleet.since, 3),
         "robots": robots,
         "services": services,
-        "concerns": [_concern(concern) for concern in concerns],
+        "concerns": [asdict(concern) | {"kind": concern.kind or concern.sentence} for concern in concerns],
         "unreadable": fleet.refused,
-    }
-
-
-def _concern(concern: Alert) -> dict[str, Any]:
-    return {
-        "level": concern.level,
-        "robot": concern.robot,
-        "service": concern.service,
-        "sentence": concern.sentence,
-        "kind": concern.kind or concern.sentence,
-        "size": concern.size,
     }
 
 

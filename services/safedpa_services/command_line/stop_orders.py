@@ -1,4 +1,4 @@
-"""Orders to the safety filter to stop robots or to let them drive: for ``stop`` and ``go``."""
+"""``safedpa stop`` and ``safedpa go``: orders to the safety filter to stop robots or to let them drive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from safedpa.errors import SafedpaError
-from safedpa_services.command_line.bus_options import bus_of, request_answer
+from safedpa_services.command_line.bus_options import bus_of, listening_options, request_answer, who_option
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
@@ -22,6 +22,34 @@ _POLL_SECONDS = 0.1
 _STATIONARY_SPEED = 0.02
 
 
+_robot_option = click.option("--robot", default="", help="only this robot; default: the whole fleet")
+
+
+@click.command()
+@listening_options
+@_robot_option
+@who_option
+def stop(robot: str, **options: Any) -> None:
+    """Stop a robot or the whole fleet.
+
+    The safety filter ignores the policy and brakes. A car stays stationary, a pendulum is kept within its corridor. The
+    order holds until 'safedpa go'. The answer says whether it also survives a restart of the filter.
+    """
+    give_order("stop", robot, options)
+
+
+@click.command()
+@listening_options
+@_robot_option
+@who_option
+def go(robot: str, **options: Any) -> None:
+    """Lift a stop order, so that robots drive again.
+
+    Without --robot the order for the whole fleet is lifted; robots that were stopped individually stay stopped.
+    """
+    give_order("go", robot, options)
+
+
 def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -> None:
     """Sends an order to the filter, waits until the robots obey, and prints the result.
 
@@ -30,8 +58,8 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     """
     from safedpa.bus import Request
     from safedpa.bus.messages.requests import ORDER
-    from safedpa.bus.monitor import FleetOverview
     from safedpa.bus.messages.topics import NO_ROBOT
+    from safedpa.bus.monitor import FleetOverview
 
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")

@@ -15,6 +15,7 @@ from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa.systems.robots import robot_named, robots
 from safedpa_services.command_line.names import SuggestingChoice, complete_robots
+from safedpa_services.command_line.options import PATH, as_json_option
 
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("robot", shell_complete=complete_robots)
-@click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
-@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
+@click.argument("runs", nargs=-1, type=PATH, metavar="[RUN...]")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
 @click.option("--configuration", "source", metavar="FILE", help="training configuration, or the name of a shipped one")
 @click.option(
     "--model",
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 @click.option(
     "--what", type=SuggestingChoice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
 )
-@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@as_json_option
 @needs("train")
 def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:
     """Train or tune the learned model of a robot.

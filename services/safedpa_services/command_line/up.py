@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -32,28 +33,30 @@ if TYPE_CHECKING:
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
 _ROBOT_SPECIFIC = (
-    "load",
-    "change",
-    "laser",
-    "people",
-    "task",
-    "wind",
-    "wind_direction",
-    "payload",
-    "dry_friction",
-    "force",
-    "world",
-)
+    "load", "change", "laser", "people", "task", "wind", "wind_direction", "payload", "dry_friction", "force", "world",
+)  # fmt: skip
 """Options that only some robots have, as declared by the robots."""
-_MOST_ROBOTS = 8
-"""Number of tabs of the dashboard."""
-_MOST_PEOPLE = 12
-"""People who fit into the field of the simulated car."""
-_MOST_FORCE = 0.0149
-"""N; a stronger wind exceeds the thrust of the point robot."""
+_RANGES = {
+    "seconds": (0.0, 1e9, "0 (until Ctrl-C) or more"),
+    "change_after": (0.0, 1e9, "0 seconds or more"),
+    "robots": (1, 8, "1 to 8"),  # the dashboard has eight tabs
+    "seed": (0, math.inf, "0 or more"),
+    "people": (0, 12, "0 to 12"),  # as many fit into the field of the simulated car
+    "wind": (0.0, 15.0, "0 to 15 m/s"),
+    "wind_direction": (-360.0, 360.0, "-360 to 360 degrees"),
+    "force": (0.0, 0.0149, "0 to 0.0149 N"),  # a stronger wind exceeds the thrust of the point robot
+    "payload": (0.0, 10.0, "0 to 10 kg"),
+    "dry_friction": (0.0, 10.0, "0 to 10 N m"),
+}
+"""Minimum, maximum and text of the options that are numbers."""
 CHANGES = ("hitch", "headwind", "steering_offset")
 _FIELDS_OF_PLAN = ("load", "change")
 """Of these, the options that are fields of ``Plan``; the others are passed to the robot's process unchanged."""
+_SAME_IN_PLAN = (
+    "robot", "name", "robots", "seconds", "seed", "rate", "lockstep", "change_after", "model", "settings", "margin",
+    "perception", "fleet", "endpoint", "certificates",
+)  # fmt: skip
+"""Options that are fields of ``Plan`` without any change."""
 _EXIT_CODE_INTERRUPTED = 130
 """128 + SIGINT, as shells report it."""
 GROUPS = {
@@ -270,14 +273,8 @@ def _plan(options: dict[str, Any]) -> Plan:
     if options["perception"]:
         load_perception(Path(options["perception"]))
     return Plan(
-        robot=robot,
-        name=options["name"],
-        robots=options["robots"],
+        **{name: options[name] for name in _SAME_IN_PLAN},
         load=options["load"] or "none",
-        seconds=options["seconds"],
-        seed=options["seed"],
-        rate=options["rate"],
-        lockstep=options["lockstep"],
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
         sensor_inputs=bool(options["laser"]),
@@ -285,30 +282,21 @@ def _plan(options: dict[str, Any]) -> Plan:
         workbench_port=_workbench_port(options),
         surroundings=(*variant.stand_in_options, *_surroundings(options, variant)),
         change=options["change"] or "",
-        change_after=options["change_after"],
-        model=options["model"],
-        settings=options["settings"],
-        margin=options["margin"],
-        perception=options["perception"],
         controller=_controller(model, options["controller"]),
-        fleet=options["fleet"],
-        endpoint=options["endpoint"],
-        certificates=options["certificates"],
         listen=options["listen"] if options["certificates"] is not None else "",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
 
 
 def _check_numbers(options: dict[str, Any]) -> None:
-    """Checks the numbers that every robot has. Raises InputError naming the option."""
-    if not 0.0 <= options["seconds"] < 1e9:
-        raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
-    if not 0.0 <= options["change_after"] < 1e9:
-        raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
-    if not 1 <= options["robots"] <= _MOST_ROBOTS:
-        raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
-    if options["seed"] < 0:
-        raise InputError(f"--seed: got {options['seed']}, wanted 0 or more")
+    """Raises InputError for a number out of its range, naming the option."""
+    for name, (low, high, wanted) in _RANGES.items():
+        if options[name] is not None and not low <= options[name] <= high:
+            raise InputError(f"{_flag(name)}: got {options[name]}, wanted {wanted}")
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> None:
@@ -334,33 +322,22 @@ def _surroundings(options: dict[str, Any], variant: Robot) -> tuple[str, ...]:
         foreign = [*foreign, "change"]
     if foreign and variant.name == options["robot"] and variant.stand_in_options:
         raise InputError(
-            f"--{foreign[0].replace('_', '-')}: got '{options[foreign[0]]}' for a {variant.name} with "
+            f"{_flag(foreign[0])}: got '{options[foreign[0]]}' for a {variant.name} with "
             f"{', '.join(variant.system.action_names)}, which has none; leave it out, or choose another --model"
         )
     if foreign:
         raise InputError(
-            f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none; "
+            f"{_flag(foreign[0])}: got one for a {options['robot']}, which has none; "
             f"leave it out, or choose a robot that has one with --robot: {_owners(foreign[0])}"
         )
-    if options["people"] is not None and not 0 <= options["people"] <= _MOST_PEOPLE:
-        raise InputError(f"--people: got {options['people']}, wanted 0 to {_MOST_PEOPLE}")
     if options["people"] and not options["laser"]:
         raise InputError(
             f"--people: got {options['people']} without --laser; add --laser, without which the car cannot see people"
         )
-    if options["wind"] is not None and not 0.0 <= options["wind"] <= 15.0:
-        raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
-    if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
-        raise InputError(f"--wind-direction: got {options['wind_direction']}, wanted -360 to 360 degrees")
-    if options["force"] is not None and not 0.0 <= options["force"] <= _MOST_FORCE:
-        raise InputError(f"--force: got {options['force']}, wanted 0 to {_MOST_FORCE:g} N")
-    for name, most, unit in (("payload", 10.0, "kg"), ("dry_friction", 10.0, "N m")):
-        if options[name] is not None and not 0.0 <= options[name] <= most:
-            raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
     given = [(name, options[name]) for name in own if name not in _FIELDS_OF_PLAN and options[name] is not None]
     each = [(name, value) for name, found in given for value in (found if isinstance(found, tuple) else (found,))]
-    flags = [f"--{name.replace('_', '-')}" for name, value in each if value is True]
-    return (*(f"--{name.replace('_', '-')}={value}" for name, value in each if not isinstance(value, bool)), *flags)
+    flags = [_flag(name) for name, value in each if value is True]
+    return (*(f"{_flag(name)}={value}" for name, value in each if not isinstance(value, bool)), *flags)
 
 
 def _owners(option: str) -> str:

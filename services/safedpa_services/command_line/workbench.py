@@ -15,7 +15,7 @@ from safedpa.extras import needs
 from safedpa_services.command_line.bus_options import bus_of
 from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
 from safedpa_services.command_line.names import complete_models
-from safedpa_services.command_line.options import columns_option, effects_option
+from safedpa_services.command_line.options import PATH, columns_option, effects_option
 
 if TYPE_CHECKING:
     from safedpa_services.workbench.session.controller import SessionController
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default=Path("workbench"),
     show_default=True,
     metavar="DIR",
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--session",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="Resume a session.json: opens its model and recordings and repeats its decisions.",
 )
@@ -61,31 +61,18 @@ if TYPE_CHECKING:
     metavar="DIR",
     help="Folder whose recordings may be opened; default: those of the RUNs, or the current folder.",
 )
-@click.option("--tls-certificate", type=click.Path(path_type=Path), metavar="FILE.pem", help="Serve over TLS.")
-@click.option("--tls-key", type=click.Path(path_type=Path), metavar="FILE.pem", help="Key of the certificate.")
+@click.option("--tls-certificate", type=PATH, metavar="FILE.pem", help="Serve over TLS.")
+@click.option("--tls-key", type=PATH, metavar="FILE.pem", help="Key of the certificate.")
 @click.option(
     "--token-only", is_flag=True, help="Require only the token; for a port that is mapped to a loopback interface."
 )
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
 @click.option("--fleet", help="Show the robots of this fleet live.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Endpoint of the loop, printed by 'safedpa up'.")
+@click.option("--certificates", type=PATH, metavar="DIR", help="Folder with the workbench's certificate.")
+@click.option("--replay", type=PATH, metavar="FILE.mcap", help="Play a recording of the bus on the live page.")
 @click.option(
-    "--certificates",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder with the workbench's certificate.",
-)
-@click.option(
-    "--replay",
-    type=click.Path(path_type=Path),
-    metavar="FILE.mcap",
-    help="Play a recording of the bus on the live page.",
-)
-@click.option(
-    "--pictures",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Write pictures of the page to DIR with a headless Chromium, and exit.",
+    "--pictures", type=PATH, metavar="DIR", help="Write pictures of the page to DIR with a headless Chromium, and exit."
 )
 @click.option("--no-browser", is_flag=True, help="Do not open a browser.")
 @answers_json

@@ -79,18 +79,21 @@ def _fetched() -> dict[str, bytes]:
             process.wait()
 
 
-def _command(port: int) -> list[str]:
-    """Returns the command of Rerun's server or, if that is not installed (as in our images), of its library."""
+def viewer_program() -> str | None:
+    """Returns the path of Rerun's command line; None if it is not installed, as in our images."""
     found = find_spec("rerun_cli")
     program = None if found is None or found.origin is None else Path(found.origin).parent / "rerun"
-    if program is not None and program.exists():
+    return str(program) if program is not None and program.is_file() else None
+
+
+def _command(port: int) -> list[str]:
+    """Returns the command of Rerun's server or, if that is not installed, of its library."""
+    program = viewer_program()
+    if program is not None:
         no_answer = "rerun+http://127.0.0.1:9/proxy"  # with an address of data it does not start a data server
-        return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_answer]
-    return [
-        sys.executable,
-        "-c",
-        f"import rerun,time;rerun.serve_web_viewer(web_port={port},open_browser=False);time.sleep(30)",
-    ]
+        return [program, "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_answer]
+    code = f"import rerun,time;rerun.serve_web_viewer(web_port={port},open_browser=False);time.sleep(30)"
+    return [sys.executable, "-c", code]
 
 
 def _fetch(address: str, process: subprocess.Popen[bytes]) -> bytes:
