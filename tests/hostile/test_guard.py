@@ -7,11 +7,11 @@ import pytest
 
 from safedpa.limits import limit
 from safedpa_services.web import guard
-from safedpa_services.web.guard import HEALTHY, AccessPolicy, Guard
-from safedpa_services.web.hosts import Hosts
+from safedpa_services.web.guard import HEALTHY, Guard
+from safedpa_services.web.page_options import PageServerOptions
 
-TOKEN, PASSWORD = "a-token", "open, sesame"
-COOKIE = ((b"cookie", b"safedpa_8080=a-token"),)
+TOKEN, PASSWORD = "a-token-of-tests", "open, sesame"
+COOKIE = ((b"cookie", b"safedpa_8080=a-token-of-tests"),)
 CLOSED = [("websocket.close", 1008)]
 
 
@@ -32,7 +32,7 @@ class Page:
 
         monkeypatch.setattr(guard, "log_event", log)
         monkeypatch.setattr(asyncio, "sleep", sleep)
-        self.door = AccessPolicy(Hosts("127.0.0.1"), 8080, token=TOKEN, password=password)
+        self.door = PageServerOptions("127.0.0.1", 8080, token=TOKEN, password=password)
         self.seen: list[Any] = []
         self.sent: list[Any] = []
 
@@ -107,7 +107,7 @@ def test_the_health_of_the_page_is_public_over_http_alone(page: Page) -> None:
         ("", "/", b"", 401, ""),
         ("", "/login", b"", 401, ""),
         ("", "/", b"token=another", 401, ""),
-        ("", "/live", b"token=a-token&x=1", 303, "/live?x=1"),
+        ("", "/live", b"token=a-token-of-tests&x=1", 303, "/live?x=1"),
         (PASSWORD, "/live", b"", 303, "/login"),
         (PASSWORD, "/login", b"", 200, ""),
     ],
@@ -116,14 +116,15 @@ def test_without_a_cookie_the_token_or_the_form_is_asked_for(password, path, que
     page = Page(monkeypatch, password)
     assert page.ask(path=path, query_string=query) == status
     assert page.headers.get("location", "") == location
-    assert page.headers.get("set-cookie", "").startswith("safedpa_8080=a-token; HttpOnly") is (b"a-token" in query)
+    cookie = page.headers.get("set-cookie", "")
+    assert cookie.startswith("safedpa_8080=a-token-of-tests; HttpOnly") is (b"a-token" in query)
     assert not page.seen
 
 
 @pytest.mark.parametrize("method", ["POST", "HEAD", "PUT"])
 def test_a_token_in_the_address_only_opens_the_page(method: str, page: Page) -> None:
-    assert page.ask(method=method, query_string=b"token=a-token") == 401
-    page.ask(type="websocket", query_string=b"token=a-token")
+    assert page.ask(method=method, query_string=b"token=a-token-of-tests") == 401
+    page.ask(type="websocket", query_string=b"token=a-token-of-tests")
     assert page.closed == CLOSED
 
 
@@ -232,7 +233,7 @@ def test_a_wrong_password_takes_a_second_and_is_logged_and_the_right_one_brings_
     assert len(locked.slept) == 1
     assert 0.5 <= locked.slept[0] <= 2.0
     assert locked.ask((b"password=open%2C+sesame",), method="POST", path="/login") == 303
-    assert locked.headers["set-cookie"].startswith("safedpa_8080=a-token;")
+    assert locked.headers["set-cookie"].startswith("safedpa_8080=a-token-of-tests;")
     assert (len(locked.events), len(locked.slept)) == (1, 1)
     assert not locked.seen, "the page's framework sees no request without a token"
 

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from safedpa.errors import InputError, RunError
 from safedpa_services.web.hosts import Hosts
+from safedpa_services.web.page_options import PageServerOptions
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench.server_options import PageServerOptions
 
 _PATIENCE = 120.0
 """s; nothing is waited for that long but on a busy machine."""

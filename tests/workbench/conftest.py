@@ -194,7 +194,7 @@ from safedpa.bus.service.process import StopSignal
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.session.controller import SessionController
 from safedpa_services.workbench.session.inputs import InputSelection
-from safedpa_services.workbench.server_options import PageServerOptions
+from safedpa_services.web.page_options import PageServerOptions
 from safedpa_services.workbench.server import serve
 
 broker = MemoryBroker()

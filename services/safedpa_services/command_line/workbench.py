@@ -97,8 +97,8 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
+    from safedpa_services.web.page_options import PageServerOptions
     from safedpa_services.workbench.server import serve
-    from safedpa_services.workbench.server_options import PageServerOptions
 
     controller, serving = _controller(options), PageServerOptions.of(options)
     start = partial(serve, controller, serving, browser=not options["no_browser"], announce=_announce)

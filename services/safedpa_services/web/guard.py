@@ -9,28 +9,24 @@ from __future__ import annotations
 import asyncio
 import hmac
 import html
-import secrets
 import urllib.parse
-from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from collections.abc import Mapping
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from safedpa.bus.logging import log_event
 from safedpa.limits import limit
-from safedpa_services.web.hosts import Hosts
-
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+from safedpa_services.web.page_options import PageServerOptions
 
 HEALTHY = "/healthy"
 """Path of the health check: answers without a token, and only that the page is served."""
 _LOGIN = "/login"
 _UPLOAD = "/_nicegui/client/"
 _WRONG_PASSWORD_SECONDS = 1.0
+_HOW_TO_OPEN = "open the address that was printed when this page was started"
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
@@ -48,32 +44,11 @@ _POLICY = (
 Nothing is loaded from or sent to any other host."""
 
 
-@dataclass(frozen=True)
-class AccessPolicy:
-    """Under which host names the page is served, with which token, and optionally a password to obtain it."""
-
-    hosts: Hosts
-    port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    password: str = ""
-    scheme: str = "http"
-
-    @property
-    def cookie(self) -> str:
-        """Name of the cookie. It contains the port, because browsers share cookies between ports."""
-        return f"safedpa_{self.port}"
-
-    def address(self, host: str, path: str) -> str:
-        """Returns the address that the user opens."""
-        query = "" if self.password else f"?token={self.token}"
-        return f"{self.scheme}://{host}:{self.port}{path}{query}"
-
-
 class Guard:
     """ASGI middleware that lets authorised requests through and answers all others."""
 
-    def __init__(self, app: App, policy: AccessPolicy) -> None:
-        self._app, self._policy = app, policy
+    def __init__(self, app: ASGIApp, options: PageServerOptions) -> None:
+        self._app, self._options = app, options
         self._one_at_a_time = asyncio.Lock()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -81,107 +56,94 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = _headers(scope)
+        headers = Headers(scope=scope)
         reason = self._foreign(scope, headers)
         if reason:
-            await self._refuse(scope, send, 403, reason)
+            await self._refuse(scope, receive, send, 403, reason)
         elif scope["type"] == "http" and scope["path"] == HEALTHY:
-            await _answer(send, 204, b"")
-        elif scope["type"] == "http" and scope["path"] == _LOGIN and self._policy.password:
-            await self._log_in(scope, receive, send)
-        elif (
-            _equal(self._token_in_query(scope), self._policy.token)
-            and scope["type"] == "http"
-            and scope["method"] == "GET"
-        ):
-            await self._give_cookie(scope, send)
-        elif not _equal(self._token_in_cookie(headers), self._policy.token):
-            await self._refuse(scope, send, 401, "open the address that was printed when this page was started")
+            await _answer(204, b"")(scope, receive, send)
+        elif scope["type"] == "http" and scope["path"] == _LOGIN and self._options.password:
+            await (await self._log_in(scope, receive))(scope, receive, send)
+        elif scope["type"] == "http" and scope["method"] == "GET" and _equal(_token_in(scope), self._options.token):
+            await self._without_token(scope, headers)(scope, receive, send)
+        elif not _equal(self._token_in_cookie(headers), self._options.token):
+            await self._refuse(scope, receive, send, 401, _HOW_TO_OPEN)
         else:
             await self._let_through(scope, receive, send, headers)
 
-    def _foreign(self, scope: Scope, headers: dict[str, list[str]]) -> str:
+    def _foreign(self, scope: Scope, headers: Headers) -> str:
         """Returns why a request does not come from our own page; empty if it does."""
-        hosts, origins = headers.get("host", []), headers.get("origin", [])
-        if len(hosts) != 1 or not self._policy.hosts.allow(hosts[0]):
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
+        if len(hosts) != 1 or not self._options.hosts.allow(hosts[0]):
             return "this page is not served under that host name; allow it with --name"
-        if len(origins) > 1 or (
-            origins and not self._policy.hosts.same_origin(origins[0], hosts[0], self._policy.scheme)
-        ):
+        own = [self._options.hosts.same_origin(origin, hosts[0], self._options.scheme) for origin in origins]
+        if own not in ([], [True]):
             return "requests from other pages are not allowed"
-        site = headers.get("sec-fetch-site", ["none"])[0]
-        navigates = scope["type"] == "http" and headers.get("sec-fetch-mode") == ["navigate"]
+        site = headers.get("sec-fetch-site", "none")
+        navigates = scope["type"] == "http" and headers.getlist("sec-fetch-mode") == ["navigate"]
         if site not in ("none", "same-origin") and not (navigates and scope["method"] == "GET"):
             return "requests from other pages are not allowed"
         return ""
 
-    @staticmethod
-    def _token_in_query(scope: Scope) -> str:
-        """Returns the token in the address."""
-        return dict(_fields(bytes(scope.get("query_string", b"")))).get("token", "")
+    def _token_in_cookie(self, headers: Headers) -> str:
+        return cookie_parser("; ".join(headers.getlist("cookie"))[:8192]).get(self._cookie, "")
 
-    def _token_in_cookie(self, headers: dict[str, list[str]]) -> str:
-        """Returns the token in the cookie."""
-        try:
-            jar = SimpleCookie("; ".join(headers.get("cookie", []))[:8192])
-        except CookieError:
-            return ""
-        return str(jar[self._policy.cookie].value) if self._policy.cookie in jar else ""
+    @property
+    def _cookie(self) -> str:
+        """Name of the cookie. It contains the port, because browsers share cookies between ports."""
+        return f"safedpa_{self._options.port}"
 
-    async def _give_cookie(self, scope: Scope, send: Send) -> None:
-        query = _fields(scope["query_string"])
-        rest = urllib.parse.urlencode([(name, value) for name, value in query if name != "token"])
-        path = "/" + urllib.parse.quote(scope["path"].lstrip("/\\")) + (f"?{rest}" if rest else "")
-        by_a_link = _headers(scope).get("sec-fetch-site", ["none"])[0] not in ("none", "same-origin")
-        await self._redirect(send, path, by_a_link=by_a_link)
+    def _without_token(self, scope: Scope, headers: Headers) -> Response:
+        """Returns a redirection to the same page without the token in its address."""
+        fields = [(name, value) for name, value in _fields(scope["query_string"]) if name != "token"]
+        rest = f"?{urllib.parse.urlencode(fields)}" if fields else ""
+        path = "/" + urllib.parse.quote(scope["path"].lstrip("/\\")) + rest
+        by_a_link = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+        return self._redirection(path, by_a_link=by_a_link)
 
-    async def _redirect(self, send: Send, path: str, *, by_a_link: bool = False) -> None:
-        """Redirects and sets the cookie.
+    def _redirection(self, path: str, *, by_a_link: bool = False) -> Response:
+        """Returns a redirection that sets the cookie.
 
         ``by_a_link``: a browser that follows a link from another page withholds a SameSite=Strict cookie on a redirect,
         but not on a page that refreshes itself.
         """
-        secure = "; Secure" if self._policy.scheme == "https" else ""
-        cookie = f"{self._policy.cookie}={self._policy.token}; HttpOnly; SameSite=Strict; Path=/{secure}"
+        secure = "; Secure" if self._options.scheme == "https" else ""
+        cookie = f"{self._cookie}={self._options.token}; HttpOnly; SameSite=Strict; Path=/{secure}"
         headers = {"Set-Cookie": cookie, "Cache-Control": "no-store"}
         if by_a_link:
             page = f'<meta http-equiv="refresh" content="0; url={html.escape(path)}">'.encode()
-            await _answer(send, 200, page, {**headers, "Content-Type": "text/html; charset=utf-8"})
-        else:
-            await _answer(send, 303, b"", {**headers, "Location": path})
+            return _answer(200, page, {**headers, **_HTML})
+        return _answer(303, b"", {**headers, "Location": path})
 
-    async def _log_in(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _log_in(self, scope: Scope, receive: Receive) -> Response:
         """Answers the login form. A wrong password delays all further attempts by one second."""
         if scope["method"] != "POST":
-            await _answer(send, 200, _FORM, {"Content-Type": "text/html; charset=utf-8"})
-            return
-        body = await _body(receive, 4096)
-        given = dict(_fields(body, "utf-8")).get("password", "")
+            return _answer(200, _FORM, _HTML)
+        given = dict(_fields(await _body(receive, 4096), "utf-8")).get("password", "")
         async with self._one_at_a_time:
-            if _equal(given, self._policy.password):
-                await self._redirect(send, "/")
-                return
+            if _equal(given, self._options.password):
+                return self._redirection("/")
             await asyncio.sleep(_WRONG_PASSWORD_SECONDS)
         log_event("page.wrong_password", "a wrong password was entered", level="warning", service="workbench")
-        await _answer(send, 401, _FORM, {"Content-Type": "text/html; charset=utf-8"})
+        return _answer(401, _FORM, _HTML)
 
-    async def _refuse(self, scope: Scope, send: Send, code: int, reason: str) -> None:
+    async def _refuse(self, scope: Scope, receive: Receive, send: Send, code: int, reason: str) -> None:
         client = str((scope.get("client") or ("?",))[0])
         log_event("page.refused", f"{reason}: {client}", level="warning", service="workbench", code=code)
         if scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
-        elif code == 401 and self._policy.password:
-            await _answer(send, 303, b"", {"Location": _LOGIN})
+        elif code == 401 and self._options.password:
+            await _answer(303, b"", {"Location": _LOGIN})(scope, receive, send)
         else:
-            await _answer(send, code, f"{reason}\n".encode())
+            await _answer(code, f"{reason}\n".encode())(scope, receive, send)
 
-    async def _let_through(self, scope: Scope, receive: Receive, send: Send, headers: dict[str, list[str]]) -> None:
+    async def _let_through(self, scope: Scope, receive: Receive, send: Send, headers: Headers) -> None:
         most = self._size_limit(scope)
-        declared = headers.get("content-length", ["0"])[0]
+        declared = headers.get("content-length", "0")
         if scope["type"] == "http" and (not declared.isdecimal() or int(declared[:19]) > most):
-            await self._refuse(scope, send, 413, f"wanted at most {most} bytes")
+            await self._refuse(scope, receive, send, 413, f"wanted at most {most} bytes")
             return
-        host = headers["host"][0]
+        policy = _POLICY.format(host=headers["host"])
         received = 0
 
         async def measured() -> Message:
@@ -196,12 +158,9 @@ class Guard:
 
         async def with_policy(message: Message) -> None:
             if message["type"] == "http.response.start":
-                known = {name.lower() for name, _ in message["headers"]}
-                added = {**_HEADERS, "Content-Security-Policy": _POLICY.format(host=host)}
-                message["headers"] = [
-                    *message["headers"],
-                    *((n.encode(), v.encode()) for n, v in added.items() if n.lower().encode() not in known),
-                ]
+                shown = MutableHeaders(scope=message)
+                for name, value in {**_HEADERS, "Content-Security-Policy": policy}.items():
+                    shown.setdefault(name, value)
             await send(message)
 
         await self._app(scope, measured, with_policy)
@@ -214,6 +173,7 @@ class Guard:
         return limit("upload_bytes") if uploads else limit("socket_bytes" if "_ws" in scope["path"] else "page_bytes")
 
 
+_HTML = {"Content-Type": "text/html; charset=utf-8"}
 _FORM = (
     b"<!doctype html><meta charset=utf-8><title>safedpa</title><form method=post action=/login>"
     b"<label>Password <input type=password name=password autofocus></label> <button>Open</button></form>"
@@ -224,11 +184,9 @@ def _equal(given: str, wanted: str) -> bool:
     return hmac.compare_digest(given.encode(), wanted.encode())
 
 
-def _headers(scope: Scope) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    for name, value in scope["headers"]:
-        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return found
+def _token_in(scope: Scope) -> str:
+    """Returns the token in the address."""
+    return dict(_fields(scope.get("query_string", b""))).get("token", "")
 
 
 def _fields(query: bytes, encoding: str = "latin-1") -> list[tuple[str, str]]:
@@ -248,19 +206,9 @@ async def _body(receive: Receive, most: int) -> bytes:
             return body[:most]
 
 
-async def _answer(send: Send, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
-    all_headers = {
+def _answer(code: int, body: bytes, headers: Mapping[str, str] | None = None) -> Response:
+    own = {
         "Content-Type": "text/plain; charset=utf-8",
-        "Content-Length": str(len(body)),
         "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'",
-        **_HEADERS,
-        **(headers or {}),
     }
-    await send(
-        {
-            "type": "http.response.start",
-            "status": code,
-            "headers": [(name.encode(), value.encode("latin-1")) for name, value in all_headers.items()],
-        }
-    )
-    await send({"type": "http.response.body", "body": body})
+    return Response(body, code, {**own, **_HEADERS, **(headers or {})})

@@ -15,8 +15,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves the page until ``stop`` is set; returns exit code 0."""
     os.nice(10)  # the control loop has priority
     need("workbench", what="the workbench", alone=True)  # its container writes no reports and lacks their libraries
+    from safedpa_services.web.page_options import PageServerOptions
     from safedpa_services.workbench.server import serve
-    from safedpa_services.workbench.server_options import PageServerOptions
     from safedpa_services.workbench.session.controller import SessionController
     from safedpa_services.workbench.session.inputs import InputSelection
 

@@ -22,6 +22,7 @@ from safedpa.limits import limit, readable
 from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
+from safedpa_services.web.page_options import PageServerOptions
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.live.bus_link import LiveLink
 from safedpa_services.workbench.live.page import LivePage
@@ -29,7 +30,6 @@ from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.page import WorkbenchPage
 from safedpa_services.workbench.panels.elements import apply_page_style
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
-from safedpa_services.workbench.server_options import PageServerOptions
 from safedpa_services.workbench.session.controller import SessionController
 
 _EXPOSED = "serves on {host}: other machines can request the page, and anyone with the token can change models"
@@ -63,7 +63,7 @@ def serve(
     upload_store = FileStore.of(
         (*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders
     )
-    app.add_middleware(Guard, policy=serving.access_policy)
+    app.add_middleware(Guard, options=serving)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:

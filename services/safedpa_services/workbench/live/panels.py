@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from safedpa.diagnosis.report_schema import Candidate, FittedValue
-from safedpa.live.named_candidate import named_candidate
+from safedpa.live.search_jobs import named_candidate
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.panels.elements import escaped
 from safedpa_services.workbench.panels.theme import CONFIG, ColourTheme, axis, figure_layout

@@ -40,8 +40,8 @@ from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.web.guard import AccessPolicy, Guard
-from safedpa_services.web.hosts import Hosts
+from safedpa_services.web.guard import Guard
+from safedpa_services.web.page_options import PageServerOptions
 from safedpa_services.web.upload_store import FileStore
 
 
@@ -222,7 +222,7 @@ def _guard() -> Target:
     async def page(scope: Any, receive: Any, send: Any) -> None:
         raise AssertionError("a request without the token got through")
 
-    guard = Guard(page, AccessPolicy(Hosts("127.0.0.1"), 8080, _TOKEN))
+    guard = Guard(page, PageServerOptions("127.0.0.1", 8080, token=_TOKEN))
 
     async def receive() -> dict[str, Any]:
         return {"type": "http.request", "body": b"", "more_body": False}
@@ -376,11 +376,10 @@ def recording_targets(folder: Path, seed: int = 0) -> Iterator[Target]:
 
 def replayed(path: Path) -> object:
     """As ``safedpa replay`` does it, up to what is printed."""
-    from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
     from safedpa.replay.report import document_of, lines_of
     from safedpa.replay.setups import complete_setups
-    from safedpa.replay.tape import read_tape
+    from safedpa.replay.tape import gaps_of, read_tape
 
     tape = read_tape([path])
     assumed = complete_setups(tape)

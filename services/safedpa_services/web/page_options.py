@@ -6,11 +6,11 @@ import os
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from safedpa.errors import InputError
-from safedpa_services.web.guard import AccessPolicy
 from safedpa_services.web.hosts import Hosts, is_loopback
 from safedpa_services.web.ports import choose_port
 
@@ -24,7 +24,7 @@ _DEFAULT_PORT = 8080
 
 @dataclass(frozen=True)
 class PageServerOptions:
-    """Options of the page server.
+    """Options of the page server, which ``Guard`` enforces on every request.
 
     Raises InputError if other machines could open the page without a password or a certificate.
     """
@@ -73,12 +73,13 @@ class PageServerOptions:
         """``https`` with a certificate, else ``http``."""
         return "http" if self.certificate is None else "https"
 
-    @property
-    def access_policy(self) -> AccessPolicy:
-        """The policy that ``Guard`` enforces on every request."""
-        return AccessPolicy(Hosts(self.host, self.names), self.port, self.token, self.password, self.scheme)
+    @cached_property
+    def hosts(self) -> Hosts:
+        """The host names under which the page is served."""
+        return Hosts(self.host, self.names)
 
     def address(self, path: str) -> str:
-        """The URL of ``path`` that a user opens, including the token."""
+        """The URL of ``path`` that a user opens; it includes the token unless there is a password to obtain it."""
         named = self.names[0] if self.names else "127.0.0.1" if self.host in ("0.0.0.0", "") else self.host
-        return self.access_policy.address(f"[{named}]" if ":" in named else named, path)
+        query = "" if self.password else f"?token={self.token}"
+        return f"{self.scheme}://{f'[{named}]' if ':' in named else named}:{self.port}{path}{query}"
