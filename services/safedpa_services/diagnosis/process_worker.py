@@ -17,8 +17,6 @@ from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_outcome, write_work
 
-__all__ = ["ProcessWorker"]
-
 _MOST_STARTS = 3
 _LONGEST_SECONDS = 600.0
 """A job runs at the lowest priority and may take long on a busy machine; beyond this limit it counts as failed."""

@@ -22,8 +22,6 @@ from safedpa.safety.defaults import settings_named
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_work, write_outcome
 
-__all__ = ["calibrate_with", "main"]
-
 
 def calibrate_with(settings: str) -> Calibrate:
     """Returns a calibration for the filter's settings (a file or a name).

@@ -13,8 +13,6 @@ from safedpa.live.search_jobs import SearchJob, WorkOutcome
 from safedpa.records.run import Run, Stretch
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = ["read_outcome", "read_work", "write_outcome", "write_work"]
-
 _ROWS, _TEXT, _OUTCOME = "rows.npz", "work.json", "outcome.json"
 _TEXTS = ("task", "model", "horizon", "effect", "document", "footprint")
 

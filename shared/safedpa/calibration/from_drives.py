@@ -27,13 +27,6 @@ from safedpa.safety.margins.online import HSample
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, resting_verdict
 
-__all__ = [
-    "DriveTick",
-    "barrier_residuals",
-    "calibration_from_drives",
-    "covered_shares",
-]
-
 Drives = Sequence[Mapping[str, FloatArray]]
 """Residuals of each drive by kind of barrier, (steps, 4); see ``barrier_residuals``."""
 

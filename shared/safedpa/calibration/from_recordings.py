@@ -25,9 +25,6 @@ from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.margins.error_clipping import ErrorClip
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["RecordedTransitions", "calibration_from_recordings"]
-
-
 # Transitions per block, 5 s at 20 Hz. Neighbouring transitions are correlated, so data are split by whole blocks.
 _BLOCK = 100
 # Every fifth block or drive is held out.

@@ -27,16 +27,6 @@ from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems.robots import robot_like, robots
 
-__all__ = [
-    "LatentTrajectory",
-    "LogMargin",
-    "calibration_from_runs",
-    "is_period_of",
-    "live_margin",
-    "log_margin",
-    "log_margin_message",
-]
-
 
 class LatentTrajectory(Protocol):
     """Estimates the latent along a drive; any estimator of the adaptation."""

@@ -23,9 +23,6 @@ from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems.robots import robot_like
 
-__all__ = ["RecordedBound", "StepArrays", "own_errors", "recorded_bound"]
-
-
 # Transitions per block; the first of every ten blocks determines the scales.
 _BLOCK = 100
 _SMALLEST_SCALE = 1e-6

@@ -18,8 +18,6 @@ from safedpa.effects import AbstractEffect, CommandEffect
 from safedpa.effects.channel_effects import ChannelEffect
 from safedpa.operations import FLOATS
 
-__all__ = ["delayed_actions", "effective_action_columns"]
-
 _BACKLASH = {"backlash": "torque"}
 # Period [s] over which a step response is evaluated: a typical control period.
 _PERIOD = 0.05

@@ -8,8 +8,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["angle_edges", "merge_small_bins", "round_edges"]
-
 
 def round_edges(values: FloatArray, most: int = 8) -> FloatArray:
     """Returns edges of at most ``most`` + 1 bins of one round width (1, 2, 2.5 or 5 times a power of ten).

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from safedpa.records.run import Finding, Run, Stretch
 
-__all__ = ["first_seconds", "subsample_runs", "without_duplicates"]
-
 # Length of a piece [s]. In a long piece the unknown actuator state at its start matters less; short pieces cover more
 # of the recording.
 _SHORTEST, _LONGEST = 5.0, 10.0

@@ -7,8 +7,6 @@ import numpy as np
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.windows import Windows
 
-__all__ = ["LOOK_BACK", "constant_velocity", "measured_rates", "naive_errors", "no_change"]
-
 LOOK_BACK = 0.1
 """Interval [s] before the start over which rates are measured (one row if rows are further apart): long enough to
 average the noise of motion capture and encoders, short compared with the motion of a car or pendulum."""

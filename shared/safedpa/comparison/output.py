@@ -13,8 +13,6 @@ from pathlib import Path
 from safedpa.disk import why_not_written
 from safedpa.errors import InputError
 
-__all__ = ["new_folder", "refuse_inputs", "require_writable_file", "require_writable_folder", "results_folder"]
-
 # Endings of the files of a ROS bag, which is a folder.
 _BAG_FILES = ("metadata.yaml", ".mcap", ".db3", ".zstd")
 

@@ -12,17 +12,6 @@ from safedpa.comparison.rollout import rollout_at
 from safedpa.comparison.windows import Windows
 from safedpa.dynamics import PhysicsModel
 
-__all__ = [
-    "TRIM",
-    "RolloutError",
-    "change_scale",
-    "error_of",
-    "prediction_errors",
-    "rollout_error",
-    "scaled_error",
-    "trimmed_rms",
-]
-
 TRIM = 0.05
 """Share of the largest errors that is left out: real logs contain people who push the robot, and tracking glitches."""
 

@@ -21,8 +21,6 @@ from safedpa.dynamics.recorded_step import ScalarStep
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, CommandEffect
 
-__all__ = ["StackedMechanics"]
-
 # Structures whose straight-line code is cached: more than one search uses.
 _CACHED = 128
 

@@ -11,19 +11,6 @@ from safedpa.comparison.comparison import PREDICTORS, Comparison
 from safedpa.comparison.rollout_error import RolloutError
 from safedpa.comparison.where import Bin, Factor
 
-__all__ = [
-    "as_json",
-    "bin_text",
-    "most_influential_factor",
-    "naive_sentence",
-    "run_sentence",
-    "shortened",
-    "state_sentence",
-    "where_sentence",
-    "worse_sentence",
-    "worst_bins",
-]
-
 # A state stands out in a run if its error is this multiple of the median over the runs.
 _ODD = 2.0
 # Scaled errors below this are too small to mention.

@@ -13,8 +13,6 @@ from safedpa.comparison.bins import angle_edges, merge_small_bins, round_edges
 from safedpa.comparison.rollout_error import TRIM, scaled_error, trimmed_rms
 from safedpa.comparison.windows import Windows
 
-__all__ = ["Bin", "Cell", "Factor", "cells", "factors", "window_errors", "window_positions", "window_squares"]
-
 POSITION = ("x", "y")
 """Names of the states that are the position of the robot."""
 

@@ -16,9 +16,6 @@ from safedpa.errors import InputError, RunError
 from safedpa.records.run import Run
 from safedpa.systems import System
 
-__all__ = ["Windows", "check_runs", "windows_of"]
-
-
 # Largest relative difference of periods that count as equal: rounding of recorded time stamps.
 _SAME_PERIOD = 1e-6
 

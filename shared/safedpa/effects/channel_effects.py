@@ -15,8 +15,6 @@ from safedpa.effects.memory import delayed, follow, settled
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["EVERY", "KINDS", "ChannelEffect", "ChannelKind"]
-
 EVERY: tuple[str, ...] = ()
 """All commands alike."""
 

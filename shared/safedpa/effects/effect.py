@@ -21,8 +21,6 @@ from typing import Any, ClassVar, NamedTuple
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["AbstractEffect", "CommandEffect", "Context", "FeltEffect", "RateEffect", "SensorEffect", "Stage"]
-
 Named = Mapping[str, Scalar]
 """Scalars by name: a state, an action, rates or parameters."""
 

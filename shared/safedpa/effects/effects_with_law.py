@@ -23,8 +23,6 @@ from safedpa.effects.law import TIME, Law
 from safedpa.errors import ModelFileError
 from safedpa.systems import System
 
-__all__ = ["Conditioned", "ConditionedCommand", "ConditionedRate", "conditioned", "law_behind", "may_have_law", "plain"]
-
 
 class Conditioned(AbstractEffect):
     """Base of both kinds; two are equal if their effects, laws and systems are."""

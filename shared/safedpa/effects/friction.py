@@ -7,8 +7,6 @@ from typing import Final
 from safedpa.effects.effect import Context
 from safedpa.operations import Scalar
 
-__all__ = ["REST_RATE", "REST_SPEED", "direction_of", "resistance"]
-
 REST_SPEED: Final = 0.03
 """m/s; width of the smoothing for a car in steps of 0.05 s: a hundredth of its usual speed, about the noise of a good
 speed sensor."""

@@ -13,8 +13,6 @@ from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
 from safedpa.systems import System, Variable
 
-__all__ = ["StateDrag", "StateEffect", "StateFriction", "StatePush", "StateQuadraticDrag", "general_effects"]
-
 _REST = 0.02
 """Share of the usual size of a state below which its friction is smoothed."""
 

@@ -25,8 +25,6 @@ from safedpa.errors import ModelFileError, did_you_mean
 from safedpa.operations import Scalar
 from safedpa.systems import System
 
-__all__ = ["ABS", "PLACES", "SHAPES", "TIME", "Law", "Varies", "Where", "law_of", "variables_of_law"]
-
 TIME: Final = "time"
 ABS: Final = "abs_"
 """Prefix of a state's or an action's name: its absolute value."""

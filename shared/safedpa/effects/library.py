@@ -20,17 +20,6 @@ from safedpa.systems import systems
 from safedpa.systems.robots import Robot
 from safedpa.systems.robots import robots as robots_declared
 
-__all__ = [
-    "REGISTERED",
-    "add_effects",
-    "effect",
-    "effects_in_package",
-    "effects_of",
-    "load_effects",
-    "module_from",
-    "robots",
-]
-
 REGISTERED: dict[tuple[str, str], AbstractEffect] = {}
 """Effects that this process loaded from users' files, by robot and name."""
 

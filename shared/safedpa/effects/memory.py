@@ -7,8 +7,6 @@ from typing import Any
 
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["History", "delayed", "follow", "settled"]
-
 History = tuple[tuple[Scalar, float], ...]
 """Commands and the seconds for which each was held, newest first; the last one has been held forever."""
 

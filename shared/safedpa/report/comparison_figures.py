@@ -11,17 +11,6 @@ from safedpa.comparison.comparison import Comparison
 from safedpa.comparison.where import POSITION, Bin
 from safedpa.report.panels import Panels, label, rounded
 
-__all__ = [
-    "COLOURS",
-    "LEGEND",
-    "MOST_RUNS",
-    "horizon_figure",
-    "position_figure",
-    "residual_figure",
-    "time_figure",
-    "where_figure",
-]
-
 COLOURS = {
     "measured": "#222222",
     "model": "#0072B2",

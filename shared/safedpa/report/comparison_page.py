@@ -20,8 +20,6 @@ from safedpa.report.comparison_figures import (
 )
 from safedpa.report.overlays import overlay_figures
 
-__all__ = ["compare_page", "embedded", "rendered", "write_comparison"]
-
 
 def write_comparison(comparison: Comparison, folder: Path, title: str) -> tuple[Path, Path]:
     """Writes ``compare.html`` and ``compare.json`` into an existing folder and returns both paths.

@@ -24,8 +24,6 @@ from safedpa.report.overlays import chosen_windows, window_figure
 from safedpa.report.panels import Panels, label, rounded
 from safedpa.report.undecided_story import closest_rows, detectable_rows
 
-__all__ = ["before_after_figure", "falling_figure", "map_figure", "report_page", "unexplained_figure", "write_report"]
-
 
 def unexplained_figure(unexplained: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Draws the map and the profile of ``unexplained`` of report.json; None if it has neither."""

@@ -19,8 +19,6 @@ from safedpa.errors import InputError, RecordingError
 from safedpa.records.run import Run
 from safedpa.report.diagnosis_story import number, report_text, step_text
 
-__all__ = ["write_recording"]
-
 # Length [s] of the run that is played in each stage, and of each run drawn in the plane: a viewer watches no more.
 _MAX_SECONDS = 60.0
 # More paths would cover each other.

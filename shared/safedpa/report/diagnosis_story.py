@@ -10,17 +10,6 @@ from typing import Any
 
 from safedpa.report.undecided_story import naive_sentence, nothing_sentence, undecided_sentence, unsure_sentence
 
-__all__ = [
-    "AcceptedEffect",
-    "ReportText",
-    "StageTable",
-    "gaps_clause",
-    "number",
-    "parameters_text",
-    "report_text",
-    "step_text",
-]
-
 
 @dataclass(frozen=True)
 class AcceptedEffect:

@@ -16,8 +16,6 @@ from safedpa.comparison.windows import Windows
 from safedpa.report.comparison_figures import COLOURS, LEGEND
 from safedpa.report.panels import Panels, label
 
-__all__ = ["chosen_windows", "overlay_figures", "window_figure"]
-
 EACH = 4
 """Windows of each kind: worst, 95 % quantile, median and best."""
 

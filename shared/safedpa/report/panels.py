@@ -8,8 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-__all__ = ["Panels", "label", "rounded"]
-
 _GRID = "#E6E9EC"
 _TEXT = "#333333"
 

@@ -6,10 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = [
-    "closest_rows", "detectable_rows", "naive_sentence", "nothing_sentence", "undecided_sentence", "unsure_sentence",
-]  # fmt: skip
-
 _NAIVE = {"no_change": "predicting no change", "constant_velocity": "predicting constant velocity"}
 # Sizes that a sentence quotes; the table lists all.
 _EXAMPLES = 3
