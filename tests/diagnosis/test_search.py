@@ -31,9 +31,9 @@ from safedpa.diagnosis.search.backward_revision import (
     split_effect,
 )
 from safedpa.diagnosis.search.final_parameters import group_jackknife_deviation, with_model_uncertainty
-from safedpa.diagnosis.search.forward_selection import accept_trial, run_search
+from safedpa.diagnosis.search.forward_selection import run_search
 from safedpa.diagnosis.search.initial_model import initial_search
-from safedpa.diagnosis.search.search_state import JudgedTrial
+from safedpa.diagnosis.search.search_state import JudgedTrial, accept_trial
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run

@@ -9,7 +9,7 @@ from safedpa.comparison.rollout_error import change_scale
 from safedpa.diagnosis.fit.cross_validation import HeldoutError, error_with
 from safedpa.diagnosis.fit.data_checks import prepare_runs
 from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
-from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, fit_trial, trial_of, values_of, with_effect_at
 from safedpa.diagnosis.report_schema import FittedValue
@@ -71,8 +71,7 @@ def add_effect(
     search = initial_search(model, evidence.shooting, evidence.heldout)
     shooting, found = search.shooting, _fit_effect(search.current, item, conditioned_item, law, search.shooting).fit
     for _ in range(_REFITS):
-        shooting = shooting.around(found.model)
-        found = fit(found.model, found.paths, shooting, found.scale)
+        found, shooting = relinearized(found, shooting)
     # As in a diagnosis: the windows fit the effect, the filter along whole recordings gives the reported values.
     found, _ = with_final_values(found, shooting, evidence.heldout)
     final: EffectTrial = trial_of(found, shooting, (name,), None)

@@ -20,8 +20,6 @@ from safedpa.diagnosis.report_schema import CoverageGap, CoveredRange
 from safedpa.records.run import Run
 from safedpa.systems import System, Variable
 
-__all__ = ["coverage_of", "within_coverage"]
-
 # Equal parts of a range: finer ones would show gaps by chance.
 _PARTS = 10
 # Largest distance between two covered parts, in parts, that is no gap: one empty part is interpolated from both sides.

@@ -26,8 +26,6 @@ from safedpa.diagnosis.search.acceptance import CERTAIN, CORNERED, FALL, LIKELY,
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["detectable_sizes", "with_manoeuvres"]
-
 # Random sign changes of the present residual by block, which show what chance does to a gain, and how many of them may
 # fail: an effect of the stated size is found in 95 % of the cases.
 _SIGN_CHANGES, _FAILURES = 20, 1

@@ -29,7 +29,7 @@ from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, F
 from safedpa.diagnosis.residuals.match_effects import LibraryMatcher
 from safedpa.diagnosis.residuals.unmodelled import alternative_formula, find_unexplained_structure
 from safedpa.diagnosis.search.conditional import conditions_of
-from safedpa.diagnosis.search.forward_selection import JudgedTrial, ReportProgress, SearchState, run_search
+from safedpa.diagnosis.search.forward_selection import ReportProgress, run_search
 from safedpa.diagnosis.search.nearest_candidates import (
     closest_effects,
     doubtful_effects,
@@ -37,6 +37,7 @@ from safedpa.diagnosis.search.nearest_candidates import (
     nearest_effects,
 )
 from safedpa.diagnosis.search.regions import share_one_area
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.diagnosis.search.stages import StageReport, stages_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, effects_of

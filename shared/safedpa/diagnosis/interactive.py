@@ -10,33 +10,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from safedpa.comparison.rollout_error import rollout_error
 from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, prepare_runs
 from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
-from safedpa.diagnosis.fit.least_squares import fit
-from safedpa.diagnosis.fit.trial import fit_trials, trial_of, values_of
+from safedpa.diagnosis.fit.least_squares import relinearized
+from safedpa.diagnosis.fit.trial import fit_trials, values_of
 from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, Unexplained
 from safedpa.diagnosis.residuals.unmodelled import find_unexplained_structure
 from safedpa.diagnosis.search.final_parameters import with_final_values
-from safedpa.diagnosis.search.forward_selection import SearchState, accept_trial, add_best_trial
+from safedpa.diagnosis.search.forward_selection import add_best_trial
 from safedpa.diagnosis.search.initial_model import initial_search
+from safedpa.diagnosis.search.search_state import SearchState, accept_trial
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run
-
-__all__ = [
-    "RankedCandidates",
-    "StepwiseModel",
-    "first_step",
-    "given_error",
-    "proposal",
-    "with_candidate",
-    "with_final",
-]
 
 # Refits about the model with the effect: the trial is linearised about the model without it, and a large effect
 # lies outside that linearisation.
@@ -143,9 +132,9 @@ def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -
     search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
     accept_trial(search, tried[name], step.heldout)
     for _ in range(_REFITS):
-        _refit(search, step.heldout)
+        search.set_model(*relinearized(search.current.fit, search.shooting), step.heldout)
     found = replace(step, search=search)
-    return replace(found, improved=_improved(step.error, found.error))
+    return replace(found, improved=found.error.improved_runs(step.error))
 
 
 def with_final(step: StepwiseModel) -> StepwiseModel:
@@ -159,20 +148,3 @@ def with_final(step: StepwiseModel) -> StepwiseModel:
 def _copied(search: SearchState) -> SearchState:
     """Returns a copy, so that the user can go back to an earlier step."""
     return replace(search.copy(), region=None)
-
-
-def _refit(search: SearchState, heldout: Heldout) -> None:
-    """Refits with windows linearised about the current model."""
-    now = search.current.fit
-    search.shooting = search.shooting.around(now.model)
-    again = fit(now.model, now.paths, search.shooting, now.scale)
-    search.current, search.error = (
-        trial_of(again, search.shooting, (), None),
-        error_with(again, search.shooting, heldout),
-    )
-
-
-def _improved(before: HeldoutError, after: HeldoutError) -> str:
-    # NaN marks runs without windows, which are neither better nor worse.
-    both = np.isfinite(before.by_run) & np.isfinite(after.by_run)
-    return f"{int((after.by_run[both] < before.by_run[both]).sum())}/{int(both.sum())}"

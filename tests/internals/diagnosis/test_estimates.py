@@ -16,10 +16,10 @@ from safedpa.diagnosis.fit.trial import fit_trial
 from safedpa.diagnosis.residuals.dependence import Dependences
 from safedpa.diagnosis.residuals.match_effects import _block_statistic
 from safedpa.diagnosis.residuals.weak_sindy import _sizes
-from safedpa.diagnosis.search.accepted_trial import accept_trial
 from safedpa.diagnosis.search.conditional import _fit_law
 from safedpa.diagnosis.search.conditional_screen import ConditionalCandidate, _NormalEquations
 from safedpa.diagnosis.search.initial_model import initial_search
+from safedpa.diagnosis.search.search_state import accept_trial
 from safedpa.dynamics import load_model
 from safedpa.effects import Where, effect
 from safedpa.records import load_run

@@ -9,12 +9,13 @@ import pytest
 from scipy import stats
 
 from safedpa.diagnosis.fit import cross_validation as held
+from safedpa.diagnosis.fit import least_squares as fitting
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.fit.least_squares import Fit, objectives, regularized_inverse
 from safedpa.diagnosis.fit.trial import standardized_gains
 from safedpa.diagnosis.fit.variable_projection import VariableProjection
-from safedpa.diagnosis.search import accepted_trial
-from safedpa.diagnosis.search.accepted_trial import accept_trial
+from safedpa.diagnosis.search import search_state
+from safedpa.diagnosis.search.search_state import SearchState, accept_trial
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
@@ -115,11 +116,12 @@ def test_the_standard_error_is_that_of_the_mean_over_the_folds(folds: tuple[floa
 
 
 def test_an_accepted_trial_is_fitted_to_the_end_around_its_own_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accepted_trial, "fit", lambda *arguments: ("fitted", *arguments))
-    monkeypatch.setattr(accepted_trial, "trial_of", lambda *arguments: ("trial", *arguments))
-    monkeypatch.setattr(accepted_trial, "error_with", lambda *arguments: ("error", *arguments))
+    monkeypatch.setattr(fitting, "fit", lambda *arguments: ("fitted", *arguments))
+    monkeypatch.setattr(search_state, "trial_of", lambda *arguments: ("trial", *arguments))
+    monkeypatch.setattr(search_state, "error_with", lambda *arguments: ("error", *arguments))
     windows = SimpleNamespace(around=lambda model: f"windows around {model}")
-    search: Any = SimpleNamespace(added=["drag"], shooting=windows, current=None, error=None)
+    nothing: Any = None
+    search: Any = SearchState(windows, nothing, nothing, nothing, nothing, added=["drag"])  # type: ignore[arg-type]
     own = SimpleNamespace(model="the model with lag", paths=("drag.c", "lag.t"), scale="scale")
     accept_trial(search, SimpleNamespace(effects=("drag", "lag"), fit=own), "held out")  # type: ignore[arg-type]
     around = "windows around the model with lag"

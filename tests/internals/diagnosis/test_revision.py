@@ -11,7 +11,7 @@ from safedpa.diagnosis.fit import trial as trials
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.trial import EffectTrial, initial_values
 from safedpa.diagnosis.search import backward_revision
-from safedpa.diagnosis.search.acceptance import JudgedTrial
+from safedpa.diagnosis.search.search_state import JudgedTrial
 from safedpa.effects import Parameter
 
 NOTHING: Any = None

@@ -131,15 +131,15 @@ def test_a_search_after_a_law_has_as_many_stages_as_effects_may_still_be_added(m
         given[-1](0)
         return []
 
-    for name, replacement in (
-        ("initial_search", lambda *_: search), ("fit_trials", tried), ("add_best_trial", stage),
-        ("exchange_effects", revised), ("add_conditions", lambda *_: True), ("with_final_values", lambda *_: (fit, None)),
-        ("with_model_uncertainty", lambda *_: fit), ("replace", lambda *_, **__: None), ("split_effect", lambda *_: None),
-        ("backward_elimination", lambda *_: None), ("exchange_for_fewer_parameters", lambda *_: None),
-        ("merge_effects", lambda *_: False), ("select_smallest_model", lambda *_: None),
-        ("mark_equivalent_rivals", lambda *_: None),
-    ):  # fmt: skip
-        monkeypatch.setattr(searching, name, replacement)
+    replaced: dict[str, Any] = {"initial_search": search, "exchange_effects": None, "split_effect": None}
+    replaced |= {"backward_elimination": None, "exchange_for_fewer_parameters": None, "merge_effects": False}
+    replaced |= {"select_smallest_model": None, "mark_equivalent_rivals": None, "add_conditions": True}
+    replaced |= {"with_final_values": (fit, None), "with_model_uncertainty": fit}
+    for name, answer in replaced.items():
+        monkeypatch.setattr(searching, name, lambda *_, answer=answer: answer)
+    for name, function in {"fit_trials": tried, "add_best_trial": stage, "exchange_effects": revised}.items():
+        monkeypatch.setattr(searching, name, function)
+    monkeypatch.setattr(searching, "replace", lambda *_, **__: None)
     library: Any = [SimpleNamespace(name="drag")]
     searching.run_search(NOTHING, library, NOTHING, NOTHING, lambda *given: notices.append(given[2]))
     assert stages == list(range(14)), "twelve in the first round; the second one finds nothing in its second stage"
@@ -284,7 +284,7 @@ def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(la
     monkeypatch.setattr(conditional, "_best_law", lambda *_: left.pop(0) if left else None)
     monkeypatch.setattr(conditional, "_floor_region", lambda *_: floors.pop(0) if floors else None)
     monkeypatch.setattr(conditional, "_one_sided", lambda best, _: best)
-    monkeypatch.setattr(conditional, "_accept", lambda _search, best, _heldout: did.append(best))
+    monkeypatch.setattr(conditional, "accept_law", lambda _search, best, _heldout: did.append(best))
     monkeypatch.setattr(conditional, "backward_elimination", lambda *_: did.append("-"))
     assert conditional.add_conditions(NOTHING, [], NOTHING) is bool(accepted)
     assert "".join(did) == "".join(f"{name}-" for name in accepted), "each is followed by removals"

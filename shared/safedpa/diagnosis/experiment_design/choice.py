@@ -11,8 +11,6 @@ from safedpa.diagnosis.report_schema import Experiment
 from safedpa.dynamics import PhysicsModel
 from safedpa.systems import System, Variable
 
-__all__ = ["choose_experiment", "discriminating_manoeuvres", "general_manoeuvres", "manoeuvres"]
-
 # Length of a manoeuvre: long enough to reach a steady state, short enough to be driven in a hall.
 _SECONDS = 6.0
 # Differences count from here on [s]: the models agree at the start by construction.

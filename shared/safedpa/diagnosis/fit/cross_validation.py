@@ -15,8 +15,6 @@ from safedpa.diagnosis.fit.least_squares import Fit, with_values
 from safedpa.diagnosis.fit.multiple_shooting import Shooting, folds_of
 from safedpa.records.run import Run
 
-__all__ = ["Heldout", "HeldoutError", "error_with", "heldout_of"]
-
 # 1200 rollouts bound the run time; overlapping windows beyond that are too correlated to sharpen the mean.
 _MAX_WINDOWS = 1200
 
@@ -51,6 +49,12 @@ class HeldoutError:
         """Standard error of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two folds."""
         finite = self.by_fold[np.isfinite(self.by_fold)]
         return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else 0.0
+
+    def improved_runs(self, before: HeldoutError) -> str:
+        """Returns in how many runs the error fell, such as ``4/5``."""
+        # NaN marks runs without windows, which are neither better nor worse.
+        both = np.isfinite(before.by_run) & np.isfinite(self.by_run)
+        return f"{int((self.by_run[both] < before.by_run[both]).sum())}/{int(both.sum())}"
 
 
 def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:

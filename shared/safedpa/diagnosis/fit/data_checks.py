@@ -14,8 +14,6 @@ from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Finding, Run
 
-__all__ = ["MOST_ROWS", "DataSufficiency", "PreparedRuns", "check_data_sufficiency", "finding_row", "prepare_runs"]
-
 MOST_ROWS = 40_000
 """Rows used at most; longer recordings are thinned to evenly spread pieces."""
 # A wrong column, sign or unit looks like a missing effect and is larger than any real one, so no verdict is given.

@@ -22,18 +22,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import RunError
 from safedpa.records.run import Run
 
-__all__ = [
-    "FEWEST_SECONDS",
-    "FEWEST_WINDOWS",
-    "LONGEST",
-    "HorizonData",
-    "data_at_horizon",
-    "data_at_other_horizons",
-    "displayed_windows",
-    "recommended_recording",
-    "select_horizon",
-]  # fmt: skip
-
 LONGEST = 1.0
 """Longest horizon [s], unless 20 rows last longer."""
 # At low rates a second holds too few rows to separate a rate from noise.

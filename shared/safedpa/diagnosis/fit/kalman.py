@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["Innovations", "LinearizedTrajectory", "Noise", "kalman_innovations"]
-
 # Process noise of every state, relative to the measurement noise: keeps the covariances positive definite.
 _PROCESS_NOISE = 1e-5
 # Standard deviation of a piece's start, relative to the measurement noise: wide enough to leave the start free.

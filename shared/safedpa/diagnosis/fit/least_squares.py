@@ -24,20 +24,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
-__all__ = [
-    "Fit",
-    "bounds_of",
-    "difference_step",
-    "fit",
-    "jackknife",
-    "known_slopes",
-    "objectives",
-    "products_of",
-    "regularized_inverse",
-    "typical_change",
-    "with_values",
-]  # fmt: skip
-
 # Gauss-Newton from a good start converges in a few steps; 8 bounds the fits that do not.
 _STEPS = 8
 # Decrease of the objective per degree of freedom below which a fit has converged: 0.02 % of the residual.
@@ -199,6 +185,17 @@ def fit(
         best = _linearised(warm.model, names, shooting, warm.scale, None)
         known = None
     return _iterate(best, shooting, steps, known, _CONVERGED, enough)[0]
+
+
+def relinearized(fitted: Fit, shooting: Shooting) -> tuple[Fit, Shooting]:
+    """Fits a model again in windows with the starts and weights of its own; returns the fit and these windows.
+
+    The weights of the previous model treat a large missing effect as a disturbance by a person: a car that a load holds
+    back while the model drives on. Such windows are down-weighted although they show the effect best.
+    """
+    # The windows first: the fit minimises residuals with the weights that these give.
+    own = shooting.around(fitted.model)
+    return fit(fitted.model, fitted.paths, own, fitted.scale), own
 
 
 def _iterate(

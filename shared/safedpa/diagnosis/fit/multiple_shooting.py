@@ -23,8 +23,6 @@ from safedpa.diagnosis.fit.variable_projection import VariableProjection
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
-__all__ = ["Shooting", "block_seconds", "folds_of", "shooting_of"]
-
 # Compared rows of a window at most: more rows of a smooth residual add cost, but hardly any information.
 _MAX_ROWS = 24
 # Difference of a start's entry, in its unit: large enough for double precision, small enough to stay linear.

@@ -36,8 +36,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.base import AbstractBase
 from safedpa.effects import CommandEffect, Conditioned, Where
 
-__all__ = ["PredictionErrorFit", "prediction_error_fit"]
-
 # Length of a piece [s], and the time before it in which the filter settles. Pieces are filtered in parallel; several
 # correlation times of a disturbance fit into one.
 _PIECE, _SETTLING = 8.0, 1.0

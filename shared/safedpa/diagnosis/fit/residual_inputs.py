@@ -13,8 +13,6 @@ from safedpa.diagnosis.fit.trial import EffectTrial, with_effect_at
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["residual_inputs"]
-
 # Step of the difference quotient: small against any real disturbance, far above rounding.
 _STEP = 0.01
 

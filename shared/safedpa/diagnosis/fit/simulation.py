@@ -14,8 +14,6 @@ from safedpa.comparison.windows import Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
 
-__all__ = ["simulate"]
-
 
 def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: IndexArray, starts: FloatArray) -> FloatArray:
     """Returns predicted states (windows, compared, states, models) of models that differ only in parameter values.

@@ -17,21 +17,6 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
-__all__ = [
-    "EffectTrial",
-    "block_gain",
-    "explanation_correlation",
-    "fit_trial",
-    "fit_trials",
-    "initial_values",
-    "paths_of",
-    "standardized_gain",
-    "standardized_gains",
-    "trial_of",
-    "values_of",
-    "with_effect_at",
-]
-
 # Starts of an effect with several parameters at most: the full grid would grow with the power of their number.
 _MAX_STARTS = 9
 # One Gauss-Newton step ranks the effects well enough to choose those that are fitted to the end.

@@ -21,8 +21,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["ProjectedProducts", "VariableProjection"]
-
 # Ridge, relative to the curvature: a state of the start may not be observed by any row.
 _RIDGE = 1e-9
 # Windows that are reduced together: their arrays stay in the CPU cache, which took a quarter of the time.

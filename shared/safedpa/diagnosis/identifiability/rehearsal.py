@@ -24,15 +24,6 @@ from safedpa.effects import AbstractEffect
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run, Stretch
 
-__all__ = [
-    "RehearsalResult",
-    "RehearsalTrial",
-    "measured_noise",
-    "refitted_to_runs",
-    "rehearse_diagnosis",
-    "simulate_runs",
-]
-
 # Length [s] after which the simulation restarts at the measured state. An open-loop simulation drifts away from where
 # the robot was, and then says little about its recordings.
 _PIECE = 10.0

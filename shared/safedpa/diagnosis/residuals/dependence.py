@@ -16,8 +16,6 @@ from safedpa.diagnosis.residuals.weak_sindy import Regression, regression_of
 from safedpa.effects.effect import Named
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["Dependences", "dependences_of", "profile_of"]
-
 # Enough for a curve with two bends, few enough that each knot has data in a minute of driving.
 _KNOTS = 13
 

@@ -18,8 +18,6 @@ from safedpa.diagnosis.search.acceptance import ALIKE, SIMPLER, SURE
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.effects import AbstractEffect
 
-__all__ = ["LibraryMatcher"]
-
 # Candidates that are compared, those with the lowest loss first; each needs a fit.
 _COMPARED = 6
 # Standard errors of gain that a candidate needs to replace a formula: otherwise it explains nothing itself.

@@ -16,8 +16,6 @@ from safedpa.diagnosis.residuals.weak_sindy import TIME
 from safedpa.diagnosis.search.regions import clip_outliers
 from safedpa.systems import System
 
-__all__ = ["map_of", "rate_states", "rate_unit_of", "remaining_rates", "units_of", "variables_of"]
-
 # Cells along each side of a map: finer ones would hold too few windows for a mean.
 _CELLS = 10
 # Windows in a cell that is shown: a mean of one or two windows is mostly noise.

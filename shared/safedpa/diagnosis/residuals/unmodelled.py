@@ -26,14 +26,12 @@ from safedpa.operations import NUMPY
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.residuals.match_effects import LibraryMatcher
-    from safedpa.diagnosis.search.forward_selection import SearchState
+    from safedpa.diagnosis.search.search_state import SearchState
 from typing import final
 
 from safedpa.diagnosis.residuals.weak_sindy import TIME, Term
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.parameter import Parameter
-
-__all__ = ["Formula", "alternative_formula", "find_unexplained_structure", "peak_of"]
 
 
 @final

@@ -32,18 +32,6 @@ from safedpa.effects.effect import Named
 from safedpa.operations import NUMPY, Operations, Scalar
 from safedpa.systems import System, Variable
 
-__all__ = [
-    "TIME",
-    "HasValues",
-    "Regression",
-    "SelectedTerms",
-    "Term",
-    "is_significant",
-    "regression_of",
-    "selected_terms",
-    "terms_of",
-]
-
 TIME = "time"
 """Name of the seconds since the run's start among a term's variables."""
 

@@ -26,36 +26,6 @@ from safedpa.diagnosis.fit.prediction_error_method import PredictionErrorFit, pr
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 
-__all__ = [
-    "ALIKE",
-    "CERTAIN",
-    "CLEAR_FALL",
-    "CORNERED",
-    "FALL",
-    "FRICTIONS",
-    "LIKELY",
-    "LITTLE_FALL",
-    "MOST_MISSING",
-    "MUCH",
-    "SAME",
-    "SIMPLER",
-    "SURE",
-    "VERY_SURE",
-    "SearchStage",
-    "fewest_parameters",
-    "filter_agrees",
-    "filter_is_certain",
-    "is_decisive",
-    "is_promising",
-    "is_spurious_delay",
-    "judge_trial",
-    "order_by_heldout_gain",
-    "passes",
-    "simplest_equivalent",
-    "with_reason",
-    "within_bounds",
-]
-
 CLEAR_GAIN = 8.0
 """Gain on unseen blocks, in standard errors, that needs no confirmation: feedback never gave half of that."""
 CLEAR_FALL = 0.15

@@ -18,20 +18,6 @@ from safedpa.diagnosis.search.acceptance import CLEAR_FALL, SAME, SIMPLER, is_sp
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, given_effect_names, known_effects
 from safedpa.effects import AbstractEffect
 
-__all__ = [
-    "backward_elimination",
-    "effects_at_bounds",
-    "exchange_effects",
-    "exchange_for_fewer_parameters",
-    "mark_equivalent_rivals",
-    "merge_effects",
-    "refit_effects",
-    "remove_effects_at_bounds",
-    "select_smallest_model",
-    "split_effect",
-    "withdraw_candidates",
-]  # fmt: skip
-
 # Rivals that are tried in exchange for each accepted effect, best first; each needs a fit.
 _RIVALS = 4
 # Relative difference of held-out errors that is rounding.

@@ -15,7 +15,7 @@ import numpy as np
 
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
-from safedpa.diagnosis.fit.least_squares import fit, known_slopes
+from safedpa.diagnosis.fit.least_squares import fit, known_slopes, relinearized
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, trial_of
 from safedpa.diagnosis.report_schema import Condition
 from safedpa.diagnosis.search.acceptance import FALL, SIMPLER, with_reason
@@ -34,13 +34,6 @@ from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where,
 from safedpa.effects.effects_with_law import may_have_law, plain
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
-
-__all__ = [
-    "add_conditions",
-    "add_region_effect",
-    "conditions_of",
-    "region_effect",
-]
 
 
 def conditions_of(model: PhysicsModel, names: Iterable[str]) -> tuple[Condition, ...]:
@@ -113,7 +106,7 @@ def add_conditions(search: SearchState, library: Sequence[AbstractEffect], heldo
         best = _best_law(search, library, heldout) or _floor_region(search, library, heldout)
         if best is None:
             return done > 0
-        _accept(search, _one_sided(best, search), heldout)
+        accept_law(search, _one_sided(best, search), heldout)
         # Plain effects that stood in for the law have become superfluous.
         backward_elimination(search, library, heldout)
     return True
@@ -302,8 +295,8 @@ def _one_sided(best: EffectTrial, search: SearchState) -> EffectTrial:
 
     The other border then lies where the recordings hold hardly any data.
     """
-    item = next(effect for effect in best.fit.model.effects if effect.name == best.effects[0])
-    if not isinstance(item, Conditioned) or not isinstance(item.law, Where) or item.law.shape != "between":
+    item = _with_a_law(best)
+    if item is None or not isinstance(item.law, Where) or item.law.shape != "between":
         return best
     law, values = item.law, {p.name: best.fit.model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
     replaced = {other.name for other in search.current.fit.model.effects} - {
@@ -325,6 +318,12 @@ def _simplest(trials: Sequence[EffectTrial], search: SearchState) -> EffectTrial
     best = min(trials, key=lambda trial: trial.loss)
     close = [trial for trial in trials if block_gain(trial, best, search.shooting) < SIMPLER]
     return min(close or [best], key=lambda trial: (len(trial.fit.paths), trial.loss))
+
+
+def _with_a_law(trial: EffectTrial) -> Conditioned | None:
+    """Returns the effect of a trial; None if it has no law."""
+    item = next(effect for effect in trial.fit.model.effects if effect.name == trial.effects[0])
+    return item if isinstance(item, Conditioned) else None
 
 
 def _passes(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
@@ -353,8 +352,8 @@ def _present_outside_law(trial: EffectTrial, search: SearchState) -> bool:
     Otherwise the effect is another function than its name says, such as a drag that grows with the cube of the speed.
     Gains are exempt: their neutral value is 1.
     """
-    item = next(effect for effect in trial.fit.model.effects if effect.name == trial.effects[0])
-    if not isinstance(item, Conditioned) or not isinstance(item.law, Varies):
+    item = _with_a_law(trial)
+    if item is None or not isinstance(item.law, Varies):
         return True
     path = f"{item.name}.{item.law.parameter}"
     if trial.fit.model.parameters[path].neutral:
@@ -366,8 +365,8 @@ def _present_outside_law(trial: EffectTrial, search: SearchState) -> bool:
 def _covers_some_rows(trial: EffectTrial, search: SearchState) -> bool:
     """Returns whether a region contains some of the rows, but not nearly all."""
     model, windows = trial.fit.model, search.shooting.windows
-    item = next(effect for effect in model.effects if effect.name == trial.effects[0])
-    if not isinstance(item, Conditioned) or not isinstance(item.law, Where):
+    item = _with_a_law(trial)
+    if item is None or not isinstance(item.law, Where):
         return True
     values = {p.name: model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
     state = dict(zip(windows.system.state_names, windows.states.T, strict=True))
@@ -398,24 +397,15 @@ def _majority_positive(sums: Sequence[float], least: float) -> bool:
     return not affected or sum(value > 0 for value in affected) > _MOST_RUNS * len(affected)
 
 
-def add_region_effect(search: SearchState, floor: EffectTrial, stage: int, heldout: Heldout) -> bool:
-    """Adds a region of the floor that explains more than the best effect of a stage; always returns True."""
-    _accept(search, floor, heldout, stage)
-    return True
-
-
-def _accept(search: SearchState, best: EffectTrial, heldout: Heldout, stage: int | None = None) -> None:
+def accept_law(search: SearchState, best: EffectTrial, heldout: Heldout, stage: int | None = None) -> None:
     """Makes a trial with a law the current model and updates the candidates that it replaces."""
     gain = block_gain(search.current, best, search.shooting, local=True)
     before = search.error
     search.region = None
-    shooting = search.shooting.around(best.fit.model)
-    again = fit(best.fit.model, best.fit.paths, shooting, best.fit.scale)
-    name = best.effects[0]
-    item = next(other for other in again.model.effects if other.name == name)
-    assert isinstance(item, Conditioned)
-    search.shooting, search.current = shooting, trial_of(again, shooting, (), None)
-    search.error = error_with(again, shooting, heldout)
+    again, shooting = relinearized(best.fit, search.shooting)
+    name, item = best.effects[0], _with_a_law(best)
+    assert item is not None
+    search.set_model(again, shooting, heldout)
     if stage is None:
         stage = max((other.stage for other in search.candidates), default=0)
     law = f"{item.law.key} {item.law.phrase}"

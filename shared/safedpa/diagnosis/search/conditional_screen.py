@@ -27,8 +27,6 @@ from safedpa.effects import AbstractEffect, Varies, Where
 from safedpa.effects.effects_with_law import may_have_law
 from safedpa.effects.law import ABS, TIME, variables_of_law
 
-__all__ = ["ConditionalCandidate", "initial_law_values", "screen_conditions"]
-
 # Quantiles of a variable at which a one-sided condition may begin: equal shares of the data, so that every candidate
 # has rows on both sides. A fit moves the border afterwards.
 _QUANTILES = np.linspace(0.08, 0.92, 15)

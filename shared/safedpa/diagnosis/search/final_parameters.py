@@ -25,8 +25,6 @@ from safedpa.diagnosis.search.acceptance import CLEAR_FALL, CORNERED, FRICTIONS
 from safedpa.diagnosis.search.search_state import SearchState
 from safedpa.effects import Conditioned, Where
 
-__all__ = ["group_jackknife_deviation", "with_final_values", "with_model_uncertainty"]
-
 # Relative increase of the held-out error that the filter's values may cause: rollouts from a measured start reward
 # parameters that imitate a lasting disturbance.
 _MAX_INCREASE = 0.02

@@ -13,6 +13,7 @@ import numpy as np
 
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.horizon import HorizonData
+from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trials
 from safedpa.diagnosis.search.acceptance import (
@@ -30,7 +31,6 @@ from safedpa.diagnosis.search.acceptance import (
     simplest_equivalent,
     within_bounds,
 )
-from safedpa.diagnosis.search.accepted_trial import accept_trial, relinearized_trial
 from safedpa.diagnosis.search.backward_revision import (
     backward_elimination,
     exchange_effects,
@@ -41,7 +41,7 @@ from safedpa.diagnosis.search.backward_revision import (
     select_smallest_model,
     split_effect,
 )
-from safedpa.diagnosis.search.conditional import add_conditions, add_region_effect, region_effect
+from safedpa.diagnosis.search.conditional import accept_law, add_conditions, region_effect
 from safedpa.diagnosis.search.final_parameters import with_final_values, with_model_uncertainty
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.pairs import (
@@ -52,11 +52,9 @@ from safedpa.diagnosis.search.pairs import (
     passing_at_other_horizon,
 )
 from safedpa.diagnosis.search.regions import RegionFit, best_region
-from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
-
-__all__ = ["JudgedTrial", "ReportProgress", "SearchState", "accept_trial", "add_best_trial", "run_search"]
 
 MOST = 12
 """Effects that are added at most."""
@@ -219,7 +217,8 @@ def add_best_trial(
     ]
     region_trial = None if search.region is None else region_effect(search.region, search, available)
     if region_trial is not None:
-        return add_region_effect(search, region_trial, number, heldout)
+        accept_law(search, region_trial, heldout, number)
+        return True
     if not passed or best is None:
         return False
     for name in best.effects:
@@ -245,10 +244,9 @@ def _stage(
     gaining = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
     errors: dict[tuple[str, ...], HeldoutError] = {}
     for trial in gaining:
-        shooting, fitted = search.shooting, trial.fit
-        if search.error.value > MUCH and len(errors) < _RELINEARISED_TRIALS:
-            shooting, fitted = relinearized_trial(trial, shooting)
-        errors[trial.effects] = error_with(fitted, shooting, heldout)
+        large = search.error.value > MUCH and len(errors) < _RELINEARISED_TRIALS
+        fitted = relinearized(trial.fit, search.shooting) if large else (trial.fit, search.shooting)
+        errors[trial.effects] = error_with(*fitted, heldout)
     return SearchStage(number, trials, gains, errors, float(np.median(search.shooting.windows.period)))
 
 

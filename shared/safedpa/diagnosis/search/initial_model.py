@@ -13,13 +13,11 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.naive import naive_errors
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
-from safedpa.diagnosis.fit.least_squares import bounds_of, fit, objectives, typical_change, with_values
+from safedpa.diagnosis.fit.least_squares import bounds_of, fit, objectives, relinearized, typical_change, with_values
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import trial_of
 from safedpa.diagnosis.search.search_state import SearchState
 from safedpa.dynamics import PhysicsModel
-
-__all__ = ["initial_search"]
 
 # Relative change of a free parameter from which updated weights are rejected.
 _MAX_SHIFT = 0.5
@@ -63,10 +61,9 @@ def _search_from(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> S
     shooting = shooting.around(model)
     fitted = fit(model, free, shooting, scale)
     # The weights are updated once around the fit, unless that moves a parameter far.
-    closer = shooting.around(fitted.model)
-    again = fit(fitted.model, free, closer, fitted.scale)
+    again, closer = relinearized(fitted, shooting)
     if not _moved_far(fitted.values, again.values):
-        shooting, fitted = closer, again
+        fitted, shooting = again, closer
     first = trial_of(fitted, shooting, (), None)
     error = error_with(first.fit, shooting, heldout)
     return SearchState(shooting, first, error, first, error)

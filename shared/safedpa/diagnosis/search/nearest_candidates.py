@@ -16,8 +16,6 @@ from safedpa.diagnosis.search.acceptance import MOST_MISSING
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.effects import AbstractEffect
 
-__all__ = ["closest_effects", "doubtful_effects", "likely_effects", "nearest_effects"]
-
 # Reduction of the held-out error that leaves a question open: feedback by a driver imitates 0.01 to 0.09.
 _MIN_FALL = 0.1
 # Standard errors of gain below which blocks do not favour an effect at all.

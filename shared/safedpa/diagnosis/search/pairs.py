@@ -27,7 +27,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.horizon import HorizonData
-from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, initial_values, trial_of, with_effect_at
 from safedpa.diagnosis.search.acceptance import (
@@ -42,12 +42,9 @@ from safedpa.diagnosis.search.acceptance import (
     with_reason,
     within_bounds,
 )
-from safedpa.diagnosis.search.accepted_trial import accept_trial
 from safedpa.diagnosis.search.backward_revision import refit_effects
-from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, known_effects
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial, known_effects
 from safedpa.effects import AbstractEffect
-
-__all__ = ["PassingCandidate", "fit_pairs", "improves_clearly", "look_one_step_ahead", "passing_at_other_horizon"]
 
 # Pairs that are fitted at one stage; the order to first order is reliable enough for the best to be among five.
 _FITTED_PAIRS = 5
@@ -146,9 +143,10 @@ def passing_at_other_horizon(
     by_name = {item.name: item for item in library}
     best: PassingCandidate | None = None
     for evidence in other_horizons():
-        null = _refit_current(search, evidence)
+        again, shooting = relinearized(search.current.fit, evidence.shooting)
+        null, data = trial_of(again, shooting, (), None), replace(evidence, shooting=shooting)
         for trial in open_ones:
-            found = _fit_at_horizon(trial, null, evidence, [by_name[name] for name in trial.effects])
+            found = _fit_at_horizon(trial, null, data, [by_name[name] for name in trial.effects])
             if found.gain > _SURE and found.fall > FALL and (best is None or found.gain > best.gain):
                 best = found
     return best if best is not None and filter_agrees(best.trial, search) else None
@@ -170,28 +168,19 @@ def _open_candidates(search: SearchState, stage: SearchStage) -> list[EffectTria
     return sorted(found, key=lambda trial: stage.errors[trial.effects].value)[:_OPEN_CANDIDATES]
 
 
-def _refit_current(search: SearchState, evidence: HorizonData) -> tuple[EffectTrial, HorizonData]:
-    """Fits the current model in the windows of another horizon."""
-    now = search.current.fit
-    shooting = evidence.shooting.around(now.model)
-    again = fit(now.model, now.paths, shooting, now.scale)
-    return trial_of(again, shooting, (), None), HorizonData(evidence.seconds, shooting, evidence.heldout)
-
-
 def _fit_at_horizon(
-    trial: EffectTrial, null: tuple[EffectTrial, HorizonData], evidence: HorizonData, items: Sequence[AbstractEffect]
+    trial: EffectTrial, null: EffectTrial, data: HorizonData, items: Sequence[AbstractEffect]
 ) -> PassingCandidate:
     """Fits a candidate at another horizon and computes its gain and its reduction of the held-out error."""
-    current, data = null
-    model = current.fit.model
+    model = null.fit.model
     for item in items:
         settings = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"] for p in item.parameters}
         model = model.with_effect(item, settings)
-    extended = fit_trial(current, items, data.shooting, [model])
-    before = error_with(current.fit, data.shooting, data.heldout).value
+    extended = fit_trial(null, items, data.shooting, [model])
+    before = error_with(null.fit, data.shooting, data.heldout).value
     after = error_with(extended.fit, data.shooting, data.heldout).value
     fall = 1.0 - after / before if before > 0 else 0.0
-    return PassingCandidate(trial, evidence.seconds, block_gain(current, extended, data.shooting), fall)
+    return PassingCandidate(trial, data.seconds, block_gain(null, extended, data.shooting), fall)
 
 
 def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | None:

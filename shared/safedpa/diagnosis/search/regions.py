@@ -23,16 +23,6 @@ from safedpa.effects.friction import REST_SPEED, direction_of
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Scalar
 
-__all__ = [
-    "CircularRegion",
-    "RegionEffect",
-    "RegionFit",
-    "StripRegion",
-    "best_region",
-    "clip_outliers",
-    "share_one_area",
-]
-
 # Width [m] over which the resistance sets in: small against any region worth reporting, smooth enough for a fit.
 _EDGE = 0.1
 # Grid of starts: neighbouring sizes differ by a factor of about 1.5, which a fit can bridge.

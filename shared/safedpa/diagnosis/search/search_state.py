@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from safedpa.diagnosis.fit.cross_validation import HeldoutError
+from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.least_squares import Fit, relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.trial import EffectTrial
+from safedpa.diagnosis.fit.trial import EffectTrial, trial_of
 from safedpa.diagnosis.search.regions import RegionFit
 from safedpa.effects import AbstractEffect
-
-__all__ = ["JudgedTrial", "SearchState", "given_effect_names", "known_effects"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,11 @@ class SearchState:
     refits_of: EffectTrial | None = field(default=None, init=False)
     """The current model when the cache was filled; another one makes it stale."""
 
+    def set_model(self, fitted: Fit, shooting: Shooting, heldout: Heldout) -> None:
+        """Continues with a fit and the windows about which it is linearised."""
+        self.shooting, self.current = shooting, trial_of(fitted, shooting, (), None)
+        self.error = error_with(fitted, shooting, heldout)
+
     def copy(self) -> SearchState:
         """Returns a search that may be continued without changing this one."""
         return replace(
@@ -72,6 +76,12 @@ class SearchState:
         # ``first`` is not copied: both searches began with the same model. ``refits`` belongs to the old current model.
         for name in ("shooting", "current", "error", "candidates", "added", "region", "rivals", "without"):
             setattr(self, name, getattr(other, name))
+
+
+def accept_trial(search: SearchState, best: EffectTrial, heldout: Heldout) -> None:
+    """Adds a trial to the search and fits it to convergence, because the next stage is compared with its error."""
+    search.added += [name for name in best.effects if name not in search.added]
+    search.set_model(*relinearized(best.fit, search.shooting), heldout)
 
 
 def given_effect_names(search: SearchState) -> set[str]:

@@ -11,10 +11,8 @@ import numpy as np
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.least_squares import Fit, fit
 from safedpa.diagnosis.report_schema import DiagnosisStage, WorsenedState
-from safedpa.diagnosis.search.forward_selection import SearchState
+from safedpa.diagnosis.search.search_state import SearchState
 from safedpa.dynamics import PhysicsModel
-
-__all__ = ["StageReport", "stages_of"]
 
 # An error of a state is reported as worse if it grew by 5 % of itself and by 1 % of the state's usual change: less is
 # within the scatter of a held-out error.
@@ -53,7 +51,7 @@ def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageRep
     for number, before in zip(shown_stages, [None, *shown_stages], strict=False):
         error = errors[number]
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
-        gain = _improved(None if before is None else errors[before], error)
+        gain = "" if before is None else error.improved_runs(errors[before])
         found.append(DiagnosisStage(tuple(search.added[:number]), error.value, per_state, gain))
     models = [steps[number][0].model for number in shown_stages]
     return StageReport(found, models, _worsened_states([errors[number] for number in shown_stages], shown))
@@ -113,11 +111,3 @@ def _refitted_step(search: SearchState, names: Sequence[str], heldout: Heldout) 
     # Refitted, because parameters of a partial model compensate for the missing effects.
     found = fit(model, [*search.first.fit.paths, *effect_paths], search.shooting, search.current.fit.scale)
     return found, error_with(found, search.shooting, heldout)
-
-
-def _improved(before: HeldoutError | None, after: HeldoutError) -> str:
-    """Returns in how many runs the error fell, such as ``4/5``."""
-    if before is None:
-        return ""
-    both = np.isfinite(before.by_run) & np.isfinite(after.by_run)
-    return f"{int((after.by_run[both] < before.by_run[both]).sum())}/{int(both.sum())}"
