@@ -25,8 +25,6 @@ from safedpa.bus import (
 )
 from safedpa.errors import BusError
 
-__all__ = ["Robot", "RobotGroup", "Sensing", "SensingRobot", "Tick", "drive", "drive_together"]
-
 _NAME = "r1"
 
 

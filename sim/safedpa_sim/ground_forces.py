@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Final, final
 if TYPE_CHECKING:
     from safedpa_sim.robots.car.parameters import CarParameters
 
-__all__ = ["GRAVITY", "DrivePeriod", "GroundForces", "runner_force"]
-
 GRAVITY: Final = 9.81
 """m/s2."""
 _ROLLING_SPEED: Final = 0.02

@@ -22,8 +22,6 @@ from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.__main__ import robot_parser
 from safedpa_sim.robots.robot_factory import make_robot
 
-__all__ = ["drive_again"]
-
 _OF_THE_PROCESS = ("name", "seconds", "lockstep", "summary", "await_word", "trace")
 """Options of the robot process that are not taken from a recording, besides those of the bus; all others define the
 simulated robot."""

@@ -13,7 +13,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.car_scenes import MOST_OBSTACLES, draw_scenes
-from safedpa_sim.training.environments.car_task import EPISODE_TICKS, DrivingTask, Rewards, TrainingFilter
+from safedpa_sim.training.environments.car_task import EPISODE_TICKS, DrivingTask, TrainingFilter
 from safedpa_sim.training.environments.vector_environment import VectorEnvironment
 
 CARS = 64
@@ -149,9 +149,7 @@ def test_training_uses_the_batched_safety_filter(configuration, weights, monkeyp
 def test_progress_is_rewarded_and_contact_costs_the_given_penalty(configuration, weights) -> None:
     rewards = {}
     for penalty in (0.0, 7.0):
-        driving = DrivingTask(
-            configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), with_filter=False, calm=True
-        )
+        driving = DrivingTask(configuration, weights, CARS, 1, penalty=penalty, with_filter=False, calm=True)
         moves = [driving.advance(straight(driving, 2.0)) for _ in range(60)]
         rewards[penalty] = sum(move.reward for move in moves), sum(move.began for move in moves)
     (plain, began), (punished, same) = rewards[0.0], rewards[7.0]

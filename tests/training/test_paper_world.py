@@ -23,8 +23,9 @@ from safedpa_sim.training.configuration import configurations as shipped
 from safedpa_sim.training.environments import car_task
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.car_scenes import draw_scenes
-from safedpa_sim.training.environments.car_task import DrivingTask, evaluate, make_environment
-from safedpa_sim.training.phases.phase_1b import PolicyCheckpoint, train_policy
+from safedpa_sim.training.environments.car_task import DrivingTask, evaluate
+from safedpa_sim.training.optimisation import Checkpoint
+from safedpa_sim.training.phases.phase_1b import train_policy
 from safedpa_sim.training.stages import stages_of
 
 BODY = np.array(footprint(None), dtype=np.float32)
@@ -95,7 +96,7 @@ def test_no_phase_uses_the_filter(small, weights, monkeypatch) -> None:
         raise AssertionError("a stand-in of the filter was asked")
 
     monkeypatch.setattr(car_task.TrainingFilter, "decide", refused)
-    robots = make_environment(small, weights, 8, 0, 0.0, True)  # phase 2 always requests the filter
+    robots = DrivingTask(small, weights, 8, 0)  # phase 2 always requests the filter
     assert not robots.with_filter
     robots.advance(np.ones((8, 2), dtype=np.float32))
     assert robots.rewards == replace(car_task.Rewards(), near=0.0, contact=0.0)
@@ -237,7 +238,7 @@ def test_an_error_in_the_configuration_is_named(name: str, phrase: str, message:
 def test_a_checkpoint_without_the_best_policy_is_refused(tmp_path: Path) -> None:
     torch.save({"digest": "a", "curve": "[]"}, tmp_path / "old.pt")
     with pytest.raises(InputError, match="remove it to train from the beginning"):
-        PolicyCheckpoint(tmp_path / "old.pt", "a").read()
+        Checkpoint(tmp_path / "old.pt", "a").read(lambda content: content["chosen"])
 
 
 def test_another_configuration_is_trained_into_its_own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -21,8 +21,6 @@ from safedpa.errors import InputError
 from safedpa.robots.differential_drive.system import TRACK
 from safedpa.stand_in import AbstractStandIn, Numbers
 
-__all__ = ["RADIUS", "WORLDS", "WheeledStandIn"]
-
 RADIUS = 0.17
 """m"""
 WORLDS: dict[str, dict[str, float]] = {

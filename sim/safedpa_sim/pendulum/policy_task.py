@@ -37,18 +37,8 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.drives import random_drives as random_drives_around
 from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.environments.period_result import PeriodResult
+from safedpa_sim.training.environments.policy_task import EVALUATION_SEED, PeriodResult
 from safedpa_sim.training.networks.modules import AffineNetworks
-
-__all__ = [
-    "EPISODE_TICKS",
-    "CorridorFilter",
-    "SwingTask",
-    "evaluate",
-    "make_environment",
-    "random_drives",
-    "starts_beneath",
-]
 
 Tensor = torch.Tensor
 _EPSILON: Final = 0.018
@@ -118,17 +108,6 @@ def _winds(cars: BatchedSimulator, count: int, generator: torch.Generator) -> Te
     return limited
 
 
-_EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed, so that no evaluation swing is trained on."""
-
-
-def make_environment(
-    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
-) -> SwingTask:
-    """Returns pendulums to train on; entering the hazard costs ``penalty``; ``with_filter``, the filter acts."""
-    return SwingTask(configuration, weights, count, seed, with_filter=with_filter, penalty=penalty)
-
-
 def random_drives(
     cars: BatchedSimulator,
     networks: AffineNetworks,
@@ -148,7 +127,7 @@ def evaluate(
     configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, with_filter: bool = True
 ) -> dict[str, Any]:
     """Evaluates one noise-free swing of each pendulum: the share upright at the end, hazard entries and more."""
-    swings = SwingTask(configuration, weights, cars, seed + _EVALUATION_SEED, with_filter=with_filter, calm=True)
+    swings = SwingTask(configuration, weights, cars, seed + EVALUATION_SEED, with_filter=with_filter, calm=True)
     policy = LearnedPolicy(weights)
     middle, scale = weights["action_middle"], weights["action_scale"]
     gained, contacts = np.zeros(cars), np.zeros(cars)
@@ -305,3 +284,6 @@ class SwingTask:
         self.environment[which] = drawn
         if self.latent.shape[1]:
             self.latent[which] = self._networks.encode(drawn)
+
+
+make_environment = SwingTask

@@ -13,24 +13,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.safety import CorridorBarrier, FilterSettings
 from safedpa_sim.training.configuration import load_configuration
 
-__all__ = [
-    "AHEAD",
-    "BALANCING",
-    "FIXED_DIRECTIONS",
-    "HAZARD",
-    "HELD_TICKS",
-    "LONG_WAY_ROUND",
-    "TORQUE",
-    "UPRIGHT",
-    "WIND",
-    "corridor",
-    "filter_settings",
-    "in_hazard",
-    "is_upright",
-    "simulated_pendulum",
-]
-
-
 TORQUE: Final = 10.0
 """N m; assumed. Gravity needs up to 4.9 N m (3.47 at 45 degrees), a wind of 4 m/s up to 4 N m more."""
 WIND: Final = 4.0

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from math import pi
 from typing import Final
 
-__all__ = ["CONTROL_SECONDS", "POINT_BODY", "SUBSTEPS", "PointBody"]
-
 SUBSTEPS: Final = 10
 """Physics steps per step of the task."""
 CONTROL_SECONDS: Final = 0.02

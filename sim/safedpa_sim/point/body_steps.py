@@ -18,9 +18,6 @@ from safedpa.arrays import FloatArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["LARGEST_TURN", "actions_of", "after_one_period", "centre_state", "controls_of", "put_state"]
-
-
 LARGEST_TURN: Final = POINT_BODY.largest_turn
 """rad/s; commands above saturate."""
 _TURN_OF_CONTROL: Final = (

@@ -17,9 +17,6 @@ from safedpa.safety.verdict import Status
 from safedpa_sim.point.layout import HAZARD_RADIUS
 from safedpa_sim.point.point_model import PointPrediction
 
-__all__ = ["ETA", "FilteredActions", "PointFilter", "around_hazards", "minimum_barrier"]
-
-
 ETA: Final = 0.5
 """eta of the filter in simulation; the robot on the bus uses a more conservative value."""
 _PLAIN: Final = [STATUSES.index(status) for status in (Status.passed, Status.corrected)]

@@ -13,8 +13,6 @@ from safedpa.networks.layers import layers_of
 from safedpa_sim.point.observation import entries_seen
 from safedpa_sim.point.point_model import to_task_action
 
-__all__ = ["LatentPolicy"]
-
 _LARGEST = 10.0
 """Scaled observations are clipped to this value."""
 

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["FIELD", "GOAL_RADIUS", "HAZARDS", "HAZARD_RADIUS", "Layout", "draw_goals", "draw_layouts"]
-
-
 HAZARDS: Final = 8
 HAZARD_RADIUS: Final = 0.2
 GOAL_RADIUS: Final = 0.3

@@ -15,19 +15,6 @@ from safedpa.arrays import FloatArray
 from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, Layout
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = [
-    "GOAL_ENTRIES",
-    "GOAL_OFFSET",
-    "LIDAR_BINS",
-    "SENSOR_ENTRIES",
-    "ObservedTask",
-    "entries_seen",
-    "goal_seen",
-    "hazard_lidar",
-    "policy_seen",
-]
-
-
 _NEAREST: Final = 4
 """Number of nearest hazards that are observed individually."""
 _FADING: Final = 0.3

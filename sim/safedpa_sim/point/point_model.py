@@ -16,16 +16,6 @@ from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, controls_of
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = [
-    "ACTION_SCALE",
-    "TASK_TURN",
-    "AbstractPointModel",
-    "PointPrediction",
-    "SimulatedPointModel",
-    "to_task_action",
-]
-
-
 ACTION_SCALE: Final = np.array([POINT_BODY.largest_thrust, LARGEST_TURN])
 """N and rad/s per unit of action."""
 TASK_TURN: Final = float(controls_of(ACTION_SCALE[np.newaxis])[1, 0])

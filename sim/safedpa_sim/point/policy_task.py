@@ -22,18 +22,13 @@ from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel, to_
 from safedpa_sim.point.route_planner import RoutePlanner, teacher_actions
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.data.drives import random_drives
-from safedpa_sim.training.environments.period_result import PeriodResult
-
-__all__ = ["EPSILON", "LARGEST_FORCE", "PointEnvironment", "evaluate", "make_environment", "random_drives"]
-
+from safedpa_sim.training.data import drives
+from safedpa_sim.training.environments.policy_task import EVALUATION_SEED, PeriodResult
 
 LARGEST_FORCE: Final = 0.008
 """N; strongest wind."""
 EPSILON: Final = 0.003
 """m; the filter's margin in training."""
-_EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed, so that no evaluation layout is trained on."""
 _EVALUATION_TICKS = 500
 _TURNS = 0.001
 """Probability per tick that the wind changes."""
@@ -156,13 +151,6 @@ class PointEnvironment:
         self.latent = self._networks.encode(environment).astype(np.float32)
 
 
-def make_environment(
-    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
-) -> PointEnvironment:
-    """Returns robots to train on; each step in a hazard costs ``penalty``; ``with_filter``, the filter acts."""
-    return PointEnvironment(configuration, weights, count, seed, penalty=penalty, with_filter=with_filter)
-
-
 def evaluate(
     configuration: Configuration, weights: Weights, *, cars: int = 128, seed: int = 0, with_filter: bool = True
 ) -> dict[str, Any]:
@@ -170,7 +158,7 @@ def evaluate(
 
     ``goals`` reached, ``contacts`` (hazards entered), ``nearest`` (least distance to a hazard [m]) and ``reward``.
     """
-    robots = PointEnvironment(configuration, weights, cars, seed + _EVALUATION_SEED, with_filter=with_filter, calm=True)
+    robots = PointEnvironment(configuration, weights, cars, seed + EVALUATION_SEED, with_filter=with_filter, calm=True)
     policy = LatentPolicy(weights)
     goals, contacts, gained = np.zeros(cars), np.zeros(cars), np.zeros(cars)
     nearest = np.full(cars, np.inf)
@@ -187,3 +175,7 @@ def evaluate(
         "nearest": float(nearest.mean()),
         "reward": float(gained.mean()),
     }
+
+
+make_environment = PointEnvironment
+random_drives = drives.random_drives

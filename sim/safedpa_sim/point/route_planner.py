@@ -23,9 +23,6 @@ from safedpa.arrays import BoolArray, Float32Array, FloatArray
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_sim.point.layout import HAZARD_RADIUS
 
-__all__ = ["BERTH", "RoutePlanner", "teacher_actions"]
-
-
 _CRUISE: Final = 0.9
 """m/s; at a higher speed the filter intervenes more often and fewer goals are reached."""
 _SECONDS: Final = 0.2

@@ -24,9 +24,6 @@ from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.observation import GOAL_OFFSET, goal_seen
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["ENTRIES", "GROUPS", "SENSED_FRAME", "decode_state", "decoding_jacobian", "sensed", "without_goal"]
-
-
 GROUPS: Final = {
     "accelerometer": slice(0, 3),
     "velocimeter": slice(3, 6),

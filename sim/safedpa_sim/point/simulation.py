@@ -17,9 +17,6 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY, SUBSTEPS, PointBody
 
-__all__ = ["PointSimulation"]
-
-
 _GRAVITY = 9.81
 _MAGNETIC = -0.5
 """MuJoCo's magnetic field points along negative y of the world."""

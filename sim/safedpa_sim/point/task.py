@@ -15,9 +15,6 @@ from safedpa_sim.point.observation import hazard_lidar
 from safedpa_sim.point.sensor_state import sensed
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "StepResult", "control_of"]
-
-
 EPISODE_STEPS: Final = 1000
 GOAL_REWARD: Final = 1.0
 """Reward of each goal."""

@@ -12,8 +12,6 @@ from safedpa_sim.robots.car.loads import LOADS, Load
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
 
-__all__ = ["CHANGES", "ChangeableCar", "PlannedChange"]
-
 _WIND = 1.0
 """m/s2; a force of a tenth of the car's weight."""
 _OFFSET = 0.08

@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from safedpa.bus import STATE, Bus
 from safedpa.errors import BusError
 
-__all__ = ["claim_name", "claim_names"]
-
 _SETTLE_SECONDS = 0.5
 """Time for discovery: two peers that joined through a third one see each other after some 10 ms, seldom after 200
 ms."""

@@ -7,8 +7,6 @@ from collections import Counter
 
 from safedpa.bus.messages.messages import ActionMessage
 
-__all__ = ["ActionGuard"]
-
 _TOLERANCE = 1e-9
 """Tolerance for rounding errors at an actuator limit."""
 

@@ -18,8 +18,6 @@ from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.trace import TracedPeriod, TraceWriter
 
-__all__ = ["NoActionError", "RobotLoop"]
-
 _REPEAT_SECONDS = 0.1
 _PATIENCE_SECONDS = 60.0
 _DEADLINE_SHARE = 0.9

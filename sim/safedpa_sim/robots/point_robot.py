@@ -19,8 +19,6 @@ from safedpa_sim.point.task import PointTask
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["HazardEntry", "PointRobot", "force_towards"]
-
 _BRAKE_SECONDS = 0.15
 """s; time constant of the watchdog's braking along the heading."""
 

@@ -12,8 +12,6 @@ from typing import Any, final
 from safedpa.bus.messages.messages import ActionMessage, ScanMessage, StateMessage
 from safedpa_sim.robots.guard import ActionGuard
 
-__all__ = ["SimulatedRobot"]
-
 Numbers = tuple[float, ...]
 
 

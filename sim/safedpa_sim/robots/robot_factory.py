@@ -23,8 +23,6 @@ from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import MOST_PEOPLE, walkers
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-__all__ = ["make_robot"]
-
 SHIPPED = ("car", "pendulum", "point")
 """Robots that are simulated in this package; other robot packages bring their own stand-in."""
 _EPOCH_BITS = 53

@@ -12,8 +12,6 @@ from typing import Any
 from safedpa.errors import InputError, RecordingError
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["check_writable", "percentile", "summarise_run", "write_summary"]
-
 _SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 

@@ -14,8 +14,6 @@ from safedpa.systems.robots import Robot
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["ForbiddenContact", "StandInRobot"]
-
 
 @final
 @dataclass(frozen=True)

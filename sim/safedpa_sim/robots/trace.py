@@ -10,8 +10,6 @@ from types import TracebackType
 
 from safedpa.errors import RecordingError
 
-__all__ = ["TraceWriter", "TracedPeriod", "read_trace"]
-
 
 @dataclass(frozen=True, slots=True)
 class TracedPeriod:

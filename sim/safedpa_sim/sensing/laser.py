@@ -15,9 +15,6 @@ from safedpa.bus.messages.messages import ScanMessage
 from safedpa.errors import InputError
 from safedpa_sim.sensing.shapes import Outline, cast
 
-__all__ = ["MOST_RAYS", "Laser", "LaserSettings"]
-
-
 MOST_RAYS = 1080
 NOTHING_BELIEVED = -1.0
 """m; marks a range that was dropped or lies in a blind sector."""

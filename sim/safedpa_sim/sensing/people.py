@@ -17,8 +17,6 @@ from safedpa_sim.sensing.shapes import Outline, Point, clearance_at, clearances_
 if TYPE_CHECKING:
     from safedpa_sim.robots.car.scene import Scene
 
-__all__ = ["MOST_PEOPLE", "RADIUS", "Person", "StepsOut", "Walks", "walkers"]
-
 RADIUS = 0.2
 """m; radius of a person at the height of the laser."""
 

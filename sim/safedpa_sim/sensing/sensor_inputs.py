@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from safedpa_sim.robots.car.scene import Scene
     from safedpa_sim.robots.car.world import CarWorld
 
-__all__ = ["SimulatedSensors"]
-
 _TOUCHES = 0.01
 """m"""
 _STEP = 0.05

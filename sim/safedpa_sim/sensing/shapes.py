@@ -9,8 +9,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["Outline", "Point", "Polygon", "box", "cast", "clearance_at", "clearances_at"]
-
 Point = tuple[float, float]
 Polygon = tuple[Point, ...]
 """Corners of a convex polygon in m, anticlockwise."""

@@ -20,22 +20,6 @@ from safedpa.effects import Parameter, effect
 from safedpa.errors import InputError
 from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file
 
-__all__ = [
-    "Ablations",
-    "Configuration",
-    "Imitation",
-    "Phase1a",
-    "Phase1b",
-    "Phase2",
-    "Phase3",
-    "PracticeSettings",
-    "configurations",
-    "limited",
-    "load_configuration",
-    "parse_configuration",
-    "with_diagnosed",
-]
-
 _Range = tuple[float, float]
 """Lowest and highest value."""
 

@@ -15,11 +15,9 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, load_weights, save_weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.export.weights import export_model
-from safedpa_sim.training.phases.phase_1a import training_device
+from safedpa_sim.training.optimisation import training_device
 from safedpa_sim.training.progress import ReportProgress, read_record, silent, write_record
 from safedpa_sim.training.stages import TrainingStage, phase_function, stages_of
-
-__all__ = ["run_pipeline", "tune_on_runs"]
 
 
 def run_pipeline(

@@ -10,8 +10,6 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = ["RECORD", "ReportProgress", "read_record", "silent", "write_record"]
-
 ReportProgress = Callable[[str, int, int, str], None]
 """report_progress(phase, done, total, note); the note is a short text such as the loss."""
 

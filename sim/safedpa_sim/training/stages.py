@@ -16,8 +16,6 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phases.phase_1a import train_affine
 from safedpa_sim.training.progress import ReportProgress, read_record
 
-__all__ = ["Trained", "TrainingStage", "phase_function", "stages_of"]
-
 Trained = tuple[Weights, dict[str, Any]]
 """Weights, and a summary for the training record."""
 

@@ -8,8 +8,6 @@ from math import exp, tanh
 
 from safedpa_sim.robots.car.parameters import CarParameters, ThrottleParameters
 
-__all__ = ["SpeedServo", "SteeringActuator", "ThrottleMotor", "drive_of"]
-
 
 def _cached_share(lag: float) -> Callable[[float], float]:
     """Returns 1 - exp(-seconds / lag), the step response of a first-order lag; cached, as a run uses few step sizes."""

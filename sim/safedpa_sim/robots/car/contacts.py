@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import pymunk
 
-__all__ = ["CAR", "LOAD", "OBSTACLE", "WALL", "Collision", "ContactCounter"]
-
 CAR, LOAD, OBSTACLE, WALL = 1, 2, 3, 4
 """pymunk's collision types."""
 

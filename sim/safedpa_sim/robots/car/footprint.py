@@ -7,8 +7,6 @@ from math import ceil, hypot, sqrt, tan
 from safedpa_sim.robots.car.loads import Load
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, CarParameters
 
-__all__ = ["footprint", "towed_reach"]
-
 _BEGINS, _ENDS = 0.2, 0.8
 """Shares of the reach. If the car reverses by less than the first, a load does not leave the footprint; by more than
 the second, it may be anywhere around the hitch. Measured with random forward and backward drives: docs/robot.md."""

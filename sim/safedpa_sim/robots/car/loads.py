@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["LOADS", "Load", "load_named"]
-
 
 @dataclass(frozen=True)
 class Load:

@@ -6,8 +6,6 @@ from typing import final
 
 import pymunk
 
-__all__ = ["OtherBody"]
-
 
 @final
 class OtherBody:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CAR_PARAMETERS", "SUBSTEP", "THROTTLE_CAR", "CarParameters", "ThrottleParameters"]
-
 SUBSTEP = 1.0 / 400.0
 """s, longest step of the physics: the tyres' lateral damping at standstill is stable only below 1/200 s."""
 

@@ -25,8 +25,6 @@ from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.sensing.people import Person
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-__all__ = ["BRAKE", "CarRobot", "DelayedCommands"]
-
 _ROUNDING = 1e-9
 """s; parts of a period shorter than this are rounding errors."""
 

@@ -12,8 +12,6 @@ from safedpa.errors import InputError
 from safedpa_sim.robots.car.footprint import footprint
 from safedpa_sim.robots.car.loads import Load, load_named
 
-__all__ = ["GOAL_RADIUS", "Scene"]
-
 GOAL_RADIUS = 0.3
 """m from the rear axle's centre to the goal at which it counts as reached."""
 

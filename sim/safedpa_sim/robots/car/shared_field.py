@@ -14,8 +14,6 @@ from safedpa.errors import InputError
 from safedpa_sim.robots.car.contacts import Collision
 from safedpa_sim.robots.car.robot import CarRobot
 
-__all__ = ["CarContact", "SharedField"]
-
 
 @final
 @dataclass(frozen=True)

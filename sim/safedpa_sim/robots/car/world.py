@@ -17,8 +17,6 @@ from safedpa_sim.robots.car.loads import Load
 from safedpa_sim.robots.car.other_body import OtherBody
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 
-__all__ = ["CarWorld", "TowedBody"]
-
 _angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
 _velocity, _rate = lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
 _set_force, _set_torque, _step = lib.cpBodySetForce, lib.cpBodySetTorque, lib.cpSpaceStep

@@ -23,8 +23,6 @@ from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, ReceivedMessa
 from safedpa.bus.messages.messages import ActionMessage
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["Durations", "FleetLoop"]
-
 _BIN_SECONDS = 1e-5
 _BINS = 100_000
 

@@ -15,8 +15,6 @@ from safedpa_sim.robots.pendulum.task import PendulumTask
 from safedpa_sim.robots.pendulum.world import PENDULUM_PARAMETERS, PendulumParameters, PendulumWorld
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["DAMPING", "STIFFNESS", "PendulumRobot", "Violation"]
-
 STIFFNESS = 200.0
 """N m/rad of the watchdog, typical of a position-controlled drive: a wind of 4 m/s moves it by one degree."""
 DAMPING = 12.0

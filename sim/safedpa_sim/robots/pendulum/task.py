@@ -11,8 +11,6 @@ import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["TASKS", "PendulumTask", "task_named"]
-
 
 @dataclass(frozen=True)
 class PendulumTask:

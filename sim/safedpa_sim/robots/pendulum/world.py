@@ -7,8 +7,6 @@ from math import ceil, cos, hypot, radians, sin, tanh
 
 from safedpa.errors import InputError
 
-__all__ = ["PENDULUM_PARAMETERS", "PendulumParameters", "PendulumWorld", "wind_towards"]
-
 _SUBSTEP = 0.0005
 """s; longest step of the physics."""
 _GRAVITY = 9.81

@@ -29,8 +29,6 @@ from safedpa_sim.training.data.sequences import TransitionSequence, history_rows
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork
 
-__all__ = ["Drawbars", "RandomDriver", "policy_drives", "random_drives"]
-
 _RANGES = {
     "hitch": (0.03, 0.15),
     "length": (0.2, 0.6),

@@ -23,8 +23,6 @@ from safedpa.systems import System
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 from safedpa_sim.robots.car.world import CarWorld
 
-__all__ = ["HORIZON", "PERIOD", "TuningDrive", "drives_of", "load_tuning_runs", "record_circles", "split"]
-
 PERIOD = 0.05
 """s."""
 

@@ -8,8 +8,6 @@ import torch
 
 from safedpa_sim.training.networks.modules import AffineNetworks
 
-__all__ = ["TransitionSequence", "concatenate", "history_rows", "transition_sequence"]
-
 Tensor = torch.Tensor
 _TRIES = 3
 """Indices drawn per wanted one, as some are rejected; nearly all drives are much longer than ``before`` + ``ahead``."""

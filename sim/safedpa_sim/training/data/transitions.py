@@ -9,8 +9,6 @@ import torch
 from safedpa.networks import frame_of
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
-__all__ = ["Transitions", "draw_transitions", "scales"]
-
 Tensor = torch.Tensor
 _SAMPLES = 100_000
 """Transitions for the scales; they give the standard deviation of an increment to 0.3 %."""

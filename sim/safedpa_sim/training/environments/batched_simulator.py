@@ -14,8 +14,6 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import EnvironmentEntry
 from safedpa_sim.training.configuration import Configuration
 
-__all__ = ["BatchedSimulator", "body_of"]
-
 Tensor = torch.Tensor
 
 Body = Callable[[Tensor, Tensor, Tensor, Any], tuple[Tensor, Any]]

@@ -15,9 +15,6 @@ from safedpa.arrays import AnyFloatArray, BoolArray, Float32Array
 from safedpa_sim.robots.car.footprint import footprint
 from safedpa_sim.robots.car.loads import LOADS
 
-__all__ = ["FOOTPRINTS", "MOST_OBSTACLES", "ScenePool", "draw_scenes"]
-
-
 MOST_OBSTACLES = 6
 FOOTPRINTS = tuple(footprint(load) for load in (None, *LOADS.values()))
 """Rear, front, radius [m] of the car alone and with each known load."""

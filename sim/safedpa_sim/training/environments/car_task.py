@@ -6,7 +6,7 @@ with the filter in the loop.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
@@ -23,23 +23,10 @@ from safedpa.safety.batch.filter import BatchFilter
 from safedpa.safety.defaults import settings_named
 from safedpa_sim.robots.car.scene import GOAL_RADIUS
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.data.drives import random_drives
+from safedpa_sim.training.data import drives
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.car_scenes import FOOTPRINTS, ScenePool, draw_scenes
-from safedpa_sim.training.environments.period_result import PeriodResult
-
-__all__ = ["DrivingTask", "Rewards", "TrainingFilter", "evaluate", "make_environment", "random_drives"]
-
-_EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed, so that no evaluation scene is trained on."""
-
-
-def make_environment(
-    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
-) -> DrivingTask:
-    """Returns cars to train on; each contact costs ``penalty``; ``with_filter``, the safety filter corrects actions."""
-    rewards = replace(Rewards.of(configuration), penalty=penalty)
-    return DrivingTask(configuration, weights, count, seed, rewards=rewards, with_filter=with_filter)
+from safedpa_sim.training.environments.policy_task import EVALUATION_SEED, PeriodResult
 
 
 def evaluate(
@@ -50,7 +37,7 @@ def evaluate(
     ``clean`` is the share that reach the goal without a contact. ``success_by_radius`` is the share that reach it by
     the radius [m] of the footprint: of the car alone and of each load.
     """
-    driving = DrivingTask(configuration, weights, cars, seed + _EVALUATION_SEED, with_filter=with_filter, calm=True)
+    driving = DrivingTask(configuration, weights, cars, seed + EVALUATION_SEED, with_filter=with_filter, calm=True)
     policy = LearnedPolicy(weights)
     middle, scale = weights["action_middle"], weights["action_scale"]
     reached, contacts = np.zeros(cars, dtype=bool), np.zeros(cars, dtype=np.int64)
@@ -148,17 +135,13 @@ class Rewards:
     penalty: float = 0.0
     """Cost of the first tick of a contact: the penalty of RMA-P."""
 
-    @classmethod
-    def of(cls, configuration: Configuration) -> Rewards:
-        """Returns the reward terms of a configuration, without a penalty."""
-        return cls(near=configuration.practice.near, contact=configuration.practice.contact)
-
 
 @final
 class DrivingTask:
     """A batch of ``count`` driving cars; the same seed gives the same drives.
 
-    ``with_filter``, the safety filter corrects each action, unless ``practice.shelter`` of the configuration is off.
+    Each contact costs ``penalty``. ``with_filter``, the safety filter corrects each action, unless ``practice.shelter``
+    of the configuration is off.
     The ``latent`` of each car is mu(e). With ``calm``, each drive starts at rest and its environment does not change.
     """
 
@@ -169,14 +152,14 @@ class DrivingTask:
         count: int,
         seed: int,
         *,
-        rewards: Rewards | None = None,
+        penalty: float = 0.0,
         with_filter: bool = True,
         calm: bool = False,
     ) -> None:
-        self.count = count
-        self.calm = calm
-        self.rewards = rewards or Rewards.of(configuration)
-        self.with_filter = with_filter and configuration.practice.shelter
+        practice = configuration.practice
+        self.count, self.calm = count, calm
+        self.rewards = Rewards(near=practice.near, contact=practice.contact, penalty=penalty)
+        self.with_filter = with_filter and practice.shelter
         self._cars = BatchedSimulator(configuration)
         self._filter = TrainingFilter(self._cars.model)
         self.period = self._cars.model.period
@@ -184,10 +167,8 @@ class DrivingTask:
         self._generator = self._cars.generator(seed)
         self._random = np.random.default_rng([seed, 11])
         self._middle, self._scale = weights["action_middle"], weights["action_scale"]
-        self._pool = draw_scenes(self._random, min(16 * count, _POOL), loads=configuration.practice.loads)
-        self.body: Float32Array | None = (
-            None if configuration.practice.footprint else np.array(FOOTPRINTS[0], np.float32)
-        )
+        self._pool = draw_scenes(self._random, min(16 * count, _POOL), loads=practice.loads)
+        self.body: Float32Array | None = None if practice.footprint else np.array(FOOTPRINTS[0], np.float32)
         """(3,) rear, front, radius [m] that the policy observes instead of the actual footprint; None for the
         actual."""
         self.scene: ScenePool = self._pool.taken(np.zeros(count, dtype=np.int64))
@@ -336,3 +317,7 @@ class DrivingTask:
         self.environment[which] = drawn
         if self.latent.shape[1]:
             self.latent[which] = self._networks.encode(drawn)
+
+
+make_environment = DrivingTask
+random_drives = drives.random_drives

@@ -1,24 +1,39 @@
-"""The interface of the task that a policy is trained on, and the registry of tasks by robot."""
+"""The interface of the task that a policy is trained on, the result of a period, and the registry of tasks by robot."""
 
 from __future__ import annotations
 
 import importlib
-from typing import Any, Final, Protocol
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from safedpa.arrays import Float32Array
+from safedpa.arrays import BoolArray, Float32Array
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.sequences import TransitionSequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.environments.period_result import PeriodResult
 from safedpa_sim.training.networks.modules import AffineNetworks
 
-__all__ = ["BatchedEnvironment", "PolicyTask", "has_task", "task_of"]
+EVALUATION_SEED: Final = 1_000_003
+"""Added to the configuration's seed, so that no evaluation episode is trained on."""
+
+
+@final
+@dataclass(frozen=True)
+class PeriodResult:
+    """Arrays (robots,) of one period; an episode ends when it has ``reached`` its goal or has ``timed_out``."""
+
+    reward: Float32Array
+    reached: BoolArray
+    timed_out: BoolArray
+    contact: BoolArray
+    """Whether the robot violates its constraint: it touches something or is in a hazard."""
+    began: BoolArray
+    """Whether the contact began in this tick."""
 
 
 class BatchedEnvironment(Protocol):
@@ -44,7 +59,14 @@ class PolicyTask(Protocol):
     """The policy task of one kind of robot; implemented by modules."""
 
     def make_environment(
-        self, configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, with_filter: bool
+        self,
+        configuration: Configuration,
+        weights: Weights,
+        count: int,
+        seed: int,
+        *,
+        penalty: float = 0.0,
+        with_filter: bool = True,
     ) -> BatchedEnvironment:
         """Returns ``count`` robots to train on.
 
@@ -70,22 +92,17 @@ class PolicyTask(Protocol):
         period."""
 
 
-_TASKS: Final = {
+TASKS: Final = {
     "car": "safedpa_sim.training.environments.car_task",
     "pendulum": "safedpa_sim.pendulum.policy_task",
     "point": "safedpa_sim.point.policy_task",
 }
 
 
-def has_task(robot: str) -> bool:
-    """Returns whether a policy can be trained for this kind of robot."""
-    return robot in _TASKS
-
-
 def task_of(robot: str) -> PolicyTask:
     """Returns the policy task of a kind of robot. Raises InputError when it has none."""
-    if robot not in _TASKS:
-        raise InputError(f"phase 1b: robot '{robot}': {did_you_mean(robot, _TASKS)}")
-    found: Any = importlib.import_module(_TASKS[robot])
+    if robot not in TASKS:
+        raise InputError(f"phase 1b: robot '{robot}': {did_you_mean(robot, TASKS)}")
+    found: Any = importlib.import_module(TASKS[robot])
     task: PolicyTask = found
     return task

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, final
 
 import gymnasium
@@ -12,11 +11,36 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from safedpa_sim.training.environments.policy_task import BatchedEnvironment
 
-__all__ = ["VectorEnvironment"]
+
+class SharedVecEnv(VecEnv):
+    """A VecEnv whose environments are one object: each attribute and method is the same for all of them."""
+
+    def close(self) -> None:
+        """Does nothing: there are no resources to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Returns the attribute once for each environment."""
+        return [getattr(self, attr_name, None)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets the attribute of the shared object."""
+        del indices
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
+        """Calls a method of the shared object and returns its result once for each environment."""
+        return [getattr(self, method_name)(*arguments, **named)] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """Returns False for each environment: none is wrapped."""
+        del wrapper_class
+        return [False] * len(list(self._get_indices(indices)))
 
 
 @final
-class VectorEnvironment(VecEnv):
+class VectorEnvironment(SharedVecEnv):
     """A VecEnv with one environment per robot; observations are (observation - middle) / scale, actions in [-1, 1].
 
     When an episode ends, the next one starts at once, as the VecEnv interface requires; the last observation of the
@@ -63,29 +87,3 @@ class VectorEnvironment(VecEnv):
     def scaled_observation(self, which: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float32]:
         """Returns the scaled observations of the robots with the given indices, by default of all."""
         return (self.robots.observation(which) - self._middle) / self._scale
-
-    def close(self) -> None:
-        """Does nothing: there are no resources to release."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Returns the attribute, the same for every environment because they share one object."""
-        return [getattr(self, attr_name, None)] * len(self._indices(indices))
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets the attribute of the object that all environments share."""
-        del indices
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
-        """Calls a method of the object that all environments share."""
-        return [getattr(self, method_name)(*arguments, **named)] * len(self._indices(indices))
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """Returns False for each environment: none is wrapped."""
-        del wrapper_class
-        return [False] * len(self._indices(indices))
-
-    def _indices(self, indices: Any) -> Sequence[int]:
-        return list(self._get_indices(indices))

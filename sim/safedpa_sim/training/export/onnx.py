@@ -25,8 +25,6 @@ from safedpa.networks.layers import layers_of
 from safedpa.networks.weights import STRIDE
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = ["NETWORKS", "export_onnx"]
-
 NETWORKS = ("mu", "f", "g", "phi", "policy")
 _OPSET = 17
 _IR_VERSION = 9

@@ -17,8 +17,6 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, tensors_of
 
-__all__ = ["export_model", "export_weights", "normalise_latent"]
-
 _SAMPLES = 100_000
 _BEYOND = 0.1
 """Margin of the latent's range beyond what training saw, as a share of that range."""

@@ -10,8 +10,6 @@ from safedpa_sim.training.data.transitions import Transitions, draw_transitions
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks
 
-__all__ = ["affine_floor", "evaluate", "explained"]
-
 Tensor = torch.Tensor
 
 

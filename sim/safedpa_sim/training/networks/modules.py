@@ -15,16 +15,6 @@ from safedpa.errors import InputError
 from safedpa.networks import Frame, Weights, frame_of
 from safedpa.networks.weights import STRIDE
 
-__all__ = [
-    "AffineNetworks",
-    "AffineSizes",
-    "Dense",
-    "HistoryNetwork",
-    "affine_networks",
-    "history_network",
-    "tensors_of",
-]
-
 Tensor = torch.Tensor
 _CHANNELS = 32
 _KERNEL = 8

@@ -10,8 +10,6 @@ from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.data.sequences import TransitionSequence, history_rows
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork
 
-__all__ = ["ALONG", "along", "errors", "latents_along", "one_step_loss", "rollout_errors", "rollout_loss"]
-
 Tensor = torch.Tensor
 ALONG = 8
 """Histories, ``STRIDE`` transitions apart, that training encodes together; see ``latents_along``."""

@@ -21,8 +21,6 @@ from safedpa.records import Run
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.progress import ReportProgress, silent
 
-__all__ = ["GroundedSimulator", "ground_simulator", "grounded_configuration"]
-
 _ROWS = 6000
 
 

@@ -6,77 +6,21 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from pickle import UnpicklingError
 from time import monotonic
 from typing import Any, final
 
 import torch
-from torch import nn
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, frame_of
-from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import export_weights, normalise_latent
 from safedpa_sim.training.networks.explained_variance import affine_floor, evaluate
 from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes
+from safedpa_sim.training.optimisation import Checkpoint, cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
-
-__all__ = ["read_checkpoint", "train_affine", "training_device", "write_checkpoint"]
-
-
-def write_checkpoint(
-    path: Path,
-    digest: str,
-    done: int,
-    module: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    generator: torch.Generator,
-    reported: dict[str, list[Any]],
-) -> None:
-    """Writes all that a training needs to resume after ``done`` steps, with its ``reported`` curves, to ``path``.
-
-    ``digest`` identifies the configuration.
-    """
-    content = {
-        "digest": digest,
-        "done": done,
-        "module": module.state_dict(),
-        "optimiser": optimiser.state_dict(),
-        "generator": generator.get_state(),
-        "reported": reported,
-    }
-    with atomic_path(path) as unfinished:
-        torch.save(content, unfinished)
-
-
-def read_checkpoint(
-    path: Path,
-    digest: str,
-    module: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    generator: torch.Generator,
-) -> tuple[int, dict[str, list[Any]]]:
-    """Restores module, optimiser and generator, and returns the steps done and the reported curves.
-
-    Returns (0, {}) when there is no checkpoint, or one of another configuration. Raises InputError when the file is
-    damaged.
-    """
-    if not path.exists():
-        return 0, {}
-    try:
-        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        if content["digest"] != digest:
-            return 0, {}
-        module.load_state_dict(content["module"])
-        optimiser.load_state_dict(content["optimiser"])
-        generator.set_state(content["generator"])
-        return int(content["done"]), dict(content["reported"])
-    except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
-        raise InputError(f"{path}: no usable checkpoint ({error}); remove it to train from the beginning") from error
-
 
 _HELD_OUT = 20_000
 _STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
@@ -84,19 +28,6 @@ _STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
 _REPORT_PROGRESS_SECONDS = 0.5
 _POINTS = 200
 """Points of the learning curve."""
-
-
-def training_device(name: str) -> torch.device:
-    """Returns the torch device of that name; raises InputError when this machine has no such device."""
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise InputError(f"--device {name}: no such kind of device; wanted cpu or cuda") from error
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise InputError(
-            f"--device {name}: torch finds no CUDA device here; leave --device out to train on the processor"
-        )
-    return device
 
 
 def train_affine(
@@ -119,8 +50,9 @@ def train_affine(
     number of threads.
     """
     training = _AffineTraining.begin(configuration, variant, training_device(device), alone)
-    checkpoint = out / f"checkpoint_{variant}.pt"
-    training.run(training.restore(checkpoint), checkpoint, report_progress)
+    digest = f"{variant} {configuration.digest('phase_1a', 'ablations')}"
+    checkpoint = Checkpoint(out / f"checkpoint_{variant}.pt", digest)
+    training.run(checkpoint.read(training.restore) or 0, checkpoint, report_progress)
     normalise_latent(training.networks, training.cars, training.seed("latents"))
     summary = training.summary() | {"learning_curve": training.curve}
     weights = export_weights(
@@ -129,7 +61,7 @@ def train_affine(
         configuration,
         {"phase": variant, "pairs": summary["pairs"], "seed": configuration.seed, "loss": summary["loss"]},
     )
-    checkpoint.unlink(missing_ok=True)
+    checkpoint.path.unlink(missing_ok=True)
     return weights, summary
 
 
@@ -170,17 +102,16 @@ class _AffineTraining:
     def seed(self, purpose: str) -> int:
         return self.configuration.seed * 10 + _STREAMS[purpose]
 
-    def _digest(self) -> str:
-        return f"{self.variant} {self.configuration.digest('phase_1a', 'ablations')}"
+    def restore(self, content: Mapping[str, Any]) -> int:
+        """Restores an interrupted training from its checkpoint and returns the steps that it has done."""
+        self.networks.load_state_dict(content["module"])
+        self.optimiser.load_state_dict(content["optimiser"])
+        self.generator.set_state(content["generator"])
+        self.curve = content["reported"]["curve"]
+        self.losses = [loss.to(self.cars.device) for loss in content["reported"]["losses"]]
+        return int(content["done"])
 
-    def restore(self, checkpoint: Path) -> int:
-        """Restores an interrupted training and returns the steps that it has done."""
-        done, reported = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
-        self.curve = reported.get("curve", [])
-        self.losses = [loss.to(self.cars.device) for loss in reported.get("losses", [])]
-        return done
-
-    def run(self, done: int, checkpoint: Path, report_progress: ReportProgress) -> None:
+    def run(self, done: int, checkpoint: Checkpoint, report_progress: ReportProgress) -> None:
         """Trains until all steps are done and appends [pairs, mean loss] to ``curve``.
 
         Checkpoints are written only between steps: an interrupt within a step leaves weights and optimiser
@@ -195,7 +126,13 @@ class _AffineTraining:
                 self._report(done, report_progress)
                 reported = now
             if now - saved > self.configuration.phase_1a.checkpoint_seconds:
-                self._save(checkpoint, done)
+                checkpoint.write(
+                    done=done,
+                    module=self.networks.state_dict(),
+                    optimiser=self.optimiser.state_dict(),
+                    generator=self.generator.get_state(),
+                    reported={"curve": self.curve, "losses": self.losses},
+                )
                 saved = now
         self._report(done, report_progress)
 
@@ -210,26 +147,15 @@ class _AffineTraining:
         batch = self.configuration.phase_1a.batch
         report_progress(self.variant, done * batch, self.steps * batch, f"loss {self.curve[-1][1]:.2e}")
 
-    def _save(self, checkpoint: Path, done: int) -> None:
-        reported: dict[str, list[Any]] = {"curve": self.curve, "losses": self.losses}
-        write_checkpoint(checkpoint, self._digest(), done, self.networks, self.optimiser, self.generator, reported)
-
     def _step(self, done: int) -> torch.Tensor:
         """Runs one Adam step on new transitions and returns its loss."""
         phase = self.configuration.phase_1a
-        share = 0.5 * (1.0 + math.cos(math.pi * done / self.steps))
-        rate = phase.last_learning_rate + (phase.learning_rate - phase.last_learning_rate) * share
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
+        rate = cosine_rate(phase.learning_rate, phase.last_learning_rate, done, self.steps)
         environment, state, action, increment = self._transitions(phase.batch, self.generator)
         networks = self.networks
         predicted = networks(state, action, networks.encode(environment))
         loss = (predicted - increment / networks.increment_scale).square().mean()
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimiser.step()
-        detached: torch.Tensor = loss.detach()
-        return detached
+        return descend(self.optimiser, loss, rate)
 
     def _transitions(self, count: int, generator: torch.Generator) -> Transitions:
         return draw_transitions(self.cars, count, generator, environment=self.alone)

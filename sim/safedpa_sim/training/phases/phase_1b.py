@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any, Final, Protocol, final
 
 import numpy as np
@@ -23,15 +21,11 @@ from stable_baselines3.common.logger import Logger
 from safedpa.arrays import Float32Array
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration, Imitation
 from safedpa_sim.training.environments.policy_task import BatchedEnvironment, task_of
 from safedpa_sim.training.environments.vector_environment import VectorEnvironment
-from safedpa_sim.training.phases.phase_1a import training_device
+from safedpa_sim.training.optimisation import Checkpoint, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
-
-__all__ = ["EnvironmentWithTeacher", "PolicyCheckpoint", "train_policy"]
-
 
 _NOISY: Final = 0.5
 """Share of the actions with added noise; without it the policy never learns to recover from a deviation."""
@@ -82,10 +76,7 @@ class _ImitationData:
         for _ in range(self.plan.updates):
             which = torch.from_numpy(self.random.integers(0, len(inputs), self.plan.batch))
             loss = torch.nn.functional.mse_loss(network(inputs[which]), targets[which])
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimiser.step()
-            error = float(loss.detach())
+            error = float(descend(optimiser, loss))
         return error
 
 
@@ -128,46 +119,6 @@ def _discounted(rewards: list[Float32Array], discount: float) -> Float32Array:
         later = reward + discount * later
         returns.append(later)
     return np.stack(returns[::-1]).astype(np.float32)
-
-
-@final
-@dataclass(frozen=True)
-class PolicyCheckpoint:
-    """The checkpoint file of a policy training, with the digest of its settings and input weights."""
-
-    path: Path
-    digest: str
-
-    def write(self, algorithm: PPO, curve: list[dict[str, Any]], chosen: Weights) -> None:
-        """Writes networks, optimiser, step count, learning curve and the best policy so far, atomically."""
-        content = {
-            "digest": self.digest,
-            "steps": algorithm.num_timesteps,
-            "policy": algorithm.policy.state_dict(),
-            "optimiser": algorithm.policy.optimizer.state_dict(),
-            "curve": json.dumps(curve),
-            "chosen": {name: torch.from_numpy(part.copy()) for name, part in _policy_of(chosen).items()},
-        }
-        with atomic_path(self.path) as unfinished:
-            torch.save(content, unfinished)
-
-    def read(self) -> dict[str, Any] | None:
-        """Returns the checkpoint; None if there is none or it belongs to another configuration.
-
-        Raises InputError when the file is damaged.
-        """
-        if not self.path.exists():
-            return None
-        try:
-            content: dict[str, Any] = torch.load(self.path, map_location="cpu", weights_only=True)
-            if content["digest"] != self.digest:
-                return None
-            chosen = {name: part.numpy() for name, part in content["chosen"].items()}
-            return {**content, "curve": json.loads(content["curve"]), "chosen": chosen}
-        except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
-            raise InputError(
-                f"{self.path}: no usable checkpoint ({error}); remove it to train from the beginning"
-            ) from error
 
 
 _SCALING_TICKS = 60
@@ -221,10 +172,10 @@ class _PolicyTraining:
         self.curve: list[dict[str, Any]] = []
         made_from = configuration.digest("phase_1a", "imitation", "phase_1b", "practice")
         digest = f"{self.name} {penalty} {weights.digest} {made_from}"
-        self.checkpoint = PolicyCheckpoint(out / f"checkpoint_{self.name}.pt", digest)
+        self.checkpoint = Checkpoint(out / f"checkpoint_{self.name}.pt", digest)
         self.task = task_of(configuration.robot)
         self.middle, self.scale = _scales(self._make_robots(0))
-        known = self.checkpoint.read()
+        known = self.checkpoint.read(_known)
         robots = self._make_robots(known["steps"] if known else 0)
         self.environment = VectorEnvironment(robots, self.middle, self.scale)
         self.algorithm = self._algorithm(training_device(device))
@@ -237,9 +188,9 @@ class _PolicyTraining:
     def _make_robots(self, done: int) -> BatchedEnvironment:
         """Returns the robots to train on; the steps ``done`` shift the seed, so that a resumed training does not
         repeat."""
-        configuration = self.configuration
-        seed, count = configuration.seed + done, self.phase.cars
-        return self.task.make_environment(configuration, self.weights, count, seed, self.penalty, self.with_filter)
+        configuration, count = self.configuration, self.phase.cars
+        rules: dict[str, Any] = {"penalty": self.penalty, "with_filter": self.with_filter}
+        return self.task.make_environment(configuration, self.weights, count, configuration.seed + done, **rules)
 
     def _imitate(self, robots: Any) -> list[float]:
         """Runs the imitation rounds, if any, and returns the policy's squared error after each."""
@@ -308,7 +259,14 @@ class _PolicyTraining:
         self.curve.append({"steps": steps, **training, **figures})
         if self._score(figures) >= self.best:
             self.best, self.chosen = self._score(figures), now
-        self.checkpoint.write(self.algorithm, self.curve, self.chosen)
+        policy: Any = self.algorithm.policy
+        self.checkpoint.write(
+            steps=steps,
+            policy=policy.state_dict(),
+            optimiser=policy.optimizer.state_dict(),
+            curve=json.dumps(self.curve),
+            chosen={name: torch.from_numpy(part.copy()) for name, part in _policy_of(self.chosen).items()},
+        )
         note = f"reached {figures['success']:.3f}, contacts {figures['contacts']:.2f}"
         self.report_progress(self.name, steps, self.phase.steps, note)
         return bool(figures["success"] >= self.phase.enough)
@@ -361,6 +319,12 @@ class _EvaluationCallback(BaseCallback):
         self._updates += 1
         if self._updates % self._training.phase.evaluate_every == 0:
             self._good = self._training.evaluate_and_save()
+
+
+def _known(content: dict[str, Any]) -> dict[str, Any]:
+    """Returns a checkpoint's content with the learning curve and the best policy so far as they were written."""
+    chosen = {name: part.numpy() for name, part in content["chosen"].items()}
+    return {**content, "curve": json.loads(content["curve"]), "chosen": chosen}
 
 
 def _score(figures: dict[str, Any], cost: float) -> float:

@@ -13,7 +13,6 @@ Source: Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, section III.B; Ross
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
@@ -26,14 +25,12 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.drives import policy_drives, random_drives
 from safedpa_sim.training.data.sequences import TransitionSequence, concatenate
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.environments.policy_task import BatchedEnvironment, has_task, task_of
+from safedpa_sim.training.environments.policy_task import TASKS, BatchedEnvironment, task_of
 from safedpa_sim.training.networks.explained_variance import explained
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.networks.rollout import ALONG, along, latents_along
-from safedpa_sim.training.phases.phase_1a import training_device
+from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
-
-__all__ = ["train_history_encoder"]
 
 Tensor = torch.Tensor
 _STREAM = 6
@@ -101,7 +98,7 @@ class _HistoryTraining:
         if weights.has("policy"):
             seed = configuration.seed * 10 + _STREAM
             count = max(1, round(configuration.phase_2.driven * configuration.phase_2.cars))
-            driving = task_of(configuration.robot).make_environment(configuration, weights, count, seed, 0.0, True)
+            driving = task_of(configuration.robot).make_environment(configuration, weights, count, seed)
         return _HistoryTraining(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
 
     def add_drives(self) -> None:
@@ -121,7 +118,7 @@ class _HistoryTraining:
             count -= driving.count
         if count > 0:
             robot, change, generator = self.configuration.robot, phase.change, self.generator
-            drives = task_of(robot).random_drives if has_task(robot) else random_drives
+            drives = task_of(robot).random_drives if robot in TASKS else random_drives
             parts.append(drives(self.cars, self.networks, count, phase.steps, change, generator))
         return concatenate(parts)
 
@@ -131,16 +128,13 @@ class _HistoryTraining:
         everything = phase.rounds * phase.updates
         for index in range(phase.updates):
             done = round_ * phase.updates + index
-            share = 0.5 * (1.0 + math.cos(math.pi * done / everything))
-            rate = phase.last_learning_rate + (phase.learning_rate - phase.last_learning_rate) * share
-            for group in self.optimiser.param_groups:
-                group["lr"] = rate
-            loss = self._step(phase.batch)
+            rate = cosine_rate(phase.learning_rate, phase.last_learning_rate, done, everything)
+            loss = self._step(phase.batch, rate)
             if done % _REPORTED == 0:
                 self.losses.append(loss)
                 report_progress("2", done, everything, f"loss {loss:.3f}")
 
-    def _step(self, batch: int) -> float:
+    def _step(self, batch: int, rate: float) -> float:
         """Runs one Adam step on histories drawn from all rounds and returns its loss."""
         which = torch.randint(len(self.known), (1,), generator=self.generator, device=self.cars.device)
         sequence = self.known[int(which)]
@@ -150,10 +144,7 @@ class _HistoryTraining:
         rows = _disturbed(rows, self.configuration.phase_2.noise, self.generator)
         latents = latents_along(self.encoder, rows, ALONG).flatten(0, 1)
         loss = ((latents - sequence.latents[index]) / self.spread).square().mean()
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        self.optimiser.step()
-        return float(loss.detach())
+        return float(descend(self.optimiser, loss, rate))
 
     def summary(self) -> dict[str, Any]:
         """Evaluates phi on new drives; only full histories count."""

@@ -48,11 +48,9 @@ from safedpa_sim.training.networks.modules import (
     tensors_of,
 )
 from safedpa_sim.training.networks.rollout import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
+from safedpa_sim.training.optimisation import cosine_rate, training_device
 from safedpa_sim.training.phases.grounded_simulator import ground_simulator, grounded_configuration
-from safedpa_sim.training.phases.phase_1a import training_device
 from safedpa_sim.training.progress import ReportProgress, silent
-
-__all__ = ["WHAT", "tune", "tune_on_drives", "tune_on_runs"]
 
 Tensor = torch.Tensor
 What = Literal["all", "phi", "heads"]
@@ -334,4 +332,4 @@ def _rate(done: float, highest: float, last: float) -> float:
     """Returns the learning rate: linear warm-up over the first 5 % of the updates, then a cosine decay."""
     if done < _WARM_UP:
         return highest * (done + 1e-3) / _WARM_UP
-    return last + (highest - last) * 0.5 * (1.0 + math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP)))
+    return cosine_rate(highest, last, done - _WARM_UP, 1.0 - _WARM_UP)

@@ -28,10 +28,8 @@ from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import normalise_latent
 from safedpa_sim.training.networks.explained_variance import evaluate, explained
 from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
-from safedpa_sim.training.phases.phase_1a import training_device
+from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
-
-__all__ = ["draw_sensed", "train_sensed"]
 
 Tensor = torch.Tensor
 
@@ -155,11 +153,6 @@ def _or_one(scale: Tensor) -> Tensor:
     return torch.where(scale > 0.0, scale, torch.ones_like(scale))
 
 
-def _falling(first: float, last: float, share: float) -> float:
-    """Returns the learning rate of a cosine schedule after a share of all steps."""
-    return last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * share))
-
-
 def _learn_steps(
     networks: AffineNetworks, cars: BatchedSimulator, configuration: Configuration, report_progress: ReportProgress
 ) -> None:
@@ -171,14 +164,11 @@ def _learn_steps(
     steps, generator = math.ceil(pairs / batch), cars.generator(_seed(configuration, "training"))
     optimiser = torch.optim.Adam(networks.parameters(), rate, fused=True)
     for step, (environment, seen, action, change) in enumerate(_batches(cars, batch, steps, generator)):
-        optimiser.param_groups[0]["lr"] = _falling(rate, phase.last_learning_rate, step / steps)
         predicted = networks(seen, action, networks.encode(environment))
         loss = ((predicted - change / networks.increment_scale).square() * weights).mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
+        loss = descend(optimiser, loss, cosine_rate(rate, phase.last_learning_rate, step / steps))
         if step % _REPORTED == 0:
-            report_progress("17", step * batch, pairs, f"loss {float(loss.detach()):.2e}")
+            report_progress("17", step * batch, pairs, f"loss {float(loss):.2e}")
 
 
 def _batches(cars: BatchedSimulator, batch: int, steps: int, generator: torch.Generator) -> Iterator[Transitions]:
@@ -206,16 +196,14 @@ def _learn_histories(
     optimiser = torch.optim.Adam(encoder.parameters(), phase.learning_rate)
     updates = max(1, phase.rounds * phase.updates // 2)
     for update in range(updates):
-        optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, update / updates)
+        rate = cosine_rate(phase.learning_rate, phase.last_learning_rate, update / updates)
         index = known.draw(max(1, phase.batch // 2), generator)
         rows = known.histories(index, history)
         rows = rows + phase.noise * torch.randn(rows.shape, generator=generator) * rows.abs().amax(-1, True).gt(0.0)
         loss = ((encoder(rows) - known.latents[index]) / spread).square().mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
+        loss = descend(optimiser, loss, rate)
         if update % _REPORTED == 0:
-            report_progress("17 phi", update, updates, f"loss {float(loss.detach()):.3f}")
+            report_progress("17 phi", update, updates, f"loss {float(loss):.3f}")
     fresh = _drives(networks, cars, configuration, random)
     index = fresh.draw(min(_SAMPLES, len(fresh.rows)), generator, before=history)
     with torch.inference_mode():
