@@ -13,7 +13,7 @@ from safedpa.diagnosis.report_schema import Candidate, FittedValue
 from safedpa.live.search_jobs import named_candidate
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.panels.elements import escaped
-from safedpa_services.workbench.panels.theme import CONFIG, ColourTheme, axis, figure_layout
+from safedpa_services.workbench.panels.theme import ColourTheme, axis, curve, figure, markers, vertical_line
 from safedpa_services.workbench.session.candidate_cards import CandidateCard, make_card
 
 _MEDIAN_OF = 5
@@ -146,41 +146,27 @@ _PATH_SECONDS = 20.0
 """s of the past path that are drawn."""
 _ERROR_SECONDS = 120.0
 """s of past errors that are drawn."""
+_HOVER = "<br>%{x:.1f}, %{y:.3g}"
 
 
 def field_figure(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]:
     """Figure of the plane: path, robot, load, obstacles, goal, and the path that the filter's model predicts."""
     state = history.state
     recent = [values for t, values in history.path if t > history.now - _PATH_SECONDS]
-    data = [_line([v[0] for v in recent], [v[1] for v in recent], theme.measured, 2.5, "driven")]
+    data = [_path(recent, theme.measured, 2.5, "driven")]
     shapes: list[dict[str, Any]] = []
     ranges: tuple[Any, Any] = (None, None)
     if state is not None:
-        if history.predicted_path:
-            data.append(
-                _line(
-                    [v[0] for v in history.predicted_path],
-                    [v[1] for v in history.predicted_path],
-                    theme.present,
-                    3.0,
-                    "predicted",
-                )
-            )
-        data.append(_dot(state.goal[0], state.goal[1], "goal", theme.present, "star", 13))
+        data += [_path(history.predicted_path, theme.present, 3.0, "predicted")] if history.predicted_path else []
+        data.append(_dot(state.goal, "goal", theme.present, "star", 13))
         shapes = [_circle(x, y, r, theme) for x, y, r in state.obstacles]
-        x, y, yaw = state.values[:3]
-        data.append(_dot(x, y, "robot", theme.selected, "triangle-up", 14, angle=90.0 - math.degrees(yaw)))
-        if state.load_pose:
-            data.append(_dot(state.load_pose[0], state.load_pose[1], "load", theme.between, "square", 10))
+        turned = 90.0 - math.degrees(state.values[2])
+        data.append(_dot(state.values, "robot", theme.selected, "triangle-up", 14, turned))
+        data += [_dot(state.load_pose, "load", theme.between, "square", 10)] if state.load_pose else []
         ranges = (list(state.field[:2]), list(state.field[2:]))
-    layout = figure_layout(
-        theme,
-        dragmode=False,
-        xaxis=axis(theme, "x [m]", range=ranges[0], constrain="domain"),
-        yaxis=axis(theme, "y [m]", range=ranges[1], scaleanchor="x", constrain="domain"),
-        shapes=shapes,
-    )
-    return {"data": data, "layout": layout, "config": CONFIG}
+    across = axis(theme, "x [m]", range=ranges[0], constrain="domain")
+    up = axis(theme, "y [m]", range=ranges[1], scaleanchor="x", constrain="domain")
+    return figure(theme, data, dragmode=False, xaxis=across, yaxis=up, shapes=shapes)
 
 
 def error_figure(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]:
@@ -189,22 +175,19 @@ def error_figure(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]:
     t = [entry[0] for entry in shown]
     band = [entry[2] if entry[2] > 0 else None for entry in shown]
     data = [
-        _line(t, band, theme.given, 1.5, "end of its band", "dash"),
-        _line(t, [entry[1] or None for entry in shown], theme.present, 2.5, "error over 1 s"),
+        curve(t, band, theme.given, 1.5, f"end of its band{_HOVER}", dash="dash"),
+        curve(t, [entry[1] or None for entry in shown], theme.present, 2.5, f"error over 1 s{_HOVER}"),
     ]
-    known = [
-        entry for entry in shown if entry[2] > 0
-    ] or shown  # errors before the band is known can be huge and must not set the scale
+    # errors before the band is known can be huge and must not set the scale
+    known = [entry for entry in shown if entry[2] > 0] or shown
     highest = max([entry[1] for entry in known] + [value for value in band if value] + [1e-3])
-    layout = figure_layout(
-        theme,
-        dragmode=False,
-        xaxis=axis(theme, "robot's time [s]", range=[max(0.0, history.now - _ERROR_SECONDS), max(history.now, 10.0)]),
-        yaxis=axis(theme, "error", range=[0.0, 1.15 * highest], nticks=5),
-        shapes=[_mark(mark.t, theme.given if mark.kind == "finding" else theme.present, mark.kind)
-                for mark in history.marks if mark.t > history.now - _ERROR_SECONDS],
-    )  # fmt: skip
-    return {"data": data, "layout": layout, "config": CONFIG}
+    marks = [
+        vertical_line(mark.t, theme.given, 1.5, "dot") if mark.kind == "finding" else
+        vertical_line(mark.t, theme.present, 1.5)
+        for mark in history.marks if mark.t > history.now - _ERROR_SECONDS
+    ]  # fmt: skip
+    up = axis(theme, "error", range=[0.0, 1.15 * highest], nticks=5)
+    return figure(theme, data, dragmode=False, xaxis=_time_axis(history, theme), yaxis=up, shapes=marks)
 
 
 def evidence_figure(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]:
@@ -213,37 +196,29 @@ def evidence_figure(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]
     t = [entry[0] for entry in shown]
     top = max([entry[4] for entry in shown] + [1.0])
     data = [
-        _line(t, [entry[4] for entry in shown], theme.given, 1.5, "threshold", "dash"),
-        _line(t, [min(entry[3], 1.6 * top) for entry in shown], theme.text, 2.0, "evidence"),
+        curve(t, [entry[4] for entry in shown], theme.given, 1.5, f"threshold{_HOVER}", dash="dash"),
+        curve(t, [min(entry[3], 1.6 * top) for entry in shown], theme.text, 2.0, f"evidence{_HOVER}"),
     ]
-    layout = figure_layout(
-        theme,
-        dragmode=False,
-        xaxis=axis(theme, "robot's time [s]", range=[max(0.0, history.now - _ERROR_SECONDS), max(history.now, 10.0)]),
-        yaxis=axis(theme, "evidence", range=[min([0.0, *(entry[3] for entry in shown)]) - 0.2, 1.7 * top], nticks=4),
-    )
-    return {"data": data, "layout": layout, "config": CONFIG}
+    up = axis(theme, "evidence", range=[min([0.0, *(entry[3] for entry in shown)]) - 0.2, 1.7 * top], nticks=4)
+    return figure(theme, data, dragmode=False, xaxis=_time_axis(history, theme), yaxis=up)
 
 
-def _line(x: Any, y: Any, colour: str, width: float, name: str, dash: str = "solid") -> dict[str, Any]:
-    line = {"color": colour, "width": width, "dash": dash}
-    hover = f"{name}<br>%{{x:.1f}}, %{{y:.3g}}<extra></extra>"
-    return {"type": "scatter", "mode": "lines", "x": list(x), "y": list(y), "line": line, "name": name,
-            "hovertemplate": hover}  # fmt: skip
+def _time_axis(history: RobotHistory, theme: ColourTheme) -> dict[str, Any]:
+    shown = [max(0.0, history.now - _ERROR_SECONDS), max(history.now, 10.0)]
+    return axis(theme, "robot's time [s]", range=shown)
 
 
-def _dot(x: float, y: float, name: str, colour: str, symbol: str, size: float, angle: float = 0.0) -> dict[str, Any]:
-    marker = {"color": colour, "size": size, "symbol": symbol, "angle": angle}
-    return {"type": "scatter", "mode": "markers", "x": [x], "y": [y], "marker": marker, "name": name,
-            "hovertemplate": f"{name}<extra></extra>"}  # fmt: skip
+def _path(states: Sequence[Sequence[float]], colour: str, width: float, name: str) -> dict[str, Any]:
+    return curve([v[0] for v in states], [v[1] for v in states], colour, width, f"{name}{_HOVER}")
+
+
+def _dot(
+    position: Sequence[float], name: str, colour: str, symbol: str, size: float, angle: float = 0.0
+) -> dict[str, Any]:
+    look = {"color": colour, "size": size, "symbol": symbol, "angle": angle}
+    return markers([position[0]], [position[1]], look, name=name, hovertemplate=f"{name}<extra></extra>")
 
 
 def _circle(x: float, y: float, radius: float, theme: ColourTheme) -> dict[str, Any]:
-    return {"type": "circle", "x0": x - radius, "x1": x + radius, "y0": y - radius, "y1": y + radius,
-            "fillcolor": theme.dim, "opacity": 0.6, "line": {"width": 0}}  # fmt: skip
-
-
-def _mark(t: float, colour: str, kind: str) -> dict[str, Any]:
-    dash = "dot" if kind == "finding" else "solid"
-    return {"type": "line", "x0": t, "x1": t, "yref": "paper", "y0": 0, "y1": 1,
-            "line": {"color": colour, "width": 1.5, "dash": dash}}  # fmt: skip
+    ends = {"x0": x - radius, "x1": x + radius, "y0": y - radius, "y1": y + radius}
+    return {"type": "circle", **ends, "fillcolor": theme.dim, "opacity": 0.6, "line": {"width": 0}}

@@ -11,7 +11,16 @@ from nicegui import events, ui
 from safedpa.arrays import FloatArray
 from safedpa.comparison.comparison import Comparison
 from safedpa_services.workbench.panels.elements import button, escaped, panel, set_accessible_name, text
-from safedpa_services.workbench.panels.theme import CONFIG, MAP_COLOURS, ColourTheme, axis, figure_layout
+from safedpa_services.workbench.panels.theme import (
+    MAP_COLOURS,
+    ColourTheme,
+    axis,
+    curve,
+    figure,
+    json_numbers,
+    markers,
+    vertical_line,
+)
 from safedpa_services.workbench.session.selection import (
     ERROR,
     TIME,
@@ -121,9 +130,9 @@ def map_figure(session: Session, theme: ColourTheme) -> dict[str, Any]:
     units = variable_units(windows)
     heat = {
         "type": "heatmap",
-        "x": _json_numbers(error_map.x_edges),
-        "y": _json_numbers(error_map.y_edges),
-        "z": [_json_numbers(row) for row in error_map.errors],
+        "x": json_numbers(error_map.x_edges),
+        "y": json_numbers(error_map.y_edges),
+        "z": [json_numbers(row) for row in error_map.errors],
         "zmin": 0.0,
         "zmax": _colour_axis_top(session),
         "colorscale": MAP_COLOURS,
@@ -133,20 +142,17 @@ def map_figure(session: Session, theme: ColourTheme) -> dict[str, Any]:
         "ygap": 1,
         "colorbar": {"thickness": 10, "len": 1.0, "outlinewidth": 0, "title": {"text": "error", "side": "right"}},
     }
-    layout = figure_layout(
+    plain = {"showgrid": False, "zeroline": False}
+    return figure(
         theme,
+        [heat, _dots(session, error_map.x, error_map.y, theme)],
         dragmode="select",
         selections=[],
-        xaxis=axis(
-            theme, _axis_title(error_map.x, units), showgrid=False, zeroline=False, range=_axis_range(error_map.x_edges)
-        ),
-        yaxis=axis(
-            theme, _axis_title(error_map.y, units), showgrid=False, zeroline=False, range=_axis_range(error_map.y_edges)
-        ),
+        xaxis=axis(theme, _axis_title(error_map.x, units), **plain, range=_axis_range(error_map.x_edges)),
+        yaxis=axis(theme, _axis_title(error_map.y, units), **plain, range=_axis_range(error_map.y_edges)),
         shapes=_box(session.selection, error_map.x, error_map.y, theme),
         margin={"l": 50, "r": 4, "t": 6, "b": 38},
     )
-    return {"data": [heat, _dots(session, error_map.x, error_map.y, theme)], "layout": layout, "config": CONFIG}
 
 
 def _dots(session: Session, x: str, y: str, theme: ColourTheme) -> dict[str, Any]:
@@ -157,16 +163,9 @@ def _dots(session: Session, x: str, y: str, theme: ColourTheme) -> dict[str, Any
     marker: dict[str, Any] = {"size": 3, "color": "#ffffff", "opacity": 0.35}
     if selected:
         marker = {"size": 5, "color": theme.selected, "line": {"width": 1, "color": "#ffffff"}, "opacity": 0.9}
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": _json_numbers(window_values(windows, x)[shown]),
-        "y": _json_numbers(window_values(windows, y)[shown]),
-        "marker": marker,
-        "hoverinfo": "skip",
-        "selected": {"marker": {"opacity": marker["opacity"]}},
-        "unselected": {"marker": {"opacity": marker["opacity"]}},
-    }
+    x_values, y_values = (json_numbers(window_values(windows, name)[shown]) for name in (x, y))
+    same = {"marker": {"opacity": marker["opacity"]}}
+    return markers(x_values, y_values, marker, hoverinfo="skip", selected=same, unselected=same)
 
 
 def time_figure(session: Session, theme: ColourTheme) -> dict[str, Any]:
@@ -180,28 +179,19 @@ def time_figure(session: Session, theme: ColourTheme) -> dict[str, Any]:
     data.append(_line(comparison, t, highest, theme.present, 1.4, session.shown_version.label))
     mask = session.mask
     if mask is not None and mask.any():
-        marker = {"size": 4, "color": theme.selected}
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "x": _json_numbers(t[mask]),
-                "y": _json_numbers(np.minimum(errors[mask], highest)),
-                "marker": marker,
-                "hoverinfo": "skip",
-            }
-        )
-    layout = figure_layout(
+        x, y = json_numbers(t[mask]), json_numbers(np.minimum(errors[mask], highest))
+        data.append(markers(x, y, {"size": 4, "color": theme.selected}, hoverinfo="skip"))
+    return figure(
         theme,
+        data,
         dragmode="select",
         selections=[],
         selectdirection="h",
         xaxis=axis(theme, "time, runs one after another [s]", showgrid=False, range=[float(t[0]), float(t[-1])]),
         yaxis=axis(theme, "error", range=[0.0, highest], nticks=4),
-        shapes=[*_run_borders(comparison, t, theme), _start_mark(float(t[session.start]), theme)],
+        shapes=[*_run_borders(comparison, t, theme), vertical_line(float(t[session.start]), theme.text)],
         margin={"l": 50, "r": 8, "t": 6, "b": 38},
     )
-    return {"data": data, "layout": layout, "config": CONFIG}
 
 
 def _line(
@@ -210,18 +200,10 @@ def _line(
     """A line with gaps between stretches."""
     windows, errors = comparison.windows, np.minimum(comparison.window_errors, highest)
     breaks = np.flatnonzero((np.diff(windows.begin) != 0) | (np.diff(windows.run) != 0)) + 1
-    x, y = np.insert(t, breaks, np.nan), np.insert(errors, breaks, np.nan)
+    x, y = (json_numbers(np.insert(values, breaks, np.nan)) for values in (t, errors))
     names = np.insert(np.array([windows.names[run] for run in windows.run], dtype=object), breaks, "")
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": _json_numbers(x),
-        "y": _json_numbers(y),
-        "line": {"color": colour, "width": width},
-        "opacity": 1.0 if width > 1.0 else 0.55,
-        "customdata": names.tolist(),
-        "hovertemplate": f"{name}<br>%{{customdata}}<br>error %{{y:.2f}}<extra></extra>",
-    }
+    opacity, hover = 1.0 if width > 1.0 else 0.55, f"{name}<br>%{{customdata}}<br>error %{{y:.2f}}"
+    return curve(x, y, colour, width, hover, opacity=opacity, customdata=names.tolist())
 
 
 def selection_from_map_box(session: Session, ranges: dict[str, Any]) -> Selection | None:
@@ -277,21 +259,7 @@ def _box(selection: Selection | None, x: str, y: str, theme: ColourTheme) -> lis
 
 def _run_borders(comparison: Comparison, t: FloatArray, theme: ColourTheme) -> list[dict[str, Any]]:
     edges = np.flatnonzero(np.diff(comparison.windows.run)) + 1
-    line = {"color": theme.dim, "width": 1, "dash": "dot"}
-    return [{"type": "line", "x0": float(t[e]), "x1": float(t[e]), "yref": "paper", "y0": 0, "y1": 1, "line": line}
-            for e in edges]  # fmt: skip
-
-
-def _start_mark(t: float, theme: ColourTheme) -> dict[str, Any]:
-    return {
-        "type": "line",
-        "x0": t,
-        "x1": t,
-        "yref": "paper",
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": theme.text, "width": 1},
-    }
+    return [vertical_line(float(t[edge]), theme.dim, dash="dot") for edge in edges]
 
 
 def _axis_range(edges: FloatArray) -> list[float]:
@@ -300,8 +268,3 @@ def _axis_range(edges: FloatArray) -> list[float]:
 
 def _axis_title(name: str, units: dict[str, str]) -> str:
     return name.replace("_", " ") + ("" if units[name] == "1" else f" [{units[name]}]")
-
-
-def _json_numbers(values: FloatArray) -> list[float | None]:
-    """Values rounded to five significant digits, to shorten the message to the browser; None if not finite."""
-    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]

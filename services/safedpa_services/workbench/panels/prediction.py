@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from nicegui import events, ui
+from nicegui import ui
 
 from safedpa.arrays import FloatArray
 from safedpa.comparison.rollout import rollout
 from safedpa.comparison.summary import shortened
 from safedpa.comparison.where import POSITION
 from safedpa_services.workbench.panels.elements import button, escaped, panel, set_accessible_name, text
-from safedpa_services.workbench.panels.theme import CONFIG, ColourTheme, axis, figure_layout
+from safedpa_services.workbench.panels.theme import ColourTheme, axis, curve, figure, json_numbers, markers
 from safedpa_services.workbench.session.session import Session
 
 
@@ -26,21 +26,16 @@ class PredictionPanel:
         with panel(1, "The robot and its prediction"):
             self._caption = text("", "quiet one-line")
             self._legend = ui.html(sanitize=False).classes("legend")
-            self._path = (
-                ui.plotly({"data": []}).classes("grow").props('role=img aria-label="Path, measured and predicted"')
-            )
+            self._path = ui.plotly({"data": []}).classes("grow")
+            self._path.props('role=img aria-label="Path, measured and predicted"')
             self._curves = ui.plotly({"data": []}).classes("grow").props('role=img aria-label="States along time"')
             with ui.element("div").classes("row tight"):
                 button("◀", lambda: self._move(-1), "←", hint="previous start")
-                self._slider = set_accessible_name(
-                    ui.slider(min=0, max=1, value=0).props("dense"), "start of the prediction"
-                )
-                self._slider.on("update:model-value", self._on_slider, throttle=0.12)
+                slider = ui.slider(min=0, max=1, value=0).props("dense")
+                self._slider = set_accessible_name(slider, "start of the prediction")
+                slider.on("update:model-value", lambda event: on_start(int(event.args)), throttle=0.12)
                 button("▶", lambda: self._move(1), "→", hint="next start")
                 button("Worst", on_worst, "w", hint="start with the largest error in the selection")
-
-    def _on_slider(self, event: events.GenericEventArguments) -> None:
-        self._on_start(int(event.args))
 
     def _move(self, by: int) -> None:
         self._on_start(int(self._slider.value) + by)
@@ -137,35 +132,27 @@ def path_figure(session: Session, excerpt: Excerpt, theme: ColourTheme) -> dict[
     names = session.comparison.windows.system.state_names
     x, y = (names.index(name) for name in POSITION)
     thin = excerpt.full_path[:: max(1, len(excerpt.full_path) // 800)]
-    data = [_trace(thin[:, 0], thin[:, 1], theme.dim, 1.0, "whole run", hover=False)]
+    unnamed = {"hoverinfo": "skip", "hovertemplate": None}
+    data = [_trace(thin[:, 0], thin[:, 1], theme.dim, 1.0, "whole run", **unnamed)]
     data.append(_trace(excerpt.measured[:, x], excerpt.measured[:, y], theme.measured, 3.5, "measured"))
     for number, (label, _, states) in enumerate(excerpt.predicted):
         colour, width, dash = _line_style(session, number, theme)
         data.append(_trace(states[:, x], states[:, y], colour, width, label, dash))
     now = excerpt.predicted[0][2][0]
     dot = {"size": 9, "color": theme.measured, "line": {"width": 2, "color": theme.grid}}
-    data.append({"type": "scatter", "mode": "markers", "x": [float(now[x])], "y": [float(now[y])], "marker": dot,
-                 "hovertemplate": "start<extra></extra>"})  # fmt: skip
+    start = "start<extra></extra>"
+    data.append(markers([float(now[x])], [float(now[y])], dot, hovertemplate=start))
     near = np.concatenate(
         [excerpt.measured[:, [x, y]], *(states[:, [x, y]] for _, _, states in excerpt.predicted[-1:])]
     )
     near = near[np.isfinite(near).all(axis=1)]
     middle = 0.5 * (near.max(axis=0) + near.min(axis=0))
     half = max(_MIN_HALF_WIDTH, 0.62 * float(np.ptp(near, axis=0).max()))
-    layout = figure_layout(
-        theme,
-        dragmode=False,
-        xaxis=axis(theme, "x [m]", range=[float(middle[0] - half), float(middle[0] + half)], constrain="domain"),
-        yaxis=axis(
-            theme,
-            "y [m]",
-            range=[float(middle[1] - half), float(middle[1] + half)],
-            scaleanchor="x",
-            constrain="domain",
-        ),
-        margin={"l": 66, "r": 8, "t": 6, "b": 38},  # fixed for wide tick labels: automargin oscillates with scaleanchor
-    )
-    return {"data": data, "layout": layout, "config": CONFIG}
+    near_x, near_y = ([float(centre - half), float(centre + half)] for centre in middle)
+    across = axis(theme, "x [m]", range=near_x, constrain="domain")
+    up = axis(theme, "y [m]", range=near_y, scaleanchor="x", constrain="domain")
+    room = {"l": 66, "r": 8, "t": 6, "b": 38}  # fixed for wide tick labels: automargin oscillates with scaleanchor
+    return figure(theme, data, dragmode=False, xaxis=across, yaxis=up, margin=room)
 
 
 def curves_figure(session: Session, excerpt: Excerpt, theme: ColourTheme) -> dict[str, Any]:
@@ -173,12 +160,8 @@ def curves_figure(session: Session, excerpt: Excerpt, theme: ColourTheme) -> dic
     states = session.comparison.windows.system.state
     shown = [index for index, state in enumerate(states) if not (len(excerpt.full_path) and state.name in POSITION)]
     data = []
-    layout = figure_layout(
-        theme,
-        dragmode=False,
-        grid={"rows": len(shown), "columns": 1, "pattern": "independent", "ygap": 0.2},
-        margin={"l": 56, "r": 8, "t": 6, "b": 36},
-    )
+    layout: dict[str, Any] = {"margin": {"l": 56, "r": 8, "t": 6, "b": 36}}
+    layout["grid"] = {"rows": len(shown), "columns": 1, "pattern": "independent", "ygap": 0.2}
     for row, index in enumerate(shown):
         suffix = "" if row == 0 else str(row + 1)
         axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
@@ -191,7 +174,7 @@ def curves_figure(session: Session, excerpt: Excerpt, theme: ColourTheme) -> dic
                                         range=[float(excerpt.t[0]), float(excerpt.t[-1])])  # fmt: skip
         layout[f"yaxis{suffix}"] = axis(theme, f"{states[index].name} [{states[index].unit}]", nticks=4,
                                         range=_range(excerpt, index))  # fmt: skip
-    return {"data": data, "layout": layout, "config": CONFIG}
+    return figure(theme, data, dragmode=False, **layout)
 
 
 def _range(excerpt: Excerpt, index: int) -> list[float]:
@@ -211,15 +194,8 @@ def _line_style(session: Session, number: int, theme: ColourTheme) -> tuple[str,
     return (theme.given, 2.0, "dash") if number == 0 else (theme.between, 1.2, "dot")
 
 
-def _trace(x: FloatArray, y: FloatArray, colour: str, width: float, name: str, dash: str = "solid",
-           *, hover: bool = True) -> dict[str, Any]:  # fmt: skip
-    trace = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [float(f"{value:.5g}") if np.isfinite(value) else None for value in x.tolist()],
-        "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y.tolist()],
-        "line": {"color": colour, "width": width, "dash": dash},
-        "name": name,
-        "hovertemplate": f"{name}<br>%{{x:.2f}}, %{{y:.2f}}<extra></extra>",
-    }
-    return trace if hover else {**trace, "hoverinfo": "skip", "hovertemplate": None}
+def _trace(
+    x: FloatArray, y: FloatArray, colour: str, width: float, name: str, dash: str = "solid", **more: Any
+) -> dict[str, Any]:
+    hover = f"{name}<br>%{{x:.2f}}, %{{y:.2f}}"
+    return curve(json_numbers(x), json_numbers(y), colour, width, hover, dash=dash, name=name, **more)
