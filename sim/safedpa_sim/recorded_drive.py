@@ -70,8 +70,7 @@ def _simulating() -> list[str]:
 
 
 def _perception(tape: RobotTape, options: argparse.Namespace) -> list[AbstractNode]:
-    """Returns the perception node, with its settings at the beginning of the drive, for a robot with a laser
-    scanner."""
+    """Returns the perception node, with its settings at the beginning of the drive, of a robot with a laser."""
     if not options.laser:
         return []
     setup = _setup(tape, PerceptionNode.name)

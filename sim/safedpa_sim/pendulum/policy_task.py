@@ -42,8 +42,7 @@ from safedpa_sim.training.networks.modules import AffineNetworks
 
 Tensor = torch.Tensor
 _EPSILON: Final = 0.018
-"""rad; close to the filter's margin. A pendulum that is pushed against the filter rests epsilon / eta inside the
-edge."""
+"""rad; close to the filter's margin. Pushed against the filter, a pendulum rests epsilon / eta inside the edge."""
 _FIRST: Final = 0.6
 """rad; largest initial angle, at rest."""
 _DRAWN_AGAIN: Final = (1.0, 0.1, 0.03)

@@ -1,5 +1,4 @@
-"""Constants, barrier and filter settings of the pendulum experiments; values that the paper omits are marked
-assumed."""
+"""Constants, barrier and filter settings of the pendulum experiments; what the paper omits is marked assumed."""
 
 from __future__ import annotations
 
@@ -31,8 +30,7 @@ _CLOSE, _SLOW = radians(5.0), 1.0
 UPRIGHT: Final = 2 * pi
 """rad; the goal of the second experiment, reached the long way round."""
 AHEAD: Final = 0.25
-"""s; look-ahead time of the barrier. At mass length^2 / friction, the torque at its edge only balances gravity and
-wind."""
+"""s; look-ahead time of the barrier. At mass length^2 / friction, the torque at its edge balances gravity and wind."""
 FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
 """Degrees; directions of the winds that the Fix models are trained in."""
 

@@ -10,8 +10,7 @@ from safedpa.bus import STATE, Bus
 from safedpa.errors import BusError
 
 _SETTLE_SECONDS = 0.5
-"""Time for discovery: two peers that joined through a third one see each other after some 10 ms, seldom after 200
-ms."""
+"""Time for discovery: peers that joined through a third one see each other after some 10 ms, seldom after 200."""
 _LOOK_SECONDS = 0.1
 """A robot publishes its state at least this often in lockstep, and more often in real time."""
 

@@ -24,8 +24,7 @@ _STEP = 0.05
 
 @final
 class SimulatedSensors:
-    """The laser scanners and people of one car. ``glass`` holds the indices of polygons that are transparent to
-    rays."""
+    """The laser scanners and people of one car. ``glass`` holds the indices of polygons that rays pass through."""
 
     def __init__(
         self,

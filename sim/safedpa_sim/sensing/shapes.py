@@ -59,8 +59,7 @@ def _corners(low_x: float, high_x: float, low_y: float, high_y: float) -> Polygo
 
 
 def cast(outline: Outline, x: float, y: float, angles: FloatArray) -> FloatArray:
-    """Returns the distance [m] from (x, y) to the first hit along each of ``angles`` (rays,) [rad]; infinity if
-    none."""
+    """Returns the distance [m] from (x, y) to the first hit along each of ``angles`` (rays,) [rad], or infinity."""
     ahead, aside = np.cos(angles), np.sin(angles)
     return np.minimum(_to_edges(outline.edges, x, y, ahead, aside), _to_circles(outline.discs, x, y, ahead, aside))
 

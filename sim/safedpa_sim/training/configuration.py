@@ -141,8 +141,7 @@ class Phase3:
     learning_rate: float = limited(2e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     anchor: float = limited(0.003, 0.0)
-    """Weight of |phi - mu(e)|^2 in the corrected simulator; keeps the latent close to the one the policy was trained
-    on."""
+    """Weight of |phi - mu(e)|^2 in the corrected simulator; keeps the latent close to what the policy trained on."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +163,7 @@ class PracticeSettings:
     """Cost of a contact when the best policy of a training is selected by return - cost x contacts on development
     drives. With 0 the policy is selected by the share of drives that reach the goal."""
     penalties: tuple[float, ...] = ()
-    """Penalty grid of RMA-P: one policy per penalty, the best is selected as above. Empty: ``ablations.penalty``
-    only."""
+    """Penalty grid of RMA-P: one policy per penalty, the best is selected as above. Empty: ``ablations.penalty``."""
 
     def __post_init__(self) -> None:
         for value in self.penalties:
@@ -175,8 +173,7 @@ class PracticeSettings:
 
 @dataclass(frozen=True)
 class Ablations:
-    """Settings of f and g without a latent: Fix, trained with all effects neutral, and Mix, trained in all
-    environments."""
+    """Settings of f and g without a latent: Fix, trained with neutral effects, and Mix, in all environments."""
 
     pairs: int = limited(5_000_000, 1)
     hidden: int = limited(128, 1, 4096)

@@ -146,8 +146,7 @@ def _punished(penalty: float, source: str = _LEARNED) -> TrainingStage:
 
 
 def _grid(penalties: tuple[float, ...]) -> tuple[TrainingStage, ...]:
-    """Returns the car's ablations: Fix, Mix, PPO on Mix, RMA-P for each penalty, and the best RMA-P with its own
-    phi."""
+    """Returns the car's ablations: Fix, Mix, PPO on Mix, RMA-P for each penalty, and the best one with its own phi."""
     members = tuple(_punished(penalty, _SIMULATED) for penalty in penalties)
     best = _with_penalty("rma_p", _SIMULATED, _best_of(members))
     return (_alone("fix", {}), _alone("mix"), _PPO, *members, replace(best, drops=(*_POLICY, "phi.")))

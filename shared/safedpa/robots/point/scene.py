@@ -77,8 +77,7 @@ class PointScene(AbstractScene):
             return f"scene ({error})"
 
     def _stopping(self, state: FloatArray | None) -> FloatArray:
-        """Returns the manoeuvre's (thrust [N], turn [rad/s]) at ``state``; the resting action if the state is
-        unknown."""
+        """Returns the manoeuvre's (thrust [N], turn [rad/s]) at ``state``, the resting action at an unknown one."""
         motion, barrier = self._motion, self._barrier
         if state is None or motion is None:
             return self._settings.resting_action

@@ -55,8 +55,7 @@ class ContactCounter:
         self._names[shape] = name
 
     def lasts(self, part: str, what: str) -> bool:
-        """Returns whether ``part`` touches ``what`` or did within the last 0.2 s, so that a new touch is not
-        counted."""
+        """Returns whether ``part`` touches ``what`` or did within 0.2 s, so that a new touch is not counted."""
         return self._lasts((part, what))
 
     def _lasts(self, pair: tuple[str, str]) -> bool:

@@ -1,5 +1,4 @@
-"""Loads that the car can tow: square objects on a rigid drawbar, dragged over the floor on four feet and two
-runners."""
+"""Loads that the car can tow: square objects on a rigid drawbar, dragged over the floor on feet and runners."""
 
 from __future__ import annotations
 

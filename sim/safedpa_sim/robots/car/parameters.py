@@ -22,8 +22,7 @@ class ThrottleParameters:
 
 @dataclass(frozen=True)
 class CarParameters:
-    """A 1:10 car; lengths are from the rear axle's centre, forward positive. Values are assumed, typical of such
-    cars."""
+    """A 1:10 car; lengths are from the rear axle's centre, forward positive. Values are assumed, as of such cars."""
 
     mass: float = 2.5
     """kg."""

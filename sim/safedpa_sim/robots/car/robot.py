@@ -1,5 +1,4 @@
-"""The simulated car as a robot, independent of the bus: state messages, action guard, watchdog, goals and
-collisions."""
+"""The simulated car as a robot, independent of the bus: state messages, watchdog, goals and collisions."""
 
 from __future__ import annotations
 

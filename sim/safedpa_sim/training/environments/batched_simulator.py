@@ -139,8 +139,7 @@ class BatchedSimulator:
         return self.model.advance(state, action, memory, environment)
 
     def _advance_in_numpy(self, state: Tensor, action: Tensor, environment: Tensor) -> Tensor:
-        """Evaluates the recorded equations on NumPy arrays (entries, robots), chunk by chunk: 4 x as fast on one
-        core."""
+        """Evaluates the recorded equations on NumPy arrays (entries, robots) by chunks: 4 x as fast on one core."""
         assert self._arrays is not None
         after = np.empty(tuple(state.shape), dtype=np.float32)
         given = [np.ascontiguousarray(part.numpy().T) for part in (state, action, environment)]

@@ -93,8 +93,7 @@ def _footprint_radii(random: np.random.Generator, count: int) -> AnyFloatArray:
 def _ends(
     random: np.random.Generator, radius: AnyFloatArray, half: AnyFloatArray, crossing: BoolArray
 ) -> tuple[AnyFloatArray, AnyFloatArray]:
-    """Draws start (n, 3) and goal (n, 2): from south to north across the middle, or anywhere at least ``_LEG``
-    apart."""
+    """Draws start (n, 3) and goal (n, 2): from south to north across the middle, or anywhere ``_LEG`` apart."""
     count = len(radius)
     inner = (half - radius - _WALL_CLEARANCE)[:, np.newaxis, np.newaxis]
     positions = inner * random.uniform(-1.0, 1.0, (count, _TRIES + 1, 2))

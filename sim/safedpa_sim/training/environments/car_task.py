@@ -169,8 +169,7 @@ class DrivingTask:
         self._middle, self._scale = weights["action_middle"], weights["action_scale"]
         self._pool = draw_scenes(self._random, min(16 * count, _POOL), loads=practice.loads)
         self.body: Float32Array | None = None if practice.footprint else np.array(FOOTPRINTS[0], np.float32)
-        """(3,) rear, front, radius [m] that the policy observes instead of the actual footprint; None for the
-        actual."""
+        """(3,) rear, front, radius [m] that the policy observes instead of the actual footprint; None: that one."""
         self.scene: ScenePool = self._pool.taken(np.zeros(count, dtype=np.int64))
         self.state: Float32Array = np.zeros((count, 4), dtype=np.float32)
         self.applied: Float32Array = np.zeros((count, 2), dtype=np.float32)

@@ -48,8 +48,7 @@ class BatchedEnvironment(Protocol):
         """Returns the observations (count, observations) of the robots with the given indices, by default of all."""
 
     def exploring(self, random: np.random.Generator) -> Float32Array:
-        """Returns random actions (count, actions) in [-1, 1], from which the scales of the observations are
-        computed."""
+        """Returns random actions (count, actions) in [-1, 1], by which the observations are scaled."""
 
     def advance(self, chosen: Float32Array) -> PeriodResult:
         """Simulates one period under ``chosen`` (count, actions), each entry in [-1, 1] over the range of commands."""
@@ -76,8 +75,7 @@ class PolicyTask(Protocol):
     def evaluate(
         self, configuration: Configuration, weights: Weights, *, cars: int, seed: int, with_filter: bool
     ) -> dict[str, Any]:
-        """Evaluates one noise-free episode of ``cars`` robots: ``success``, ``contacts``, ``nearest`` and
-        ``reward``."""
+        """Evaluates one noise-free episode of ``cars`` robots: ``success``, ``contacts``, ``nearest``, ``reward``."""
 
     def random_drives(
         self,
@@ -88,8 +86,7 @@ class PolicyTask(Protocol):
         change: float,
         generator: torch.Generator,
     ) -> TransitionSequence:
-        """Simulates ``count`` robots under random actions; environments change with probability ``change`` per
-        period."""
+        """Simulates ``count`` robots under random actions; ``change``: of the environment, probability per period."""
 
 
 TASKS: Final = {

@@ -146,8 +146,7 @@ def _actions_effect(graph: _Graph, weights: Weights, seen: str) -> str:
 
 
 def _f(weights: Weights) -> Any:
-    """Builds f in SI units: the offset of the action scaling is moved from G into f, so that f + g a needs no
-    scales."""
+    """Builds f in SI units: the offset of the action scaling moves from G into f, so that f + g a needs no scales."""
     graph = _Graph("f")
     seen = _features(graph, weights)
     scaled = graph.add("Mul", graph.dense(seen, weights, "f", "Relu"), graph.constant(weights["increment_scale"]))

@@ -173,8 +173,7 @@ class _AffineTraining:
 
 
 def _environment(cars: BatchedSimulator, alone: Mapping[str, float]) -> torch.Tensor:
-    """Returns the environment (entries,) with the given values by path; InputError for a path that is not
-    randomised."""
+    """Returns the environment (entries,) with these values by path; InputError for a path that is not randomised."""
     paths = [entry.path for entry in cars.entries]
     for path in alone:
         if path not in paths:

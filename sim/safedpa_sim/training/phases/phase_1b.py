@@ -186,8 +186,7 @@ class _PolicyTraining:
             self._resume(known)
 
     def _make_robots(self, done: int) -> BatchedEnvironment:
-        """Returns the robots to train on; the steps ``done`` shift the seed, so that a resumed training does not
-        repeat."""
+        """Returns the robots to train on; the steps ``done`` shift the seed, so that a resumed training is another."""
         configuration, count = self.configuration, self.phase.cars
         rules: dict[str, Any] = {"penalty": self.penalty, "with_filter": self.with_filter}
         return self.task.make_environment(configuration, self.weights, count, configuration.seed + done, **rules)

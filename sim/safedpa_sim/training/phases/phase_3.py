@@ -63,8 +63,7 @@ _CHANGE = 0.005
 _JUDGED = 10
 """Number of evaluations of the held-out error during training."""
 _ROLLOUT_WEIGHT = 2.0
-"""Weight of rollouts relative to single steps. Only few updates have rollouts: they take four times as long as the
-rest."""
+"""Weight of rollouts relative to single steps. Few updates have rollouts: they take four times as long as the rest."""
 _SAMPLES = 5000
 _STARTS = 256
 """Rollouts per evaluation of the held-out error."""

@@ -41,13 +41,11 @@ _CHUNK: Final = 32
 _HELD: Final = 0.04
 """Probability per period that a random driver changes its nominal action."""
 _BRAKING: Final = 8.0
-"""Gain [1/s] of the speed controller of half of the drivers, from speed error to acceleration; they also come to
-rest."""
+"""Gain [1/s] of the speed controller of half of the drivers, from speed error to acceleration; they also stop."""
 _SMALLER: Final = 2
 """Divisor of phase 1a's batch size: this task needs more updates."""
 _FASTER: Final = 5.0
-"""Factor on phase 1a's learning rate: at that rate the wind along the heading (z times magnetometer) is learned too
-late."""
+"""Factor on phase 1a's learning rate: at that one the wind along the heading (z times magnetometer) is learned late."""
 _FELT: Final = 0.03
 """Loss weight of the accelerometer: half of its lateral reading is not affine in the action and would dominate."""
 _REPORTED: Final = 50

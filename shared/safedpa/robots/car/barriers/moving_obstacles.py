@@ -129,8 +129,7 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
 
     @staticmethod
     def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Returns h of a disc: x, y, required distance [m], its speed, and the speed that counts behind the car
-        [m/s]."""
+        """Returns h of a disc: x, y, required distance [m], its speed, and the one that counts behind the car [m/s]."""
         x, y, reach, fastest, fastest_behind = given.each
         rear, front, _, _, soft, corner, hard, _, creeps, _, _ = given.shared[:_OWN]
         body = body_of(_of_body(given), operations)
@@ -154,8 +153,7 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
 
     @staticmethod
     def grad_bound(given: Given, operations: Operations) -> Sequence[Scalar]:
-        """Returns the bounds of the body, or of the reversal braking if larger, plus the change of the stopping
-        time."""
+        """Returns the bounds of the body, or of the reversal braking if larger, plus the stopping time's change."""
         _, _, _, _, soft, corner, hard, fastest, creeps, thick, beyond = given.shared[:_OWN]
         place, _, arm, change, *rest = steepest_of_body(_of_body(given), operations)
         low, high = _ends(given, operations)

@@ -83,8 +83,7 @@ class GoalSeekerSettings:
     room_seconds: float = 4.0
     """Longest time of make_room; then something is behind the car, and it tries a detour."""
     rooms: int = 3
-    """Number of make_room attempts per goal; after that, each is followed by a detour because the obstruction
-    persists."""
+    """Number of make_room attempts per goal; after that, each is followed by a detour, as the obstruction persists."""
     turning_bearing: float = 1.3
     """rad; for a goal at a larger bearing the car turns round in several moves."""
     turning_moves: int = 6

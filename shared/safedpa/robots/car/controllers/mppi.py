@@ -108,8 +108,7 @@ class PlannerSettings:
 
 @final
 class DriveCosts:
-    """The cost of trajectories in a scene: obstacles (m, 3) [m], field (4,), capsule footprint (rear, front,
-    radius)."""
+    """The cost of trajectories in a scene: obstacles (m, 3) [m], field (4,), footprint (rear, front, radius)."""
 
     def __init__(
         self,
@@ -169,8 +168,7 @@ class Planner:
         self._last: StateMessage | None = None
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Returns target speed [m/s] and steer [rad] of the plan's first knot. Raises MessageError for an invalid
-        state."""
+        """Returns target speed [m/s] and steer [rad] of the plan's first knot. Raises MessageError for a bad state."""
         costs = self._scene_costs(state)
         costs.to_go.relax(self.settings.sweeps)
         self._note_surprise(state, latent)
@@ -257,8 +255,7 @@ class Planner:
         return self._costs
 
     def _held(self, speed: float, steer: float) -> FloatArray:
-        """Returns knots (knots, 2) of a constant action: shares of the largest speed forwards or backwards, and
-        steer."""
+        """Returns knots (knots, 2) of a constant action: shares of the largest speed in that direction, and steer."""
         chosen = self.settings
         target = speed * chosen.fastest_target if speed >= 0.0 else -speed * chosen.slowest_target
         return np.tile((target, steer * chosen.steer_limit), (chosen.knots, 1))

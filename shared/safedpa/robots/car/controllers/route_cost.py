@@ -80,8 +80,7 @@ class VisibleObstacles:
         self._needs = settings.margin + way + fastest * (time + settings.late)
 
     def to_rest(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Returns the distance [m] from a body of the footprint's radius at positions (any shape) to stationary
-        discs."""
+        """Returns the distance [m] from a body of the footprint's radius at positions (any shape) to discs at rest."""
         return self._to(self.rest, x, y) - self.radius
 
     def to_moves(self, x: FloatArray, y: FloatArray) -> FloatArray:

@@ -195,8 +195,7 @@ def clearance(
 
 
 def shifts(grid: PlanningGrid, axis: int, distance: FloatArray) -> NDArray[np.float32]:
-    """Returns matrices (..., n, n) that shift a table along an axis by a distance (...) [m], with linear
-    interpolation."""
+    """Returns matrices (..., n, n) that shift a table along an axis by a distance (...) [m], interpolated linearly."""
     lines = grid.x if axis == 0 else grid.y
     low, share = grid.shares(lines + distance[..., None], axis)
     matrix = np.zeros((*low.shape, len(lines)), np.float32)
@@ -283,8 +282,7 @@ class TimeToGoMap:
         self.time.relax(_SWEEPS)
 
     def _prices(self, room: VisibleObstacles) -> FloatArray:
-        """Returns cost factors (headings, nx, ny) of the body at the grid poses, by its rear end, centre and front
-        end."""
+        """Returns cost factors (headings, nx, ny) of the body at the grid poses, by its rear, centre and front end."""
         rest = (self._across @ self._rest @ self._along).min(axis=0)
         moves = (self._across[1:] @ self._moves @ self._along[1:]).min(axis=0)
         return room.price(Clearances(rest, moves))

@@ -152,8 +152,7 @@ class CarScene(AbstractScene):
         return make_barrier_set(car_barriers(self._settings, state.footprint, state.obstacles, state.field, towed))
 
     def _moved(self, state: StateMessage) -> AbstractBarrierSet:
-        """Returns the last tick's barriers with the current position of the load; hitching changes the scene
-        instead."""
+        """Returns the last tick's barriers with the current position of the load; hitching changes the scene."""
         towed, stack = self.way.reach(state), self._stack
         if towed is None or not isinstance(stack, CompiledBarrierSet):
             return stack

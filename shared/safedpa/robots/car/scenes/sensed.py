@@ -200,8 +200,7 @@ def _of_least_h(
 
 
 def _who_may_touch(h: Sequence[float], named: Callable[[int], str]) -> str:
-    """Returns which of the movers, followed by the hidden positions, may reach the car before it stops; empty if
-    none."""
+    """Returns which of the movers and hidden positions may reach the car before it stops; empty if none."""
     least = min(h, default=0.0)
     if least >= 0.0:
         return ""
