@@ -13,7 +13,7 @@ from tests.workbench.tab import Tab
 
 from safedpa.bus import Answer
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench import page
+from safedpa_services.workbench import page, tab
 from safedpa_services.workbench.live.bus_link import QueryResult
 from safedpa_services.workbench.live.page import LivePage
 from safedpa_services.workbench.live.store import RobotHistory
@@ -158,7 +158,7 @@ def test_an_error_message_of_the_workbench_pops_up_for_no_longer_than_ten_second
             callbacks.append(on_event)
 
     callbacks: list[Any] = []
-    monkeypatch.setattr(page, "prefers_dark_mode", light)
+    monkeypatch.setattr(tab, "prefers_dark_mode", light)
     controller = Recorded(InputSelection(), tmp_path)
     controller.error_message = "the worker was ended: start it again"
 

@@ -9,6 +9,7 @@ from nicegui import Client, ui
 
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench import page
+from safedpa_services.workbench import tab as tab_module
 from safedpa_services.workbench.live import page as live_page
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
 from safedpa_services.workbench.session.controller import SessionController
@@ -28,7 +29,7 @@ def test_an_error_in_one_tab_is_kept_and_the_others_hear(tmp_path, caplog):
     assert "planted at busy" in caplog.text
 
 
-def _open(build, module, monkeypatch, finished, *, leaves):
+def _open(build, monkeypatch, finished, *, leaves):
     """Builds a tab and begins it; with ``leaves`` its browser closes while it is asked for its colour scheme."""
 
     async def story():
@@ -39,7 +40,7 @@ def _open(build, module, monkeypatch, finished, *, leaves):
                 client.delete()
             return False
 
-        monkeypatch.setattr(module, "prefers_dark_mode", asked)
+        monkeypatch.setattr(tab_module, "prefers_dark_mode", asked)
         with client:
             tab = build()
             client.on_delete(tab.close)
@@ -71,12 +72,12 @@ def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, m
     def build():
         return page.WorkbenchPage(controller, RerunViewerServer(), FileStore.of((), ()))
 
-    _open(build, page, monkeypatch, finished, leaves=True)
+    _open(build, monkeypatch, finished, leaves=True)
     controller.add_listener("another", heard.append)
     controller.cancel()
     assert controller.listeners == ["another"]
     assert heard == ["busy"]
-    client = _open(build, page, monkeypatch, finished, leaves=False)
+    client = _open(build, monkeypatch, finished, leaves=False)
     assert len(controller.listeners) == 2, "one that stays does listen"
     client.delete()
     assert controller.listeners == ["another"]
@@ -86,5 +87,5 @@ def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, m
 def test_a_live_tab_that_went_shows_nothing(leaves, monkeypatch, finished):
     link, shown = SimpleNamespace(pages_to_notify=set()), []
     monkeypatch.setattr(live_page.LivePage, "show", lambda made: shown.extend([made]))
-    _open(lambda: live_page.LivePage(link), live_page, monkeypatch, finished, leaves=leaves)
+    _open(lambda: live_page.LivePage(link), monkeypatch, finished, leaves=leaves)
     assert len(shown) == len(link.pages_to_notify) == (0 if leaves else 1)

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 
 from safedpa.errors import SafedpaError
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.open_dialog.dialog import OpenDialog
-from safedpa_services.workbench.panels.browser import prefers_dark_mode, run_script
 from safedpa_services.workbench.panels.candidates import CandidatesPanel
-from safedpa_services.workbench.panels.elements import button, escaped, text
+from safedpa_services.workbench.panels.elements import button, escaped
 from safedpa_services.workbench.panels.error_map import ErrorMapPanel, window_near
 from safedpa_services.workbench.panels.error_reduction import ErrorReductionPanel
 from safedpa_services.workbench.panels.prediction import PredictionPanel
-from safedpa_services.workbench.panels.shortcuts import show_keys
-from safedpa_services.workbench.panels.theme import DARK, LIGHT
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
 from safedpa_services.workbench.session.controller import SessionController, SessionEvent
 from safedpa_services.workbench.session.files import SESSION_FILE
 from safedpa_services.workbench.session.selection import Selection
 from safedpa_services.workbench.session.session import Session
+from safedpa_services.workbench.tab import AbstractTab, run_script
 
 
-class WorkbenchPage:
+class WorkbenchPage(AbstractTab):
     """One browser tab. Each tab has its own view (selection, start, axes) of the session that all tabs share."""
+
+    title = "safedpa workbench"
+    repeated_keys = ("ArrowLeft", "ArrowRight")
 
     def __init__(
         self,
@@ -37,56 +37,41 @@ class WorkbenchPage:
         *,
         live: bool = False,
     ) -> None:
-        self._controller, self._viewer_server, self._live, self._upload_store = (
-            controller,
-            viewer_server,
-            live,
-            upload_store,
-        )
+        self._controller, self._viewer_server, self._live = controller, viewer_server, live
         self._session: Session | None = None
         """This tab's view of the shared session."""
-        self._closed = False
-        self._theme = LIGHT
-        self._build()
-
-    def _build(self) -> None:
-        self._dark = ui.dark_mode(None)
-        ui.keyboard(self._pressed, ignore=["input", "select", "textarea"], repeating=True)
-        with ui.element("main").classes("workbench"):
-            ui.html('<a class="skip" href="#column-3">Skip to the candidates</a>', sanitize=False)
-            with ui.element("header").classes("top"):
-                text("safedpa workbench", tag="h1")
-                self._what = text("", "what")
-                button("Rerun", self._rerun, "r", hint="show the same moment in Rerun's viewer")
-                button("Open", self._show_open_dialog, "o", hint="choose a model and recordings")
-                if self._live:
-                    button("Live", lambda: ui.navigate.to("/live"), "l", hint="show the robots that are running now")
-                button("Dark", self._toggle_dark, "d", hint="switch between dark and light page")
-                button("Keys", show_keys, "?", hint="list of keyboard shortcuts")
-            self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
-            self._progress = (
-                ui.linear_progress(0.0, show_value=False).classes("progress").props('aria-label="progress"')
-            )
-            with ui.element("div").classes("columns") as self._columns:
-                self._prediction = PredictionPanel(self._start_at, self._worst)
-                self._error_map = ErrorMapPanel(self._set_axes, self._select, self._start_near, self._select_cell)
-                self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
-                self._error_reduction = ErrorReductionPanel(self._look_at, self._undo, self._save)
-        self._dialog = OpenDialog(self._controller.open, self._controller.out, self._upload_store)
+        super().__init__()
+        self._dialog = OpenDialog(controller.open, controller.out, upload_store)
         self._columns.set_visibility(False)
         self._show_busy()
 
+    def build_header(self) -> None:
+        """Builds the buttons of this page."""
+        button("Rerun", self._rerun, "r", hint="show the same moment in Rerun's viewer")
+        button("Open", self._show_open_dialog, "o", hint="choose a model and recordings")
+        if self._live:
+            button("Live", lambda: ui.navigate.to("/live"), "l", hint="show the robots that are running now")
+
+    def build(self) -> None:
+        """Builds the four columns."""
+        self._progress = ui.linear_progress(0.0, show_value=False).classes("progress")
+        self._progress.props('aria-label="progress"')
+        with ui.element("div").classes("columns") as self._columns:
+            self._prediction = PredictionPanel(self._start_at, self._worst)
+            self._error_map = ErrorMapPanel(self._set_axes, self._select, self._start_near, self._select_cell)
+            self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
+            self._error_reduction = ErrorReductionPanel(self._look_at, self._undo, self._controller.save)
+
     def close(self) -> None:
         """Called when the tab was closed; the controller keeps running."""
-        self._closed = True
+        super().close()
         self._controller.remove_listener(self)
 
     async def begin(self) -> None:
         """Shows the open session, or opens the inputs of the command line, or shows the Open dialog."""
-        dark = await prefers_dark_mode()
-        if self._closed:  # closed during the await: a listener added now would never be removed
+        await super().begin()
+        if self._closed:  # a listener added now would never be removed
             return
-        self._set_dark(dark)
         self._controller.add_listener(self, self._on_event)
         if self._controller.session is not None:
             self._on_event("opened")
@@ -127,14 +112,16 @@ class WorkbenchPage:
         saved_in = f"saved in {self._controller.folder / SESSION_FILE}"
         self._what.set_content(escaped(f"{session.title} · {recordings}, {seconds:.0f} s · {saved_in}"))
         self._columns.set_visibility(True)
-        self._show()
+        self.show()
+        self._show_candidates()
         self._show_busy()
         self._show_saving()
 
     def _on_versions(self) -> None:
         if self._session is not None:
             self._session.shown = None
-            self._show()
+            self.show()
+            self._show_candidates()
             self._show_saving()
 
     def _show_busy(self) -> None:
@@ -144,9 +131,8 @@ class WorkbenchPage:
         self._candidates.show_progress(f"{title}: {100 * share:.0f} %" if title else "")
 
     def _show_saving(self) -> None:
-        self._error_reduction.show_save_status(
-            self._controller.warning, self._controller.saving, self._controller.notice
-        )
+        controller = self._controller
+        self._error_reduction.show_save_status(controller.warning, controller.saving, controller.notice)
 
     def _show_error(self) -> None:
         error_message = self._controller.error_message
@@ -169,15 +155,11 @@ class WorkbenchPage:
         if notice:
             ui.notify(notice)
 
-    async def _save(self) -> None:
-        await self._controller.save()
-
     def _cancel(self) -> None:
         self._controller.cancel()
         if self._session is not None:
-            self._verdict.set_content(
-                escaped(self._session.verdict) + " The search was cancelled; press f to continue it."
-            )
+            verdict = escaped(self._session.verdict)
+            self._verdict.set_content(f"{verdict} The search was cancelled; press f to continue it.")
 
     async def _rerun(self) -> None:
         if self._session is None:
@@ -194,59 +176,58 @@ class WorkbenchPage:
 
     # looking
 
-    def _share_view(self) -> None:
-        """Copies this view to the shared session: a new tab, or this one after a reload, starts with it."""
-        if self._session is not None and self._controller.session is not None:
+    def _change_view(self, change: Callable[[Session], None], show: Callable[[Session], None]) -> None:
+        """Changes this tab's view and redraws a part of it; nothing happens before a session is open.
+
+        The shared session gets the view, too: a new tab, or this one after a reload, starts with it.
+        """
+        if self._session is None:
+            return
+        change(self._session)
+        if self._controller.session is not None:
             self._controller.session.copy_view_settings(self._session)
+        show(self._session)
 
     def _start_at(self, window: int) -> None:
-        if self._session is not None:
-            last = len(self._session.comparison.windows) - 1
-            self._session.start = max(0, min(last, window))
-            self._share_view()
-            self._prediction.show(self._session, self._theme)
-            self._error_map.show_time(self._session, self._theme)
+        self._change_view(lambda session: session.start_at(window), self._show_start)
+
+    def _move_start(self, by: int) -> None:
+        self._change_view(lambda session: session.start_at(session.start + by), self._show_start)
 
     def _worst(self) -> None:
-        if self._session is not None:
-            self._start_at(self._session.worst_start())
+        self._change_view(lambda session: session.start_at(session.worst_start()), self._show_start)
 
     def _start_near(self, t: float) -> None:
-        if self._session is not None:
-            self._start_at(window_near(self._session, t))
+        self._change_view(lambda session: session.start_at(window_near(session, t)), self._show_start)
+
+    def _select(self, selection: Selection | None) -> None:
+        self._change_view(lambda session: session.select(selection), self._show_selection)
 
     def _select_cell(self, x: float, y: float) -> None:
-        if self._session is not None:
-            self._select(self._session.map().cell(x, y))
+        self._change_view(lambda session: session.select(session.map().cell(x, y)), self._show_selection)
 
     def _set_axes(self, x: str, y: str) -> None:
         if self._session is not None and (x, y) != self._session.axes:
-            self._session.axes = (x, y)
-            self._share_view()
-            self._error_map.show(self._session, self._theme)
-
-    def _select(self, selection: Selection | None) -> None:
-        if self._session is not None:
-            self._session.select(selection)
-            self._share_view()
-            self._error_map.show(self._session, self._theme)
-            self._prediction.show(self._session, self._theme)
+            self._change_view(
+                lambda session: session.set_axes(x, y), lambda session: self._error_map.show(session, self._theme)
+            )
 
     def _look_at(self, number: int) -> None:
-        if self._session is not None:
-            self._session.show_version(number)
-            self._share_view()
-            self._show(candidates=False)
+        self._change_view(lambda session: session.show_version(number), lambda _session: self.show())
 
-    def _show(self, *, candidates: bool = True) -> None:
-        session = self._session
-        if session is None:
-            return
+    def _show_start(self, session: Session) -> None:
         self._prediction.show(session, self._theme)
+        self._error_map.show_time(session, self._theme)
+
+    def _show_selection(self, session: Session) -> None:
         self._error_map.show(session, self._theme)
-        self._error_reduction.show(session)
-        if candidates:
-            self._show_candidates()
+        self._prediction.show(session, self._theme)
+
+    def show(self) -> None:
+        """Redraws all but the candidates."""
+        if self._session is not None:
+            self._show_selection(self._session)
+            self._error_reduction.show(self._session)
 
     def _show_candidates(self) -> None:
         if self._session is not None:
@@ -254,36 +235,22 @@ class WorkbenchPage:
             self._error_reduction.show(self._session)
             self._verdict.set_content(escaped(self._session.verdict))
 
-    def _toggle_dark(self) -> None:
-        self._set_dark(self._theme is LIGHT)
-        self._show(candidates=False)
-
-    def _set_dark(self, dark: bool) -> None:
-        self._dark.set_value(dark)
-        self._theme = DARK if dark else LIGHT
-
     # keys
 
-    async def _pressed(self, event: events.KeyEventArguments) -> None:
-        modifiers = event.modifiers
-        if not event.action.keydown or modifiers.ctrl or modifiers.alt or modifiers.meta or self._dialog.is_open:
-            return
-        key = str(event.key)
-        start = 0 if self._session is None else self._session.start
-        moves = {"ArrowLeft": -1, "ArrowRight": 1}
-        if key in moves:
-            self._start_at(start + moves[key])
-        elif not event.action.repeat and key in self._keys():
-            done = self._keys()[key]()
-            if asyncio.iscoroutine(done):
-                await done
+    @property
+    def takes_keys(self) -> bool:
+        """Whether the keys act: the open dialog receives them itself."""
+        return not self._dialog.is_open
 
-    def _keys(self) -> dict[str, Callable[[], Any]]:
+    def keys(self) -> Mapping[str, Callable[[], Any]]:
+        """What each key does now."""
         return {
+            "ArrowLeft": lambda: self._move_start(-1),
+            "ArrowRight": lambda: self._move_start(1),
             "a": self._add,
             "x": self._reject,
             "u": self._undo,
-            "s": self._save,
+            "s": self._controller.save,
             "j": lambda: self._candidates.move(1),
             "k": lambda: self._candidates.move(-1),
             "m": self._error_map.worst,
@@ -293,7 +260,5 @@ class WorkbenchPage:
             "f": self._controller.start_search,
             "o": self._show_open_dialog,
             "r": self._rerun,
-            "d": self._toggle_dark,
-            "?": show_keys,
             **({"l": lambda: ui.navigate.to("/live")} if self._live else {}),
         }

@@ -9,6 +9,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from safedpa_services.workbench.page import WorkbenchPage
 from safedpa_services.workbench.panels.elements import apply_page_style
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
 from safedpa_services.workbench.session.controller import SessionController
+from safedpa_services.workbench.tab import AbstractTab
 
 _EXPOSED = "serves on {host}: other machines can request the page, and anyone with the token can change models"
 _LISTEN_SECONDS = 0.1
@@ -60,30 +62,23 @@ def serve(
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
     viewer_server, choice = RerunViewerServer(), controller.choice
     _redirect_tracebacks(controller.out / "workbench.log")
-    upload_store = FileStore.of(
-        (*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders
-    )
+    own_model = [choice.model] if Path(choice.model).is_file() else []
+    upload_store = FileStore.of((*choice.runs, *own_model), serving.folders)
     app.add_middleware(Guard, options=serving)
 
-    @ui.page("/", title="safedpa workbench")
-    async def recordings(client: Client) -> None:
-        apply_page_style(style)
-        page = WorkbenchPage(controller, viewer_server, upload_store, live=link is not None)
-        client.on_delete(page.close)
-        await client.connected()
-        await page.begin()
-
+    page = partial(WorkbenchPage, controller, viewer_server, upload_store, live=link is not None)
+    _add_page("/", WorkbenchPage.title, style, page)
     app.on_shutdown(controller.close)
     if link is not None:
-        _serve_live(link, style)
+        _add_page("/live", LivePage.title, style, partial(LivePage, link))
+        app.timer(_LISTEN_SECONDS, link.listen)
     where = serving.address("/" if link is None else "/live")
     if not is_loopback(serving.host):
         click.echo(f"Workbench: {_EXPOSED.format(host=serving.host)}", err=True)
     app.on_startup(lambda: _announce_when_ready(serving, where, announce, browser=browser))
     if stop is not None:
-        app.on_startup(
-            lambda: stop.listen_to_signals(app.shutdown)
-        )  # the web server's own signal handler would skip the end message
+        # the web server's own signal handler would skip the end message
+        app.on_startup(lambda: stop.listen_to_signals(app.shutdown))
         threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):  # the regular way to stop the server
         ui.run(
@@ -119,16 +114,16 @@ async def _announce_when_ready(
         show(where)
 
 
-def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
-    @ui.page("/live", title="safedpa workbench, live")
-    async def live(client: Client) -> None:
+def _add_page(path: str, title: str, style: str, tab: Callable[[], AbstractTab]) -> None:
+    """Serves a page; ``tab`` builds it anew for each browser tab."""
+
+    @ui.page(path, title=title)
+    async def shown(client: Client) -> None:
         apply_page_style(style)
-        page = LivePage(link)
+        page = tab()
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
-
-    app.timer(_LISTEN_SECONDS, link.listen)
 
 
 def _end_with(stop: StopSignal, link: LiveLink | ReplayLink | None) -> None:

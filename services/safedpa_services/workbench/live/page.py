@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import getpass
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import zip_longest
 from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 
 from safedpa.bus import Answer, Request
 from safedpa.systems.robots import DEFAULT_ROBOT
@@ -26,11 +25,9 @@ from safedpa_services.workbench.live.panels import (
 )
 from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.live.store import RobotHistory
-from safedpa_services.workbench.panels.browser import prefers_dark_mode, run_script
 from safedpa_services.workbench.panels.candidates import CandidatesPanel
 from safedpa_services.workbench.panels.elements import button, escaped, panel, set_accessible_name, text
-from safedpa_services.workbench.panels.shortcuts import show_keys
-from safedpa_services.workbench.panels.theme import DARK, LIGHT
+from safedpa_services.workbench.tab import AbstractTab, run_script
 
 _REDRAW_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
@@ -53,51 +50,45 @@ _CONNECTION_LOST_SCRIPT = """<script>
 browser has all scripts. Otherwise the user would see NiceGUI's own message or a blank page."""
 
 
-class LivePage:
+class LivePage(AbstractTab):
     """One browser tab of the live page; it shows one robot at a time."""
+
+    title = "safedpa workbench, live"
 
     def __init__(self, link: LiveLink | ReplayLink) -> None:
         self._link = link
         self._robot = ""
-        self._theme = LIGHT
         self._accepted: tuple[str, ...] = ()
         self._status_message = ""
         self._pending = ""
         self._earlier_models = 0
-        self._ended = False
         self._drawn_candidates: Any = None
         self._drawn_errors: Any = None
-        self._request_pending = self._closed = False
+        self._ended = self._request_pending = False
         ui.add_head_html(_CONNECTION_LOST_SCRIPT)
         link.pages_to_notify.add(self)  # before the page is built: the drive may end while it loads
-        self._build()
-
-    def _build(self) -> None:
-        self._dark = ui.dark_mode(None)
-        ui.keyboard(self._pressed, ignore=["input", "select", "textarea"])
-        with ui.element("main").classes("workbench"):
-            ui.html('<a class="skip" href="#column-3">Skip to the candidates</a>', sanitize=False)
-            with ui.element("header").classes("top"):
-                text("safedpa workbench, live", tag="h1")
-                self._source = text("", "what")
-                text("robot", "quiet")
-                self._robot_select = set_accessible_name(ui.select([], on_change=self._on_robot_chosen), "robot")
-                self._robot_select.props("dense outlined options-dense").classes("flat").style("width: 110px")
-                text("you", "quiet")
-                self._user_name = ui.input(value=_login_name()).props("dense outlined").classes("flat")
-                set_accessible_name(self._user_name, "your name, for the recording").style("width: 110px")
-                button("Recordings", lambda: ui.navigate.to("/"), "r", hint="page for recorded drives")
-                button("Dark", self._toggle_dark, "d", hint="switch between dark and light page")
-                button("Keys", show_keys, "?", hint="list of keyboard shortcuts")
-            self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
-            self._problem = text("", "verdict problem", "div").props("role=alert")
-            self._deadlock = text("", "verdict problem", "div").props('role=status aria-live=polite id="stands"')
-            with ui.element("div").classes("columns"):
-                self._panels()
-        self._problem.set_visibility(False)
-        self._deadlock.set_visibility(False)
+        super().__init__()
         ui.timer(_REDRAW_SECONDS, self.show)
         ui.timer(_STATUS_SECONDS, self.ask_status)
+
+    def build_header(self) -> None:
+        """Builds the choice of the robot and the name of the user."""
+        text("robot", "quiet")
+        self._robot_select = set_accessible_name(ui.select([], on_change=self._on_robot_chosen), "robot")
+        self._robot_select.props("dense outlined options-dense").classes("flat").style("width: 110px")
+        text("you", "quiet")
+        self._user_name = ui.input(value=_login_name()).props("dense outlined").classes("flat")
+        set_accessible_name(self._user_name, "your name, for the recording").style("width: 110px")
+        button("Recordings", lambda: ui.navigate.to("/"), "r", hint="page for recorded drives")
+
+    def build(self) -> None:
+        """Builds messages and columns."""
+        self._problem = text("", "verdict problem", "div").props("role=alert")
+        self._deadlock = text("", "verdict problem", "div").props('role=status aria-live=polite id="stands"')
+        with ui.element("div").classes("columns"):
+            self._panels()
+        self._problem.set_visibility(False)
+        self._deadlock.set_visibility(False)
 
     def _panels(self) -> None:
         with panel(1, "The robot and its prediction"):
@@ -119,21 +110,19 @@ class LivePage:
             with ui.element("div").classes("bottom"):
                 self._message = text("", "note", "div").props("role=status aria-live=polite")
                 with ui.element("div").classes("row"):
-                    self._back = button(
-                        "Roll back", self._roll_back, "u", hint="back to the model before the last change"
-                    )
+                    hint = "back to the model before the last change"
+                    self._back = button("Roll back", self._roll_back, "u", hint=hint)
         self._back.set_visibility(False)
 
     def close(self) -> None:
         """Called when the tab was closed."""
-        self._closed = True
+        super().close()
         self._link.pages_to_notify.discard(self)
 
     async def begin(self) -> None:
-        """Sets the dark or light theme that the browser prefers, and draws the page."""
-        dark = await prefers_dark_mode()
+        """Draws the page in the theme that the browser prefers."""
+        await super().begin()
         if not self._closed:
-            self._set_dark(dark)
             self.show()
 
     # showing
@@ -152,22 +141,18 @@ class LivePage:
             return
         robots = sorted(self._link.store.robots)
         if robots != self._robot_select.options:
-            self._robot_select.set_options(
-                robots, value=self._robot if self._robot in robots else next(iter(robots), None)
-            )
+            chosen = self._robot if self._robot in robots else next(iter(robots), None)
+            self._robot_select.set_options(robots, value=chosen)
         history, link = self._history, self._link
-        self._source.set_content(escaped(f"{link.title}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
+        self._what.set_content(escaped(f"{link.title}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
         if history is None:
             self._verdict.set_content(escaped(f"No message from any robot ({link.title}). Start one with: safedpa up"))
             self._show_problem(link.store.last_refusal and f"Refused: {link.store.last_refusal}")
             return
         finding = history.finding
         self._verdict.set_content(escaped(_capitalized(finding.sentence) if finding else "No finding yet."))
-        self._show_problem(
-            history.silence_message(time.monotonic())
-            or history.mismatch()
-            or (history.problems[-1] if history.problems else "")
-        )
+        latest = history.problems[-1] if history.problems else ""
+        self._show_problem(history.silence_message(time.monotonic()) or history.mismatch() or latest)
         deadlock = history.deadlock_message()
         self._deadlock.set_visibility(bool(deadlock))
         self._deadlock.set_content(escaped(deadlock))
@@ -177,20 +162,14 @@ class LivePage:
         self._drive.set_content(drive_table(history))
         self._field.update_figure(field_figure(history, self._theme))
         self._show_error(history)
-        self._message.set_content(
-            escaped(self._status_message or "All services switch to an accepted model at the same tick.")
-        )
+        usual = "All services switch to an accepted model at the same tick."
+        self._message.set_content(escaped(self._status_message or usual))
         self._show_candidates(history)
 
     def _show_error(self, history: RobotHistory) -> None:
         """Redraws the error only when it is new, once a second: these figures are the most expensive to draw."""
-        state = (
-            self._robot,
-            history.epoch,
-            history.errors[-1] if history.errors else None,
-            len(history.marks),
-            self._theme,
-        )
+        newest = history.errors[-1] if history.errors else None
+        state = (self._robot, history.epoch, newest, len(history.marks), self._theme)
         if state == self._drawn_errors:
             return
         self._drawn_errors = state
@@ -256,27 +235,25 @@ class LivePage:
         if history is None:
             return
         finding = history.finding
-        request = Request(
-            do=do,
-            effect=effect,
-            model=finding.model if finding else "",
-            finding=finding.number if finding else 0,
-            who=str(self._user_name.value or "workbench"),
-        )
+        model, number = (finding.model, finding.number) if finding else ("", 0)
+        who = str(self._user_name.value or "workbench")
+        request = Request(do=do, effect=effect, model=model, finding=number, who=who)
         result = await self._link.ask(self._robot, request)
         self._status_message = _result_message(do, result)
         ui.notify(self._status_message, type="positive" if result.ok else "negative", timeout=6000, multi_line=True)
         await self.ask_status()
 
-    async def _accept(self, effect: str = "") -> None:
+    async def _decide(self, do: str, effect: str) -> None:
+        """Requests a decision about an effect, by default that of the open card."""
         effect = effect or self._candidates.effect
         if effect:
-            await self._ask("accept", effect)
+            await self._ask(do, effect)
+
+    async def _accept(self, effect: str = "") -> None:
+        await self._decide("accept", effect)
 
     async def _reject(self, effect: str = "") -> None:
-        effect = effect or self._candidates.effect
-        if effect:
-            await self._ask("reject", effect)
+        await self._decide("reject", effect)
 
     async def _roll_back(self) -> None:
         if self._earlier_models:
@@ -291,31 +268,16 @@ class LivePage:
             self._robot = str(self._robot_select.value)
             self._accepted, self._status_message, self._drawn_candidates = (), "", None
 
-    def _toggle_dark(self) -> None:
-        self._set_dark(self._theme is LIGHT)
-
-    def _set_dark(self, dark: bool) -> None:
-        self._dark.set_value(dark)
-        self._theme = DARK if dark else LIGHT
-
-    async def _pressed(self, event: events.KeyEventArguments) -> None:
-        modifiers = event.modifiers
-        if not event.action.keydown or event.action.repeat or modifiers.ctrl or modifiers.alt or modifiers.meta:
-            return
-        keys: dict[str, Callable[[], Any]] = {
+    def keys(self) -> Mapping[str, Callable[[], Any]]:
+        """What each key does."""
+        return {
             "a": self._accept,
             "x": self._reject,
             "u": self._roll_back,
             "j": lambda: self._candidates.move(1),
             "k": lambda: self._candidates.move(-1),
-            "d": self._toggle_dark,
             "r": lambda: ui.navigate.to("/"),
-            "?": show_keys,
         }
-        if str(event.key) in keys:
-            done = keys[str(event.key)]()
-            if asyncio.iscoroutine(done):
-                await done
 
 
 _DONE_TEXTS = {"accept": "Accepted", "reject": "Rejected", "roll_back": "Rolled back"}

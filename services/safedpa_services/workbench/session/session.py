@@ -86,6 +86,14 @@ class Session:
         """Comparison of the shown version with the recordings."""
         return self.shown_version.comparison
 
+    def start_at(self, window: int) -> None:
+        """Starts the shown prediction at a window, or at the nearest one that exists."""
+        self.start = max(0, min(len(self.comparison.windows) - 1, window))
+
+    def set_axes(self, x: str, y: str) -> None:
+        """Chooses the variables of the error map."""
+        self.axes = (x, y)
+
     def show_version(self, number: int) -> None:
         """Shows version ``number``; the present version does not change."""
         self.shown = None if number == self.number else max(0, min(number, self.number))
