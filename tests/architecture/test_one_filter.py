@@ -17,10 +17,7 @@ FOLDERS = ("shared", "services", "sim")
 DECIDERS = {
     "safedpa.safety.filter": "SafetyFilter",
     "safedpa.safety.batch.filter": "its batch",
-    "safedpa_lab.benchmarks.peers.filter_casadi": "a peer, to compare with",
-    "safedpa_lab.benchmarks.peers.filter_cbfpy": "a peer",
-    "safedpa_lab.benchmarks.peers.filter_cvxpy": "a peer",
-    "safedpa_lab.benchmarks.peers.filter_rta": "a peer",
+    "safedpa_lab.benchmarks.peers.filters": "peers, to compare with",
     "safedpa_lab.experiments.adversary.peer_filters": "peers",
     "safedpa_lab.experiments.adversary.bends": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.linear.problem": "asks SafetyFilter",

@@ -14,12 +14,13 @@ from typing import Any
 _ROOT = Path(__file__).resolve().parents[1]
 _BEGIN = """
 import sys, types
-root, module = sys.argv[1:3]
+root, script = sys.argv[1:3]
 package = types.ModuleType("safedpa_lab")
 package.__path__ = [root]
 sys.modules["safedpa_lab"] = package
 import importlib
-importlib.import_module("safedpa_lab.benchmarks.peers." + module).main()
+module, function = script.split(":")
+getattr(importlib.import_module("safedpa_lab.benchmarks.peers." + module), function)()
 """
 """Only this project's scripts for peers are importable there, by a package of their own making: nothing else of the
 environment in which this project is installed."""
@@ -37,7 +38,7 @@ _ONE_THREAD = {
 def ask_peer(
     script: str, package: str, question: Mapping[str, Any], interpreters: Sequence[str], seconds: float = 180.0
 ) -> dict[str, Any]:
-    """What ``peers/<script>.py`` answers to a question, or ``{"missing": why}``.
+    """What a ``script``, MODULE:FUNCTION of ``peers``, answers to a question, or ``{"missing": why}``.
 
     ``package`` has to be importable; the first of ``interpreters`` that has it is used, this one at last.
     """

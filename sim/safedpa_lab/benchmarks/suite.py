@@ -7,7 +7,6 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.benchmarks.results import Effort
 from safedpa_lab.benchmarks.rows import ROWS, measured
 from safedpa_lab.benchmarks.usage import load_average
-from safedpa_lab.provenance.record import KEY, provenance
+from safedpa_lab.provenance.record import KEY, installed_version, provenance
 
 _FORMAT: Final = 1
 _VERSIONS: Final = ("safedpa", "numpy", "torch", "piqp", "eclipse-zenoh", "pymunk", "mujoco-core", "gymnasium")
@@ -99,7 +98,7 @@ def machine() -> Document:
         "python": platform.python_version(),
         "compiled": bool(compiled_modules()),
         "threads": os.environ.get("OMP_NUM_THREADS", "as many as there are cores"),
-        "versions": {name: found for name in _VERSIONS if (found := _version(name))},
+        "versions": {name: found for name in _VERSIONS if (found := installed_version(name))},
     }
 
 
@@ -109,10 +108,3 @@ def _processor() -> str:
     except OSError:
         return platform.processor() or "unknown"
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import final
 
@@ -56,7 +57,8 @@ def output_of(*arguments: str, environment: Mapping[str, str] | None = None) -> 
     surroundings = {**os.environ, **(environment or {})}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=surroundings)
     if done.returncode != 0:
-        raise SafedpaError(f"safedpa {arguments[0]}: {done.stderr.strip()}")
+        words = " ".join(takewhile(lambda word: not word.startswith("-"), arguments))
+        raise SafedpaError(f"safedpa {words}: {done.stderr.strip()}")
     return done.stdout
 
 

@@ -38,7 +38,7 @@ from stable_baselines3.common.logger import Logger
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.baseline_set import BaselinePolicy, load_policy, save_policy
-from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.plan import BASELINES, Plan, score
 from safedpa_lab.point.shield import true_shelter
 from safedpa_lab.point.trust_region import ConstrainedTRPO, FisherTRPO
@@ -149,7 +149,7 @@ def evaluate_policy(policy: BaselinePolicy, task: PointTask, filtered: bool = Fa
     ``filtered``: by the filter that knows the simulated physics.
     """
     gained, paid, goals = np.zeros(task.count), np.zeros(task.count), np.zeros(task.count)
-    inputs, shelter, over = inputs_of(policy.inputs, task), true_shelter(task), False
+    inputs, shelter, over = Inputs(policy.inputs, task), true_shelter(task), False
     while not over:
         chosen = policy.act(inputs.see())
         stepped = task.advance(shelter.safe(chosen) if filtered else chosen)

@@ -18,13 +18,13 @@ from safedpa.errors import InputError
 from safedpa.robots.point.goal_seeker import goal_seeking_action
 from safedpa_lab.point.baseline_set import baseline_named, seeds_of
 from safedpa_lab.point.beliefs import LearnedBelief, weights_named
-from safedpa_lab.point.inputs import Inputs, inputs_of
+from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.methods import METHODS, PENALISED, SEEKER, Method
 from safedpa_lab.point.shield import Shield, shield_of
-from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.simulation import centre_state
 from safedpa_sim.point.filtering import around_hazards
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.point_model import AbstractPointModel, to_task_action
+from safedpa_sim.point.filtering import AbstractPointModel, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
@@ -83,11 +83,14 @@ class Driven:
     """Paths of the robots that were asked for: places, whether within a hazard, goals in their order, hazards."""
 
 
-def windy_task(directions: int, episodes: int, force: float, seed: int) -> PointTask:
-    """``directions`` x ``episodes`` robots: robot i in the wind of ``force`` N towards 360 degrees (i // episodes) /
-    directions, layouts, headings and goals drawn from the seed alone."""
-    task = PointTask(directions * episodes, seed, paired=True)
-    towards = np.repeat(2.0 * np.pi * np.arange(directions) / directions, episodes)
+def evenly(directions: int, episodes: int) -> FloatArray:
+    """[rad] of ``directions`` x ``episodes`` robots: robot i towards 360 degrees (i // episodes) / directions."""
+    return np.repeat(2.0 * np.pi * np.arange(directions) / directions, episodes)
+
+
+def windy_task(towards: FloatArray, force: float, seed: int, *, stock: bool = False) -> PointTask:
+    """One robot for each direction [rad] of a wind's force [N]; layouts, headings and goals are the seed's alone."""
+    task = PointTask(len(towards), seed, paired=True, stock=stock)
     task.simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
     return task
 
@@ -202,7 +205,7 @@ def driver_of(method: Method, task: PointTask, wheel: Wheel) -> Driver:
     adapts = method.policy if method.policy not in ("", SEEKER) else "learned"
     if method.baseline:
         policy = baseline_named(method.baseline, wheel.baselines, _seed(method, wheel))
-        inputs = inputs_of(policy.inputs, task, wheel.models)
+        inputs = Inputs(policy.inputs, task, wheel.models)
         if not method.filter:
             return PolicyDriver(task, policy, inputs)
         nominal: NominalPolicy = lambda _: policy.act(inputs.see())  # noqa: E731

@@ -11,7 +11,7 @@ and scale of ``equal`` are those of SafeDPA's policy.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, Protocol, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
 from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError, did_you_mean
-from safedpa.networks import Weights
 from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.plan import INPUTS
-from safedpa_sim.point.body_steps import actions_of, centre_state
+from safedpa_sim.point.simulation import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
@@ -50,19 +49,6 @@ def entries_of(kind: str) -> int:
     return sizes[kind]
 
 
-class Inputs(Protocol):
-    """In each period ``see`` once; ``reset`` the robots that begin again."""
-
-    def see(self) -> Float32Array:
-        """(robots, entries) of the robots as they are."""
-
-    def look(self) -> Float32Array:
-        """The same with the latents that were seen last."""
-
-    def reset(self, which: NDArray[np.intp]) -> None:
-        """The robots of those indices have been put elsewhere."""
-
-
 @final
 class WayAhead:
     """The robots' shortest ways, kept until ``renew``, and what was gained along them since."""
@@ -84,74 +70,47 @@ class WayAhead:
         return np.where(reached, before - GOAL_RADIUS + GOAL_REWARD, gained)
 
 
-def inputs_of(kind: str, task: PointTask, folder: Path = Path(), way: WayAhead | None = None) -> Inputs:
-    """Of one of ``INPUTS``. With a ``way``, anyone who keeps it renews it. Raises InputError for others."""
-    entries_of(kind)
-    if kind == "lidar":
-        return _Sensors(task)
-    weights = weights_named("learned", folder)
-    return _WithLatent(task, weights) if kind == "latent" else _AsSafeDPA(task, weights, way)
-
-
 @final
-class _Sensors:
-    def __init__(self, task: PointTask) -> None:
-        self._task = task
+class Inputs:
+    """One of ``INPUTS``. In each period ``see`` once; ``reset`` the robots that begin again.
+
+    With a ``way``, anyone who keeps it renews it. Raises InputError for other kinds.
+    """
+
+    def __init__(self, kind: str, task: PointTask, folder: Path = Path(), way: WayAhead | None = None) -> None:
+        entries_of(kind)
+        self._kind, self._task, self._own, self._way = kind, task, None, way
+        self._histories: BatchHistoryEstimator | None = None
+        if kind != "lidar":
+            self._weights = weights_named("learned", folder)
+            self._histories = BatchHistoryEstimator(self._weights, task.count)
+        if kind == "equal" and way is None:
+            self._way = self._own = WayAhead(task)
 
     def see(self) -> Float32Array:
+        """(robots, entries) of the robots as they are."""
+        if self._histories is not None:
+            self._histories.acted(actions_of(self._task.control))  # what led here; of no account at the beginning
+            self._histories.see(centre_state(self._task.simulation))
+        if self._own is not None:
+            self._own.renew()
         return self.look()
 
     def look(self) -> Float32Array:
-        seen: Float32Array = (self._task.observation() / OBSERVATION_SCALE).astype(np.float32)
-        return seen
+        """The same with the latents that were seen last."""
+        task = self._task
+        if self._histories is None:
+            return (task.observation() / OBSERVATION_SCALE).astype(np.float32)
+        latent = self._histories.latent
+        if self._way is None or self._kind == "latent":
+            yaw = task.simulation.pose[2, :, np.newaxis]
+            turned = (latent * np.cos(yaw), latent * np.sin(yaw), latent)
+            return np.concatenate((task.observation() / OBSERVATION_SCALE, *turned), axis=1).astype(np.float32)
+        middle, scale = (self._weights[f"observation_{name}"] for name in ("middle", "scale"))
+        scaled: FloatArray = (policy_seen(task, latent, self._way.turn) - middle) / scale
+        return scaled.clip(-_LARGEST, _LARGEST).astype(np.float32)
 
     def reset(self, which: NDArray[np.intp]) -> None:
-        """Nothing is remembered."""
-
-
-class _Remembering:
-    """The latents of the robots of a task, of what their motors did."""
-
-    def __init__(self, task: PointTask, weights: Weights) -> None:
-        self._task, self._histories = task, BatchHistoryEstimator(weights, task.count)
-
-    def reset(self, which: NDArray[np.intp]) -> None:
-        self._histories.reset(which)
-
-    def _remember(self) -> None:
-        self._histories.acted(actions_of(self._task.control))  # what led here; of no account at the beginning
-        self._histories.see(centre_state(self._task.simulation))
-
-
-@final
-class _WithLatent(_Remembering):
-    def see(self) -> Float32Array:
-        self._remember()
-        return self.look()
-
-    def look(self) -> Float32Array:
-        latent, yaw = self._histories.latent, self._task.simulation.pose[2, :, np.newaxis]
-        turned = (latent * np.cos(yaw), latent * np.sin(yaw), latent)
-        seen = np.concatenate((self._task.observation() / OBSERVATION_SCALE, *turned), axis=1)
-        return seen.astype(np.float32)
-
-
-@final
-class _AsSafeDPA(_Remembering):
-    def __init__(self, task: PointTask, weights: Weights, way: WayAhead | None) -> None:
-        super().__init__(task, weights)
-        self._middle: Any = weights["observation_middle"]
-        self._scale: Any = weights["observation_scale"]
-        self._own = way is None
-        self._way = WayAhead(task) if way is None else way
-
-    def see(self) -> Float32Array:
-        self._remember()
-        if self._own:
-            self._way.renew()
-        return self.look()
-
-    def look(self) -> Float32Array:
-        seen = policy_seen(self._task, self._histories.latent, self._way.turn)
-        scaled: Float32Array = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
-        return scaled
+        """The robots of those indices have been put elsewhere."""
+        if self._histories is not None:
+            self._histories.reset(which)

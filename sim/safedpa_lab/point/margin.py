@@ -23,13 +23,13 @@ from safedpa.safety.barriers.stopping import Motion
 from safedpa.safety.margins.conformal import margins_over_drives, smallest_sample
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
-from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
+from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of, windy_task
 from safedpa_lab.point.methods import Method
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state
+from safedpa_sim.point.simulation import LARGEST_TURN, centre_state
 from safedpa_sim.point.filtering import minimum_barrier
-from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel
+from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import PointTask
 
@@ -137,11 +137,11 @@ def measured_margins(asked: Calibration) -> dict[str, Any]:
     """
     seeds = list(seeds_for("calibration", 2, _SKIPPED))
     models, filters = Path(asked.models), asked.filters.split(",")
-    reported = _errors(_windy(asked.drives, seeds[0], asked.force), models, _TRUTH, 0.0, filters, asked.steps)
+    reported = _errors(_windy(asked, seeds[0]), models, _TRUTH, 0.0, filters, asked.steps)
     found = {}
     for name in filters:
         first = max(0.0, margins_over_drives(reported[name], COVERAGE)[0])
-        task = _windy(asked.drives, seeds[1], asked.force)
+        task = _windy(asked, seeds[1])
         own = _errors(task, models, name, first, (name,), asked.steps)[name]
         found[name] = {**_row(own), "first": first, "seeds": seeds, "steps": asked.steps}
     return {**{item.name: getattr(asked, item.name) for item in fields(asked)}, "margins": found}
@@ -161,11 +161,9 @@ def _row(errors: list[FloatArray]) -> dict[str, Any]:
     }
 
 
-def _windy(drives: int, seed: int, force: float) -> PointTask:
-    task, random = PointTask(drives, seed, paired=True), np.random.default_rng([seed, 61])
-    towards = random.uniform(0.0, 2.0 * np.pi, drives)
-    task.simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
-    return task
+def _windy(asked: Calibration, seed: int) -> PointTask:
+    towards = np.random.default_rng([seed, 61]).uniform(0.0, 2.0 * np.pi, asked.drives)
+    return windy_task(towards, asked.force, seed)
 
 
 def _errors(

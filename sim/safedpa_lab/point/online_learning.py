@@ -23,8 +23,8 @@ from safedpa.arrays import BoolArray
 from safedpa_lab.experiments.common.statistics import mean_interval, wilson_interval
 from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named
 from safedpa_lab.point.baselines import algorithm_of, policy_of
-from safedpa_lab.point.drivers import ShieldedDriver, driven, windy_task
-from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.drivers import ShieldedDriver, driven, evenly, windy_task
+from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.plan import Plan
 from safedpa_lab.point.shield import DIRECTIONS, LearningShield, Shield, shield_of
 from safedpa_lab.point.vector_environment import PointEnvironment
@@ -160,8 +160,8 @@ def _begin(policy: Any, start: Start) -> None:
 
 def _judged(policy: BaselinePolicy, learning: Learning) -> dict[str, Any]:
     """Whole episodes without noise, behind the same filter or none, in winds from every direction."""
-    task = windy_task(DIRECTIONS, learning.episodes, learning.force, learning.judged_seed)
-    inputs = inputs_of(policy.inputs, task)
+    task = windy_task(evenly(DIRECTIONS, learning.episodes), learning.force, learning.judged_seed)
+    inputs = Inputs(policy.inputs, task)
     found = driven(ShieldedDriver(task, _shield(task, learning.epsilon), lambda _: policy.act(inputs.see())), task)
     safe = int((found.cost == 0.0).sum())
     return {

@@ -31,10 +31,10 @@ from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa_lab.point.beliefs import PROBES, from_task_action, motion_of, weights_named
 from safedpa_lab.point.free_model import FreeModel, load_free
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.body_steps import LARGEST_TURN, after_one_period, centre_state
+from safedpa_sim.point.simulation import LARGEST_TURN, after_one_period, centre_state
 from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, around_hazards, minimum_barrier
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.point_model import ACTION_SCALE, PointPrediction, SimulatedPointModel, to_task_action
+from safedpa_sim.point.filtering import ACTION_SCALE, PointPrediction, SimulatedPointModel, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
@@ -292,13 +292,6 @@ def model_of(kind: str, thrust: str, task: PointTask, folder: Path) -> ActionMod
     if kind == "truth":
         return SimulatedBody(task.simulation, scale)
     raise InputError(f"model '{kind}': wanted affine, free or truth")
-
-
-def windy(thrust: str, towards: FloatArray, force: float, seed: int) -> PointTask:
-    """One robot for each direction [rad] of a force [N]; goals of each robot from a sequence of its own."""
-    task = PointTask(len(towards), seed, paired=True, stock=thrust == "stock")
-    task.simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
-    return task
 
 
 def nominal_policy_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) -> NominalPolicy:

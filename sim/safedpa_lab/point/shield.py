@@ -11,7 +11,7 @@ sensed is, and made affine in the action about none:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, Protocol, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,9 @@ from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.baseline_set import SHIPPED
 from safedpa_lab.point.beliefs import PROBES, LearnedBelief, from_task_action, motion_of, scale_of, weights_named
-from safedpa_sim.point.body_steps import centre_state, put_state
+from safedpa_sim.point.simulation import centre_state, put_state
 from safedpa_sim.point.filtering import FilteredActions, PointFilter
-from safedpa_sim.point.point_model import (
+from safedpa_sim.point.filtering import (
     ACTION_SCALE,
     AbstractPointModel,
     PointPrediction,
@@ -33,7 +33,7 @@ from safedpa_sim.point.point_model import (
     to_task_action,
 )
 from safedpa_sim.point.policy_task import EPSILON as TRAINING_EPSILON
-from safedpa_sim.point.sensor_state import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
+from safedpa_sim.point.observation import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
@@ -155,21 +155,7 @@ METHODS: Final = (
 once; the truth; the truth but for the wind; no filter."""
 
 
-class Adaptation(Protocol):
-    """What ``BatchHistoryEstimator`` does."""
-
-    @property
-    def latent(self) -> FloatArray:
-        """Of the states that were seen last."""
-
-    def see(self, state: FloatArray) -> FloatArray:
-        """The latents at states (robots, 5)."""
-
-    def acted(self, action: FloatArray) -> None:
-        """Actions (robots, 2) in N and rad/s act from now on."""
-
-    def reset(self, which: NDArray[np.intp]) -> None:
-        """The robots of those indices begin again."""
+Adaptation = BatchHistoryEstimator | TwoHistories
 
 
 @final

@@ -8,19 +8,19 @@ from typing import Any, final
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
 from safedpa.arrays import Float32Array
-from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
+from safedpa_lab.point.inputs import Inputs, WayAhead, entries_of
 from safedpa_lab.point.shield import LearningShield, true_shelter
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
+from safedpa_sim.training.environments.vector_environment import SharedVecEnv
 
 _RETAINED = 200
 """Episodes over which their means are reported."""
 
 
 @final
-class PointEnvironment(VecEnv):
+class PointEnvironment(SharedVecEnv):
     """Every robot is one environment. Reward: (gained - weight cost) / (1 + weight), weight 0 unless it is set.
 
     ``inputs`` of ``INPUTS``: what is observed. With the lidar alone the benchmark's reward is gained; else what comes
@@ -45,7 +45,7 @@ class PointEnvironment(VecEnv):
         """Whether the episode was seen from its beginning."""
         self._chosen: Float32Array = np.zeros((task.count, 2), np.float32)
         self._way = None if inputs == "lidar" else WayAhead(task)
-        self._inputs = inputs_of(inputs, task, way=self._way)
+        self._inputs = Inputs(inputs, task, way=self._way)
         self._shelter = true_shelter(task) if shelter is None else shelter
         self.last: StepResult
         self.begin()
@@ -97,26 +97,3 @@ class PointEnvironment(VecEnv):
         self.costs.extend(self._paid[whole].tolist())
         self._gained[which] = self._paid[which] = 0.0
         self._whole[which] = True
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The same attribute for every environment: they share one object."""
-        return [getattr(self, attr_name, None)] * len(list(self._get_indices(indices)))
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets the attribute of the one object that they share."""
-        del indices
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
-        """Calls a method of the one object that they share."""
-        return [getattr(self, method_name)(*arguments, **named)] * len(list(self._get_indices(indices)))
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """No environment is wrapped."""
-        del wrapper_class
-        return [False] * len(list(self._get_indices(indices)))

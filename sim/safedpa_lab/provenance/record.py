@@ -67,7 +67,7 @@ def provenance() -> dict[str, Any]:
             "cores": os.cpu_count(),
             "load": round(os.getloadavg()[0], 1),
             "python": platform.python_version(),
-            **{name: found for name in _PACKAGES if (found := _version(name)) is not None},
+            **{name: found for name in _PACKAGES if (found := installed_version(name)) is not None},
         },
         "code": {} if module is None else digests(module),
     }
@@ -129,7 +129,8 @@ def _git(folder: Path, *phrase: str) -> str:
     return done.stdout.strip()
 
 
-def _version(name: str) -> str | None:
+def installed_version(name: str) -> str | None:
+    """None where there is no such package."""
     try:
         return version(name)
     except PackageNotFoundError:

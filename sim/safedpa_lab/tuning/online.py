@@ -21,7 +21,7 @@ import torch
 
 from safedpa.errors import InputError
 from safedpa_lab.tuning.paper import sequence_of
-from safedpa_lab.tuning.predictors import AbstractPredictor, PredictorDrives, open_loop_errors
+from safedpa_lab.tuning.predictors import AbstractPredictor, PredictorDrives, scaled_errors
 from safedpa_sim.training.data.recorded_runs import HORIZON, TuningDrive
 
 Tensor = torch.Tensor
@@ -171,14 +171,8 @@ def _with(predictor: AbstractPredictor, sums: _RidgeSums, ridge: float) -> Abstr
 
 
 def _errors(predictor: AbstractPredictor, part: PredictorDrives, scale: Tensor) -> tuple[float, float]:
-    """Returns the scaled RMS error after one step and after ``HORIZON``, mean over the states."""
-    index = torch.arange(len(part.sequence.rows))
-    starts = index[(part.sequence.last - index >= HORIZON - 1) & (index - part.sequence.first >= predictor.history)]
-    starts = starts[:: max(1, -(-len(starts) // _MOST))]
-    with torch.no_grad():
-        found = open_loop_errors(predictor, part, starts, HORIZON) / scale
-    size = found.square().mean(1).sqrt().mean(-1)
-    return float(size[0]), float(size[-1])
+    one, many = scaled_errors(predictor, part, scale, _MOST)
+    return float(one), float(many)
 
 
 def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -22,9 +22,9 @@ from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_lab.tuning.predictors import NetworkPredictor, one_step_errors, spread_latents
 from safedpa_sim.training.data.recorded_runs import TuningDrive
-from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
+from safedpa_sim.training.data.transitions import TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.networks.modules import AffineNetworks, tensors_of
-from safedpa_sim.training.networks.rollout import ALONG
+from safedpa_sim.training.networks.prediction_errors import ALONG
 from safedpa_sim.training.progress import ReportProgress, silent
 
 _SAMPLES: Final = 5000

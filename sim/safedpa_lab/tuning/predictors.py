@@ -18,10 +18,11 @@ import torch
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_lab.tuning.reference_point import ReferencePoint
-from safedpa_sim.training.data.sequences import TransitionSequence, history_rows
+from safedpa_sim.training.data.recorded_runs import HORIZON
+from safedpa_sim.training.data.transitions import TransitionSequence, history_rows
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork, affine_networks, history_network
-from safedpa_sim.training.networks.rollout import ALONG, along, latents_along
+from safedpa_sim.training.networks.prediction_errors import ALONG, along, latents_along
 
 Tensor = torch.Tensor
 _SETTLED = 8
@@ -183,6 +184,23 @@ def open_loop_errors(predictor: AbstractPredictor, seen: PredictorDrives, index:
         rows = torch.cat((rows[:, 1:], row.unsqueeze(1)), dim=1)
         found.append(predictor.networks.frame.own_increment(sequence.following[index + step], state))
     return torch.stack(found)
+
+
+def scaled_errors(
+    predictor: AbstractPredictor, part: PredictorDrives, scale: Tensor, most: int
+) -> tuple[Tensor, Tensor]:
+    """Returns the scaled RMS error after one step and after ``HORIZON``, mean over the states.
+
+    From at most ``most`` evenly spread starts.
+    """
+    sequence = part.sequence
+    index = torch.arange(len(sequence.rows))
+    starts = index[(sequence.last - index >= HORIZON - 1) & (index - sequence.first >= predictor.history)]
+    starts = starts[:: max(1, -(-len(starts) // most))]
+    with torch.no_grad():
+        found = open_loop_errors(predictor, part, starts, HORIZON) / scale
+    size = found.square().mean(1).sqrt().mean(-1)
+    return size[0], size[-1]
 
 
 def spread_latents(

@@ -30,6 +30,7 @@ from safedpa_lab.tuning.predictors import (
     ResidualPredictor,
     one_step_errors,
     open_loop_errors,
+    scaled_errors,
     spread_latents,
 )
 from safedpa_sim.training.configuration import Configuration
@@ -44,7 +45,7 @@ from safedpa_sim.training.networks.modules import (
     history_network,
     tensors_of,
 )
-from safedpa_sim.training.networks.rollout import ALONG
+from safedpa_sim.training.networks.prediction_errors import ALONG
 from safedpa_sim.training.progress import ReportProgress, silent
 
 Tensor = torch.Tensor
@@ -162,14 +163,8 @@ def judged_error(
     """
     total = 0.0
     for part in data:
-        sequence = part.sequence
-        index = torch.arange(len(sequence.rows))
-        starts = index[(sequence.last - index >= HORIZON - 1) & (index - sequence.first >= predictor.history)]
-        starts = starts[:: max(1, -(-len(starts) // most))]
-        with torch.no_grad():
-            found = open_loop_errors(predictor, part, starts, HORIZON) / scale
-        size = found.square().mean(1).sqrt().mean(-1)
-        total += float(size[0] + size[-1] / HORIZON) / len(data)
+        one, many = scaled_errors(predictor, part, scale, most)
+        total += float(one + many / HORIZON) / len(data)
     return total
 
 

@@ -162,7 +162,7 @@ def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_missing_peer_is_reported() -> None:
-    answer = ask_peer("filter_cvxpy", "no_such_package_anywhere", {}, ())
+    answer = ask_peer("filters:cvxpy", "no_such_package_anywhere", {}, ())
     assert "no_such_package_anywhere is not installed" in answer["missing"]
     assert interpreter_with("json", (sys.executable,)) == sys.executable
 
@@ -176,12 +176,12 @@ def test_a_peer_answers_in_a_python_that_knows_nothing_of_this_project(tmp_path,
     (other / "safedpa_lab").mkdir(parents=True)
     (other / "safedpa_lab" / "__init__.py").write_text("raise ImportError('found on the path')", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(other))
-    answer = ask_peer("filter_casadi", "casadi", {"problems": []}, (str(tmp_path / "peer" / "bin" / "python"),))
+    answer = ask_peer("filters:casadi", "casadi", {"problems": []}, (str(tmp_path / "peer" / "bin" / "python"),))
     assert answer == {"answers": []}
 
 
 def test_a_failing_peer_is_reported_with_its_exit_code() -> None:
-    assert "exit code 1" in ask_peer("adaptation_onnx", "json", {}, ())["missing"]
+    assert "exit code 1" in ask_peer("adaptation:onnx", "json", {}, ())["missing"]
 
 
 ROOT = Path(__file__).parents[3]

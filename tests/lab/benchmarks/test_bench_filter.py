@@ -29,7 +29,7 @@ from safedpa_lab.benchmarks.filter_problem import (
     wedged,
     with_floors,
 )
-from safedpa_lab.benchmarks.peers.problem import Problem, compared
+from safedpa_lab.benchmarks.peers.filters import Problem, compared
 from safedpa_lab.benchmarks.python_source import of_source, without
 from safedpa_lab.benchmarks.results import Curve, Effort, Floor, Row, Target
 from safedpa_lab.benchmarks.rows import filter as row

@@ -31,9 +31,9 @@ from safedpa_lab.experiments.point.learning import PointLearning, driven_table
 from safedpa_lab.experiments.point.report import against_table, short_table
 from safedpa_lab.point import drivers, margin
 from safedpa_lab.point.baseline_set import BaselinePolicy, save_policy
-from safedpa_lab.point.drivers import Driven, PolicyDriver, ShieldedDriver, Wheel, driven, driver_of, windy_task
+from safedpa_lab.point.drivers import Driven, PolicyDriver, ShieldedDriver, Wheel, driven, driver_of, evenly, windy_task
 from safedpa_lab.point.gym_environment import PointGoalEnvironment
-from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.margin import NEAR, Calibration, measured_margins
 from safedpa_lab.point.methods import METHODS, Method
 from safedpa_lab.point.online_learning import Learning
@@ -65,7 +65,7 @@ class Reckless:
 
 
 def test_every_direction_has_its_robots_and_every_method_the_same_world() -> None:
-    one, two = (windy_task(8, 3, FORCE, 5) for _ in range(2))
+    one, two = (windy_task(evenly(8, 3), FORCE, 5) for _ in range(2))
     np.testing.assert_array_equal(one.layout.hazards, two.layout.hazards)
     np.testing.assert_array_equal(one.simulation.pose, two.simulation.pose)
     force = one.simulation.force
@@ -75,8 +75,8 @@ def test_every_direction_has_its_robots_and_every_method_the_same_world() -> Non
 
 
 def test_counts_of_an_episode_agree_with_the_task() -> None:
-    task = windy_task(4, 2, FORCE, 1)
-    found = driven(PolicyDriver(task, Reckless(), inputs_of("lidar", task)), task, 300, np.array([0, 5]))
+    task = windy_task(evenly(4, 2), FORCE, 1)
+    found = driven(PolicyDriver(task, Reckless(), Inputs("lidar", task)), task, 300, np.array([0, 5]))
     assert (found.cost > 0.0).any(), "who drives straight meets a hazard"
     np.testing.assert_array_equal(found.least_room <= 0.0, found.cost > 0.0)
     np.testing.assert_array_equal(np.isfinite(found.first_goal), found.goals > 0.0)
@@ -89,7 +89,7 @@ def test_counts_of_an_episode_agree_with_the_task() -> None:
 def test_the_filter_that_knows_the_wind_makes_a_reckless_nominal_action_safe() -> None:
     costs = {}
     for name in ("oracle", "none"):
-        task = windy_task(8, 1, FORCE, 2)
+        task = windy_task(evenly(8, 1), FORCE, 2)
         nominal = partial(_observed, task)
         driver = ShieldedDriver(task, shield_of(name, task, adapts=""), nominal)
         found = driven(driver, task, 150)
@@ -103,7 +103,7 @@ def test_the_filter_that_knows_the_wind_makes_a_reckless_nominal_action_safe() -
 def test_what_ships_is_safe_behind_the_learned_filter_and_ppo_alone_is_not() -> None:
     found = {}
     for name in ("safedpa", "ppo"):
-        task = windy_task(8, 1, FORCE, 7)
+        task = windy_task(evenly(8, 1), FORCE, 7)
         found[name] = driven(driver_of(METHODS[name], task, Wheel(margins={"safedpa": 0.004})), task, 150)
     assert found["safedpa"].cost.sum() == 0.0
     assert found["safedpa"].goals.sum() >= 5.0

@@ -21,19 +21,19 @@ from safedpa.records.writers.tables import write_columns
 from safedpa_lab.experiments.point.heat_map import HeatMap, agreement, heat_map, heat_map_markdown, write_figure
 from safedpa_lab.experiments.point.story import HIDDEN, PointStory, point_logs, point_story, point_story_markdown
 from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action, weights_named
-from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driven, driver_of, windy_task
+from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driven, driver_of, evenly, windy_task
 from safedpa_lab.point.margin import drawn_moments, one_step_errors
 from safedpa_lab.point.methods import METHODS
 from safedpa_lab.point.shield import Shield, sensed_weights, shield_of
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
+from safedpa_sim.point.simulation import after_one_period, centre_state, put_state
 from safedpa_sim.point.filtering import PointFilter, minimum_barrier
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.observation import entries_seen
-from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel, to_task_action
+from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.policy_task import PointEnvironment
-from safedpa_sim.point.sensor_state import ENTRIES, GROUPS, decode_state, decoding_jacobian, sensed, without_goal
+from safedpa_sim.point.observation import ENTRIES, GROUPS, decode_state, decoding_jacobian, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
@@ -412,7 +412,7 @@ def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Pat
 
 def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> None:
     """Also just after goals were put elsewhere: phi does not see them."""
-    task, random = windy_task(24, 1, 0.008, 3), np.random.default_rng(6)
+    task, random = windy_task(evenly(24, 1), 0.008, 3), np.random.default_rng(6)
     shield = shield_of("safedpa_17", task, epsilon=0.004)
     for step in range(80):
         if step % 10 == 0:
@@ -440,7 +440,7 @@ def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> Non
 def test_the_method_drives_safer_than_without_a_filter() -> None:
     found = {}
     for name in ("unfiltered", "safedpa_17"):
-        task = windy_task(8, 1, 0.008, 2)
+        task = windy_task(evenly(8, 1), 0.008, 2)
         found[name] = driven(driver_of(METHODS[name], task, Wheel(NOWHERE, margins={"safedpa_17": 0.005})), task, 200)
     assert found["safedpa_17"].cost.sum() < found["unfiltered"].cost.sum()
     assert found["safedpa_17"].corrected > 0.0
@@ -450,7 +450,7 @@ def test_the_method_drives_safer_than_without_a_filter() -> None:
 def test_the_policy_sees_the_same_behind_the_filter_of_five_states() -> None:
     reported = []
     for name in ("safedpa", "safedpa_17"):
-        task = windy_task(3, 1, 0.008, 9)
+        task = windy_task(evenly(3, 1), 0.008, 9)
         driver = driver_of(METHODS[name], task, Wheel(NOWHERE, margins={name: 0.01}))
         assert isinstance(driver, ShieldedDriver)
         for _ in range(40):

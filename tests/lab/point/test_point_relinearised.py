@@ -20,6 +20,7 @@ from safedpa_lab.experiments.point.relinearised import (
     thrust_configuration,
     train_networks,
 )
+from safedpa_lab.point.drivers import windy_task
 from safedpa_lab.point.free_model import FreeModel, load_free, save_free
 from safedpa_lab.point.free_training import free_hidden, train_free
 from safedpa_lab.point.relinearised import (
@@ -30,11 +31,10 @@ from safedpa_lab.point.relinearised import (
     affine_weights,
     free_model,
     model_of,
-    windy,
 )
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.point_model import to_task_action
+from safedpa_sim.point.simulation import centre_state
+from safedpa_sim.point.filtering import to_task_action
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
@@ -66,7 +66,7 @@ def test_the_slope_is_that_of_the_network(thrust: str) -> None:
 
 @pytest.mark.parametrize("kind", ["free", "truth"])
 def test_what_is_affine_about_an_action_meets_the_model_there(kind: str) -> None:
-    task = windy("stock", np.linspace(0.0, 6.0, 6), 0.008, 3)
+    task = windy_task(np.linspace(0.0, 6.0, 6), 0.008, 3, stock=True)
     model = model_of(kind, "stock", task, SHIPPED)
     model.see(centre_state(task.simulation))
     _, _, action = drawn()
@@ -76,7 +76,7 @@ def test_what_is_affine_about_an_action_meets_the_model_there(kind: str) -> None
 
 @pytest.mark.parametrize("thrust", COMMANDS)
 def test_the_simulated_body_is_the_robot_itself(thrust: str) -> None:
-    task = windy(thrust, np.linspace(0.0, 6.0, 6), 0.008, 3)
+    task = windy_task(np.linspace(0.0, 6.0, 6), 0.008, 3, stock=thrust == "stock")
     _, _, action = drawn()
     for _ in range(3):
         model = SimulatedBody(task.simulation, COMMANDS[thrust])
@@ -87,7 +87,7 @@ def test_the_simulated_body_is_the_robot_itself(thrust: str) -> None:
 
 
 def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_does_not() -> None:
-    task = windy("stock", np.linspace(0.0, 6.0, 6), 0.008, 3)
+    task = windy_task(np.linspace(0.0, 6.0, 6), 0.008, 3, stock=True)
     off = {}
     for kind in ("affine", "free"):
         model, truth = (model_of(name, "stock", task, SHIPPED) for name in (kind, "truth"))
@@ -107,7 +107,7 @@ def test_about_a_saturated_nominal_action_the_filter_drives_into_hazards_and_abo
     has no slope, so that by what is affine no other thrust would help."""
     room = {}
     for about in ("nominal", "own"):
-        task = windy("stock", np.zeros(12), 0.0, 5)
+        task = windy_task(np.zeros(12), 0.0, 5, stock=True)
         apart = task.layout.hazards - task.simulation.pose[:2].T[:, None]
         nearest = apart[np.arange(12), np.linalg.norm(apart, axis=2).argmin(axis=1)]
         task.simulation.pose[2] = np.arctan2(nearest[:, 1], nearest[:, 0])
@@ -121,7 +121,7 @@ def test_about_a_saturated_nominal_action_the_filter_drives_into_hazards_and_abo
 
 
 def test_a_nominal_action_that_the_model_itself_lets_pass_is_not_changed() -> None:
-    task = windy("clean", np.zeros(6), 0.0, 3)
+    task = windy_task(np.zeros(6), 0.0, 3)
     model = model_of("free", "clean", task, SHIPPED)
     nominal = np.zeros((6, 2))
     found = RelinearisedFilter(0.0, "own").decide(centre_state(task.simulation), nominal, task.layout.hazards, model)

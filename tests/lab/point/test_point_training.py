@@ -20,13 +20,13 @@ from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named, basel
 from safedpa_lab.point.baselines import STANDING_STILL, Multiplier, algorithm_of, evaluate_policy
 from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.drivers import Wheel, driver_of
-from safedpa_lab.point.inputs import OBSERVATION_SCALE, WayAhead, entries_of, inputs_of
+from safedpa_lab.point.inputs import OBSERVATION_SCALE, Inputs, WayAhead, entries_of
 from safedpa_lab.point.methods import METHODS
 from safedpa_lab.point.plan import Plan, score
 from safedpa_lab.point.shield import shield_of
 from safedpa_lab.point.trust_region import constrained_step
 from safedpa_lab.point.vector_environment import PointEnvironment
-from safedpa_sim.point.body_steps import actions_of, controls_of
+from safedpa_sim.point.simulation import actions_of, controls_of
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
 from safedpa_sim.point.task import PointTask
@@ -181,7 +181,7 @@ def _task(count: int, seed: int) -> PointTask:
 def test_equal_inputs_are_those_of_safedpas_own_policy() -> None:
     """One road: the inputs, of the motors' controls. The other: shield, histories, ways and scales, one by one."""
     task, weights = _task(6, 3), weights_named("learned")
-    inputs, shield, ways = inputs_of("equal", task), shield_of("none", task), RoutePlanner(6)
+    inputs, shield, ways = Inputs("equal", task), shield_of("none", task), RoutePlanner(6)
     random = np.random.default_rng(0)
     for _ in range(70):
         seen, latent = inputs.see(), shield.see(task)
@@ -196,13 +196,13 @@ def test_equal_inputs_are_those_of_safedpas_own_policy() -> None:
 def test_each_kind_has_its_entries_and_the_lidar_is_the_benchmarks() -> None:
     task = _task(3, 1)
     for kind, size in (("lidar", 31), ("latent", 37), ("equal", 43)):
-        assert entries_of(kind) == inputs_of(kind, task).see().shape[1] == size
-    np.testing.assert_allclose(inputs_of("lidar", task).see(), task.observation() / OBSERVATION_SCALE, rtol=1e-6)
+        assert entries_of(kind) == Inputs(kind, task).see().shape[1] == size
+    np.testing.assert_allclose(Inputs("lidar", task).see(), task.observation() / OBSERVATION_SCALE, rtol=1e-6)
 
 
 def test_robots_that_begin_again_know_nothing_of_their_wind() -> None:
     task = _task(4, 5)
-    inputs, fresh = inputs_of("latent", task), inputs_of("latent", _task(4, 5)).see()[:, -2:]
+    inputs, fresh = Inputs("latent", task), Inputs("latent", _task(4, 5)).see()[:, -2:]
     for _ in range(60):
         seen = inputs.see()
         task.advance(np.full((4, 2), 0.3))
@@ -296,7 +296,7 @@ def test_the_proportional_part_falls_back_with_the_cost() -> None:
     ("mistaken", "reported"),
     [
         (lambda: Plan(multiplier="pdi"), "multiplier 'pdi'"), (lambda: Plan(inputs="camera"), "inputs 'camera'"),
-        (lambda: inputs_of("radar", PointTask(1, 0)), "inputs 'radar'"),
+        (lambda: Inputs("radar", PointTask(1, 0)), "inputs 'radar'"),
         (lambda: driver_of(METHODS["mix"], PointTask(1, 0), Wheel(margins={"safedpa": 0.002})),
          "got no margin for the filter 'mix'"),
     ],

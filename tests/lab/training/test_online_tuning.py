@@ -12,7 +12,7 @@ from safedpa.errors import InputError
 from safedpa.networks import load_weights, save_weights
 from safedpa.networks.weights import STRIDE
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
-from safedpa_lab.tuning import online
+from safedpa_lab.tuning import predictors
 from safedpa_lab.tuning.online import OnlineTuning, add_to_heads, head_features, tuned_online
 from safedpa_lab.tuning.paper import PaperTuning, sequence_of, tune_as_written
 from safedpa_lab.tuning.predictors import NetworkPredictor, one_step_errors, open_loop_errors
@@ -29,7 +29,7 @@ from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 from safedpa_sim.robots.car.world import CarWorld
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.data.recorded_runs import TuningDrive, record_circles
-from safedpa_sim.training.networks.rollout import ALONG
+from safedpa_sim.training.networks.prediction_errors import ALONG
 
 WEIGHTS = load_model("car_simulated").base.weights
 SCALE = torch.from_numpy(np.array(WEIGHTS["increment_scale"]))
@@ -112,7 +112,7 @@ def test_of_a_single_drive_the_end_is_left_out_and_decides(circles):
 
 
 def test_a_model_without_any_error_stays_as_it_was(circles, monkeypatch):
-    monkeypatch.setattr(online, "open_loop_errors", lambda *given: torch.zeros(given[3], len(given[2]), 4))
+    monkeypatch.setattr(predictors, "open_loop_errors", lambda *given: torch.zeros(given[3], len(given[2]), 4))
     _, taken = tuned_online(predictor(), circles, SCALE)
     assert taken.refused
     assert taken.before == (0.0, 0.0)

@@ -22,7 +22,7 @@ from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
 from safedpa_services.supervisor.run_monitor import RunMonitor
 from safedpa_services.supervisor.supervisor import Supervisor
-from safedpa_sim.robots.trace import TracedPeriod, read_trace
+from safedpa_sim.robots.run_summary import TracedPeriod, read_trace
 
 _FLEET, _ROBOT, _RATE = "fleet", "r1", 20.0
 _MARGIN_SECONDS = 0.25

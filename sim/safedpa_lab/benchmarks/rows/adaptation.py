@@ -61,9 +61,9 @@ def _peers(
     question: dict[str, Any] = {"calls": calls, "seconds": seconds, "rows": [rows.tolist() for rows in histories]}
     found: list[Entry] = []
     asked = (
-        ("torch eager", "torch", "adaptation_torch", {"tensors": tensors, "way": "eager"}),
-        ("torch.jit, frozen", "torch", "adaptation_torch", {"tensors": tensors, "way": "jit"}),
-        ("onnxruntime", "onnxruntime", "adaptation_onnx", {"graph": _graph(weights)}),
+        ("torch eager", "torch", "adaptation:torch", {"tensors": tensors, "way": "eager"}),
+        ("torch.jit, frozen", "torch", "adaptation:torch", {"tensors": tensors, "way": "jit"}),
+        ("onnxruntime", "onnxruntime", "adaptation:onnx", {"graph": _graph(weights)}),
     )
     for name, package, script, own in asked:
         answer = ask_peer(script, package, {**question, **own}, effort.interpreters) if own.get("graph", True) else {}

@@ -250,10 +250,10 @@ def _peers(cases: Sequence[Hidden], questions: list[dict[str, Any]], effort: Eff
     found = []
     for way, name in (("weak", "pysindy, weak form"), ("polynomial", "pysindy, polynomial")):
         question = {"way": way, "threshold": _THRESHOLDS[way], "cases": questions}
-        answer = ask_peer("diagnosis_pysindy", "pysindy", question, effort.interpreters, 600.0)
+        answer = ask_peer("diagnosis:pysindy", "pysindy", question, effort.interpreters, 600.0)
         found.append(_peer(name, answer, cases, way))
     question = {"seconds": effort.of(1, 3), "cases": questions}
-    answer = ask_peer("diagnosis_operon", "pyoperon", question, effort.interpreters, 600.0)
+    answer = ask_peer("diagnosis:operon", "pyoperon", question, effort.interpreters, 600.0)
     found.append(_peer("pyoperon", answer, cases, "expression"))
     return found
 

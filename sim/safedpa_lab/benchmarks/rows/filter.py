@@ -89,16 +89,22 @@ def over_effects(problem: FilterProblem, effort: Effort) -> Curve:
 
 _LACKS = "no networks, no prediction beyond the tangent, no verdict, no margin"
 _PEERS: Final = (
-    ("cbfpy, elastiqp", "cbfpy", "elastiqp", "filter_cbfpy", "compiled by jax; never reads whether it converged"),
-    ("cbfpy, qpax", "cbfpy", "qpax", "filter_cbfpy", "its default; compiled by jax; never reads whether it converged"),
-    ("run-time-assurance", "run_time_assurance", "", "filter_rta", "ASIF; all actions weigh alike; no slack"),
-    ("cvxpy, OSQP", "cvxpy", "OSQP", "filter_cvxpy", "stated once, parameters set again"),
-    ("cvxpy, Clarabel", "cvxpy", "CLARABEL", "filter_cvxpy", "stated once, parameters set again"),
+    ("cbfpy, elastiqp", "cbfpy", "elastiqp", "filters:cbfpy", "compiled by jax; never reads whether it converged"),
+    ("cbfpy, qpax", "cbfpy", "qpax", "filters:cbfpy", "its default; compiled by jax; never reads whether it converged"),
+    (
+        "run-time-assurance",
+        "run_time_assurance",
+        "",
+        "filters:run_time_assurance",
+        "ASIF; all actions weigh alike; no slack",
+    ),
+    ("cvxpy, OSQP", "cvxpy", "OSQP", "filters:cvxpy", "stated once, parameters set again"),
+    ("cvxpy, Clarabel", "cvxpy", "CLARABEL", "filters:cvxpy", "stated once, parameters set again"),
     (
         "IPOPT (casadi)",
         "casadi",
         "",
-        "filter_casadi",
+        "filters:casadi",
         "as the authors had it: nearest obstacle, built again every step",
     ),
 )

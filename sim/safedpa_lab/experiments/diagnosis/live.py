@@ -10,6 +10,7 @@ import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -21,9 +22,8 @@ from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.errors import InputError
 from safedpa.live.finding import RobotDiagnosis
 from safedpa.live.model_monitor import ALPHA
-from safedpa.live.search_jobs import named_candidate
 from safedpa.live.node import DiagnosisNode
-from safedpa.live.search_jobs import Calibrate, InlineWorker, WorkOutcome
+from safedpa.live.search_jobs import InlineWorker, WorkOutcome, named_candidate
 from safedpa.policy import PolicyNode
 from safedpa.records.run import Run
 from safedpa.records.writers.mcap import McapRecorder
@@ -132,16 +132,13 @@ def drive_live(
 def _nodes(model: PhysicsModel) -> tuple[DiagnosisNode, list[Any]]:
     settings, margin = settings_named(_SETTINGS), margin_for(model)
     text = "" if margin is None else margin_text(margin)
-    diagnosis = DiagnosisNode(write_model(model), InlineWorker(_calibrate()), text)
+    diagnosis = DiagnosisNode(write_model(model), InlineWorker(_calibrated), text)
     return diagnosis, [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings, margin), diagnosis]
 
 
-def _calibrate() -> Calibrate:
-    def calibrate(model: PhysicsModel, run: Run, footprint: tuple[float, ...]) -> str:
-        along = (lambda: LatentEstimator(model)) if model.latent_names else None
-        return live_margin(model, settings_named(_SETTINGS), run, footprint, along)
-
-    return calibrate
+def _calibrated(model: PhysicsModel, run: Run, footprint: tuple[float, ...]) -> str:
+    along = (lambda: LatentEstimator(model)) if model.latent_names else None
+    return live_margin(model, settings_named(_SETTINGS), run, footprint, along)
 
 
 class _Notes:
@@ -268,37 +265,21 @@ class LiveExperiment:
     model: str = MODEL_NAME
 
 
-@dataclass(frozen=True)
-class _Job:
-    case: str
-    seed: int
-    seconds: float
-    after: float
-    model: str
-
-
 def live_experiment(experiment: LiveExperiment, report_progress: ReportProgress = silent) -> dict[str, Any]:
     """One row a case with every drive in it, and the drives in which nothing changed."""
-    jobs = [
-        _Job(case, seed, _LONGEST, experiment.change_after, experiment.model)
-        for case in experiment.cases
-        if case != NOTHING
-        for seed in experiment.seeds
-    ]
+    jobs = [(case, seed, _LONGEST) for case in experiment.cases if case != NOTHING for seed in experiment.seeds]
     if NOTHING in experiment.cases:
-        jobs += [
-            _Job(NOTHING, seed, experiment.quiet_seconds, experiment.change_after, experiment.model)
-            for seed in experiment.quiet_seeds
-        ]
-    drives = each_result(_run, jobs, experiment.processes, report_progress)
+        jobs += [(NOTHING, seed, experiment.quiet_seconds) for seed in experiment.quiet_seeds]
+    run_one = partial(_run, experiment.change_after, experiment.model)
+    drives = each_result(run_one, jobs, experiment.processes, report_progress)
     rows = [_row(case, [item for item in drives if item.case == case]) for case in experiment.cases if case != NOTHING]
     quiet = [item for item in drives if item.case == NOTHING]
     return {**dataclasses.asdict(experiment), "rows": rows, "quiet": _quiet(quiet) if quiet else None}
 
 
-def _run(job: _Job) -> LiveDrive:
+def _run(after: float, model: str, job: tuple[str, int, float]) -> LiveDrive:
     """The same job gives the same drive."""
-    return drive_live(job.case, job.seed, job.seconds, job.after, model=job.model)
+    return drive_live(*job, after, model=model)
 
 
 def _row(case: str, drives: Sequence[LiveDrive]) -> dict[str, Any]:
@@ -359,9 +340,6 @@ def _quiet(drives: Sequence[LiveDrive]) -> dict[str, Any]:
     }
 
 
-_CASES = ("hitch", "headwind", "steering_offset", "nothing")
-
-
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment live``, or records one of its drives."""
     case, after, record = options["case"], options["after"], options["record"]
@@ -374,7 +352,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         return {"experiment": "live", "recording": str(record), **dataclasses.asdict(drive)}
     first, quiet = options["seed"], options["quiet_drives"]
     experiment = LiveExperiment(
-        cases=_CASES if case == "all" else (case,),
+        cases=(*CASES, NOTHING) if case == "all" else (case,),
         seeds=tuple(range(first, first + options["drives"])),
         quiet_seeds=tuple(range(first, first + quiet)),
         quiet_seconds=3600.0 * options["hours"] / quiet,

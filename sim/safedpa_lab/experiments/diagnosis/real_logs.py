@@ -165,7 +165,7 @@ def real_logs_experiment(experiment: RealLogs, report_progress: ReportProgress =
         "parts": list(experiment.parts),
         "targets": [*targets_of(rows), *([folds_target(together)] if together is not None else [])],
         "folds_together": together,
-        "stable_names": dict(Counter((name for row in left_out for name in row["added"])).most_common()),
+        "stable_names": dict(Counter(name for row in left_out for name in row["added"]).most_common()),
         "rows": rows,
     }
 

@@ -8,8 +8,9 @@ is counted on evaluation seeds.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -70,13 +71,13 @@ class PendulumExperiment:
 
 def pendulum_experiment(experiment: PendulumExperiment, report_progress: ReportProgress = silent) -> dict[str, Any]:
     """Runs both questions for every method; the same winds, starts and draws for each."""
-    count = _Count(experiment, report_progress)
+    more = _count(experiment, report_progress)
     with Workers(experiment.processes) as workers:
         margins = measured_margins(FILTERED, experiment.models, experiment.drives)
         epsilon = {name: margin["epsilon"] for name, margin in margins.items()}
-        tables = _tables(experiment, epsilon, workers, count)
+        tables = _tables(experiment, epsilon, workers, more)
         choice = best_penalty(Choice(experiment.models, experiment.directions, experiment.episodes, Difficulty()))
-        sweeps = _sweeps(experiment, _of_each(epsilon), workers, count)
+        sweeps = _sweeps(experiment, _of_each(epsilon), workers, more)
     return {
         "date": experiment.date,
         "seed": experiment.seed,
@@ -95,19 +96,13 @@ def pendulum_experiment(experiment: PendulumExperiment, report_progress: ReportP
     }
 
 
-class _Count:
-    """How much of the work is done."""
-
-    def __init__(self, experiment: PendulumExperiment, report_progress: ReportProgress) -> None:
-        everyone = [method for methods in _METHODS.values() for method in methods]
-        filtered = sum(bool(method.filter) for method in everyone)
-        sweeps = Sweeps(experiment.models, 1, 1, 0, {}, experiment.axes) if experiment.sweep_episodes else None
-        self._all = len(everyone) + (len(TABLES) - 1) * filtered + (0 if sweeps is None else sweeps.size)
-        self._report, self._done = report_progress, 0
-
-    def more(self) -> None:
-        self._done += 1
-        self._report(self._done, self._all)
+def _count(experiment: PendulumExperiment, report_progress: ReportProgress) -> Callable[[], None]:
+    """To be called after each set of episodes."""
+    everyone = [method for methods in _METHODS.values() for method in methods]
+    filtered = sum(bool(method.filter) for method in everyone)
+    sweeps = Sweeps(experiment.models, 1, 1, 0, {}, experiment.axes).size if experiment.sweep_episodes else 0
+    total, done = len(everyone) + (len(TABLES) - 1) * filtered + sweeps, count(1)
+    return lambda: report_progress(next(done), total)
 
 
 def _of_each(epsilon: Mapping[str, float]) -> dict[str, float]:
@@ -117,7 +112,7 @@ def _of_each(epsilon: Mapping[str, float]) -> dict[str, float]:
 
 
 def _tables(
-    experiment: PendulumExperiment, epsilon: Mapping[str, float], workers: Workers, count: _Count
+    experiment: PendulumExperiment, epsilon: Mapping[str, float], workers: Workers, more: Callable[[], None]
 ) -> dict[str, Any]:
     """Counts by table, task and method. Methods without a filter are in the first table only."""
     margins = {
@@ -140,12 +135,12 @@ def _tables(
             if outcome in account:
                 account[outcome] = "".join(str(flag) for flag in account[outcome])
         found[table][QUESTIONS[question]][name] = account
-        count.more()
+        more()
     return found
 
 
 def _sweeps(
-    experiment: PendulumExperiment, margins: Mapping[str, float], workers: Workers, count: _Count
+    experiment: PendulumExperiment, margins: Mapping[str, float], workers: Workers, more: Callable[[], None]
 ) -> dict[str, Any]:
     if not experiment.sweep_episodes:
         return {}
@@ -157,7 +152,7 @@ def _sweeps(
         margins,
         experiment.axes,
     )
-    return swept(asked, workers, count.more)
+    return swept(asked, workers, more)
 
 
 def _latent(experiment: PendulumExperiment, epsilon: float) -> dict[str, Any]:

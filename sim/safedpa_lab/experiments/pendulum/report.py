@@ -170,7 +170,7 @@ def sweeps_table(result: Mapping[str, Any]) -> str:
         lines = [f"| {axis['label']} | {values} |", "|---|" + "---|" * len(axis["shown"])]
         for row in axis.get("balancing", {}).values():
             lines.append(
-                f"| {row['title']}, within the edges: safe | {' | '.join((str(count) for count in row['safe']))} |"
+                f"| {row['title']}, within the edges: safe | {' | '.join(str(count) for count in row['safe'])} |"
             )
         for row in axis.get("hazard", {}).values():
             both = [f"{safe} / {good}" for safe, good in zip(row["safe"], row["both"], strict=True)]

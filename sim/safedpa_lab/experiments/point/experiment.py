@@ -36,6 +36,7 @@ from safedpa_lab.point.drivers import (
     Wheel,
     digest_of,
     driver_of,
+    evenly,
     penalised,
     training_seeds,
     windy_task,
@@ -87,7 +88,7 @@ def account_of(work: Work) -> dict[str, Any]:
     method, directions, episodes = work.driven, work.directions, work.episodes
     margins = {} if work.epsilon is None else {method.filter: work.epsilon}
     wheel = Wheel(Path(work.models), Path(work.baselines), margins, work.training_seed)
-    task = windy_task(directions, episodes, work.force, work.seed)
+    task = windy_task(evenly(directions, episodes), work.force, work.seed)
     driver = driver_of(method, task, wheel)
     shown = np.arange(0, directions, max(1, directions // _SHOWN)) * episodes if work.shown else np.zeros(0, int)
     found = drive(driver, task, work.steps, shown)

@@ -25,6 +25,7 @@ from safedpa_lab.experiments.common.workers import check_record, driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, named_folder, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.drivers import driven as drive
+from safedpa_lab.point.drivers import evenly, windy_task
 from safedpa_lab.point.free_model import save_free
 from safedpa_lab.point.free_training import train_free
 from safedpa_lab.point.margin import COVERAGE
@@ -36,7 +37,6 @@ from safedpa_lab.point.relinearised import (
     free_model,
     model_of,
     nominal_policy_of,
-    windy,
 )
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import EPISODE_STEPS
@@ -44,7 +44,7 @@ from safedpa_sim.training import progress as training_progress
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.data.transitions import draw_transitions
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.networks.explained_variance import affine_floor
+from safedpa_sim.training.networks.prediction_errors import affine_floor
 from safedpa_sim.training.phases.phase_1a import train_affine
 
 _DRAWN: Final = 20_000
@@ -225,7 +225,7 @@ def row_of(row: Row) -> dict[str, Any]:
     """The row's margin, behind its own filter with a first guess, and its episodes with that margin."""
     errors = _calibrated(row)
     epsilon, every = max(0.0, margins_over_drives(errors, COVERAGE)[0]), np.concatenate(errors)
-    towards = np.repeat(2.0 * np.pi * np.arange(row.directions) / row.directions, row.episodes)
+    towards = evenly(row.directions, row.episodes)
     driver = _driver(row, towards, row.seed, epsilon)
     found = drive(driver, driver.task, row.steps)
     seen, count, safe = np.concatenate(driver.seen()), len(towards), found.cost == 0.0
@@ -262,7 +262,7 @@ def _calibrated(row: Row) -> list[FloatArray]:
 def _driver(row: Row, towards: FloatArray, seed: int, epsilon: float) -> FilteredDriver:
     kind, about = FILTERS[row.filter]
     models = Path(row.models)
-    task = windy(row.thrust, towards, LARGEST_FORCE, seed)
+    task = windy_task(towards, LARGEST_FORCE, seed, stock=row.thrust == "stock")
     nominal = nominal_policy_of(row.nominal, row.thrust, task, models, seed)
     return FilteredDriver(task, model_of(kind, row.thrust, task, models), RelinearisedFilter(epsilon, about), nominal)
 

@@ -24,8 +24,8 @@ from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.beliefs import ModelBelief
 from safedpa_lab.point.shield import EPSILON, Shield
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
-from safedpa_sim.point.body_steps import centre_state, controls_of
-from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel
+from safedpa_sim.point.simulation import centre_state, controls_of
+from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
@@ -165,7 +165,7 @@ def point_story_markdown(result: dict[str, Any]) -> str:
 
 def _case(name: str, case: dict[str, Any]) -> str:
     true = ", ".join(
-        f"{effect} {', '.join((f'{value:.3g}' for value in entries.values()))}"
+        f"{effect} {', '.join(f'{value:.3g}' for value in entries.values())}"
         for effect, entries in case["true"].items()
     )
     found = ", ".join(
