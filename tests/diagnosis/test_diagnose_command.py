@@ -279,7 +279,7 @@ def test_a_command_that_fails_removes_the_empty_folders_that_it_made_itself(ther
     (tmp_path / there).mkdir(parents=True, exist_ok=True)
 
     def work() -> None:
-        with results_folder(tmp_path / "a" / "b", "compare", "car", (), (), False) as folder:
+        with results_folder(tmp_path / "a" / "b", (), (), False) as folder:
             assert folder.is_dir()
             if written:
                 (folder / "report.json").write_text("{}", encoding="utf-8")

@@ -21,10 +21,10 @@ from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
+from safedpa.report.diagnosis_lines import story_lines
 from safedpa.report.diagnosis_story import report_text
 from safedpa_lab.hidden import Case, write_case
 from safedpa_lab.hidden.write import NOISE
-from safedpa_services.command_line.diagnose import story_lines
 from safedpa_services.command_line.group import safedpa
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]

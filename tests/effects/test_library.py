@@ -139,7 +139,7 @@ def test_command_shows_every_effect_in_a_table_and_in_one_json_document(capsys, 
 def test_command_refuses_an_unknown_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["effects", "--robot", "cat"]) == 2
     error = capsys.readouterr().err
-    assert error == "safedpa: --robot: got 'cat'; did you mean 'car'? known: car, differential_drive, pendulum, point\n"
+    assert error == "safedpa: robot: got 'cat'; did you mean 'car'? known: car, differential_drive, pendulum, point\n"
 
 
 def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:

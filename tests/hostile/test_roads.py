@@ -81,7 +81,7 @@ def test_a_folder_in_which_something_was_written_stays(tmp_path: Path) -> None:
     from safedpa.comparison.output import results_folder
 
     def fails_late() -> None:
-        with results_folder(tmp_path / "out", "compare", "car", (), (), False) as out:
+        with results_folder(tmp_path / "out", (), (), False) as out:
             (out / "half").write_text("x", encoding="utf-8")
             raise InputError("late")
 

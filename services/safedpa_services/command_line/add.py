@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from safedpa.extras import needs
 from safedpa_services.command_line.names import complete_effects, complete_models
-from safedpa_services.command_line.options import (
-    force_option,
-    inputs_of,
-    load_given_model,
-    load_runs,
-    run_options,
-    value_text,
-)
-
-if TYPE_CHECKING:
-    from safedpa.effects import Varies, Where
-
-__all__ = ["command"]
+from safedpa_services.command_line.options import force_option, run_options
 
 
 @click.command(name="add")
@@ -58,39 +44,8 @@ def command(
     --varies one of its parameters depends on a variable. The borders of the region and the dependence are fitted as
     well. Prints the fitted parameters and the error on held-out data, before and after.
     """
-    from safedpa.comparison.output import refuse_inputs, require_writable_file
-    from safedpa.diagnosis.add_effect import add_effect
-    from safedpa.dynamics import save_model
+    from safedpa.api.fitting import add
 
-    loaded = load_given_model(model, effects)
-    refuse_inputs([out], inputs_of(model, runs, columns, effects), force)
-    require_writable_file(out)
-    law = _law(where, varies, edge, effect)
-    found = add_effect(loaded, effect, load_runs(loaded, runs, columns), horizon, law)
-    save_model(found.model, out)
-    before, after = found.before.value, found.after.value
-    if as_json:
-        values = {path: vars(value) for path, value in found.values.items()}
-        sentence = {"sentence": found.sentence} if law is not None else {}
-        errors = {key: value if math.isfinite(value) else None for key, value in (("before", before), ("after", after))}
-        document = {"format": 1, "effect": effect, **errors, "parameters": values, **sentence}
-        click.echo(json.dumps(document, allow_nan=False))
-        return
-    if found.sentence:
-        click.echo(found.sentence)
-    for path, value in found.values.items():
-        click.echo(value_text(path, value))
-    change = f" ({100 * (after / before - 1):+.1f} %)" if before > 0 else ""
-    click.echo(f"held-out error after {horizon:g} s: {before:.4g} before, {after:.4g} with {effect}{change}")
-    click.echo(f"Model: {out}")
-
-
-def _law(where: str | None, varies: str | None, edge: float, effect: str) -> Where | Varies | None:
-    from safedpa.effects.law import law_of
-    from safedpa.errors import InputError
-
-    if where is not None and varies is not None:
-        raise InputError("--where, --varies: got both, wanted one of them")
-    if where is not None:
-        return law_of("where", where, edge, effect)
-    return None if varies is None else law_of("varies", varies, None, effect)
+    given = {"columns": columns, "horizon": horizon, "effects": effects, "force": force}
+    found = add(model, effect, runs, where=where, varies=varies, edge=edge, out=out, **given)  # type: ignore[arg-type]
+    click.echo(json.dumps(found.to_dict(), allow_nan=False) if as_json else f"{found}\nModel: {out}")

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from safedpa.errors import InputError
 from safedpa_services.command_line.options import as_json_option
-
-__all__ = ["command"]
 
 
 @click.command()
@@ -24,19 +20,8 @@ def command(file: Path, seed: int, as_json: bool) -> int:
     FILE.py declares the robot, a class derived from AbstractRobot. For the test, its simulation is driven by random
     nominal actions through its filter.
     """
-    from safedpa.check_robot import check_robot
-    from safedpa.dynamics import load_user_file
-    from safedpa.systems.robots import robots
+    from safedpa.api.listing import check
 
-    names = [name for name in load_user_file(file) if name in robots()]
-    if not names:
-        raise InputError(f"{file}: got no robot, wanted a class derived from AbstractRobot")
-    found = {name: check_robot(robots()[name], seed) for name in names}
-    if as_json:
-        click.echo(json.dumps({name: [asdict(one) for one in parts] for name, parts in found.items()}))
-    else:
-        for name, parts in found.items():
-            click.echo(f"robot '{name}'")
-            for one in parts:
-                click.echo(f"  {one.verdict:<8}{one.part}: {one.sentence}")
-    return 0 if all(one.ends_well for parts in found.values() for one in parts) else 2
+    found = check(file, seed=seed)
+    click.echo(json.dumps(found.to_dict()) if as_json else str(found))
+    return 0 if found.passed else 2

@@ -10,19 +10,10 @@ import click
 
 from safedpa.extras import needs
 from safedpa_services.command_line.names import complete_models
-from safedpa_services.command_line.options import (
-    folder_option,
-    force_option,
-    inputs_of,
-    load_given_model,
-    load_runs,
-    run_options,
-)  # fmt: skip
+from safedpa_services.command_line.options import folder_option, force_option, run_options
 
 if TYPE_CHECKING:
     from safedpa.comparison.comparison import Comparison
-
-__all__ = ["command"]
 
 WORST = 8
 """Number of bins that are printed."""
@@ -54,28 +45,17 @@ def command(
     Shows how large the model's error is, and where. Predicts open loop from a start every 0.1 s. Prints the errors,
     together with those of predictors that know no physics, and writes compare.html (readable offline) and compare.json.
     """
-    from safedpa.comparison.comparison import compare_model
-    from safedpa.comparison.output import results_folder
-    from safedpa.comparison.summary import as_json as document_of
-    from safedpa.comparison.summary import worse_sentence
-    from safedpa.progress import progress
-    from safedpa.report.comparison_page import write_comparison
+    from safedpa.api.comparing import compare
+    from safedpa.comparison.output import new_folder
 
-    loaded = load_given_model(model, effects)
-    earlier = None if before is None else load_given_model(before, None)
-    names, read = ("compare.html", "compare.json"), inputs_of(model, runs, columns, effects, before)
-    with results_folder(out, "compare", model, names, read, force) as folder:
-        recorded = load_runs(loaded, runs, columns)
-        with progress("comparing") as report_progress:
-            report_progress(0, 2)
-            comparison = compare_model(loaded, recorded, horizon)
-            report_progress(1, 2)
-            change = "" if earlier is None else worse_sentence(compare_model(earlier, recorded, horizon), comparison)
-            page, _ = write_comparison(comparison, folder, Path(model).stem)
+    folder = out or new_folder("compare", model)
+    found = compare(
+        model, runs, columns=columns, horizon=horizon, effects=effects, before=before, out=folder, force=force
+    )
     if as_json:
-        click.echo(json.dumps(document_of(comparison) | ({"change": change} if change else {}), allow_nan=False))
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
     else:
-        _show(comparison, page, change)
+        _show(found.details, folder / "compare.html", found.change)
 
 
 def _show(comparison: Comparison, page: Path, change: str) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from safedpa.effects import AbstractEffect, Parameter
-
-__all__ = ["command"]
 
 
 @click.command()
@@ -28,42 +27,16 @@ def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | No
 
     Shows equation, parameters, units, and the residuals of a model without the effect.
     """
-    from safedpa.dynamics import load_user_file
-    from safedpa.effects import effects_of, robots
-    from safedpa.errors import InputError, did_you_mean
+    from safedpa.api.listing import list_effects
 
-    if effects is not None:
-        load_user_file(effects)
-    if robot is not None and robot not in robots():
-        raise InputError(f"--robot: got '{robot}'; {did_you_mean(robot, robots())}")
-    listed = {owner: _ordered(effects_of(owner)) for owner in robots() if robot in (None, owner)}
+    found = list_effects(robot, effects=effects)
+    listed = found.by_robot
     if as_json:
-        entries = [_entry(item) for items in listed.values() for item in items]
-        click.echo(json.dumps({"format": 1, "effects": entries}, indent=2))
+        click.echo(json.dumps(found.to_dict(), indent=2))
     elif markdown:
         click.echo("\n".join(line for owner, items in listed.items() for line in _markdown(owner, items)))
     else:
         _show(listed)
-
-
-def _ordered(items: dict[str, AbstractEffect]) -> list[AbstractEffect]:
-    """Sorts the effects in the order in which they act, from the command to the sensor."""
-    return sorted(items.values(), key=lambda item: (item.stage, item.name))
-
-
-def _entry(item: AbstractEffect) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "robot": item.robot,
-        "name": item.name,
-        "stage": item.stage.name.lower(),
-        "equation": item.equation,
-        "parameters": [asdict(parameter) for parameter in item.parameters],
-        "needs": list(item.needs),
-        "signature": item.signature,
-        "source": item.source,
-    }
 
 
 def _bounds(parameter: Parameter) -> str:
@@ -79,7 +52,7 @@ def _title(item: AbstractEffect) -> str:
     return f"only with {', '.join(item.needs)}" if item.needs else ""
 
 
-def _markdown(owner: str, items: list[AbstractEffect]) -> list[str]:
+def _markdown(owner: str, items: Sequence[AbstractEffect]) -> list[str]:
     def cell(text: str) -> str:
         return text.replace("|", "\\|")
 
@@ -98,7 +71,7 @@ def _markdown(owner: str, items: list[AbstractEffect]) -> list[str]:
     return [*lines, ""]
 
 
-def _show(listed: dict[str, list[AbstractEffect]]) -> None:
+def _show(listed: dict[str, tuple[AbstractEffect, ...]]) -> None:
     from rich.table import Table
     from rich.text import Text
 

@@ -12,7 +12,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa_services.command_line.names import SuggestingChoice
-from safedpa_services.command_line.options import PATH, inputs_of
+from safedpa_services.command_line.options import PATH
 
 if TYPE_CHECKING:
     from safedpa.fleet import DiscoveredRobots, Workers
@@ -73,7 +73,8 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
 
     Raises InputError if no robot's recordings can be used.
     """
-    from safedpa.comparison.output import results_folder
+    from safedpa.api.inputs import files_of
+    from safedpa.comparison.output import new_folder, results_folder
     from safedpa.fleet import Fleet, Options, diagnose_fleet
     from safedpa.progress import progress
 
@@ -86,13 +87,13 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     if given is not None and options["fleet"] is not None and given.resolve() == options["fleet"].resolve():
         raise InputError(f"--out {given}: got the folder of the recordings; choose another folder for the results")
     found = _found(runs, options)
-    read = inputs_of(model, [path for robot in found.robots for path in map(str, robot.files)], effects)
+    read = files_of(model, [file for robot in found.robots for file in robot.files], effects)
     columns = _absolute(options["columns"]) if options["columns"] else None
     own = str(effects.resolve()) if effects else None
     known = Options(_absolute(model), columns, options["horizon"], own)
     written = "fleet.html", "fleet.json"
     with (
-        results_folder(given, "fleet", model, written, read, options["force"]) as out,
+        results_folder(given or new_folder("fleet", model), written, read, options["force"]) as out,
         progress(f"diagnosing {len(found.robots)} robots") as report_progress,
     ):
         document = diagnose_fleet(

@@ -1,18 +1,12 @@
-"""Arguments and options that several commands share, and functions that load what they name."""
+"""Arguments and options that several commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
-
-if TYPE_CHECKING:
-    from safedpa.diagnosis.report_schema import FittedValue
-    from safedpa.dynamics import PhysicsModel
-    from safedpa.records.run import Run
-
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -62,36 +56,6 @@ def run_options(command: Command) -> Command:
     return command
 
 
-def inputs_of(model: str, runs: Sequence[str], *others: str | Path | None) -> list[str | Path]:
-    """Returns all files that a command reads."""
-    return [model, *runs, *(item for item in others if item is not None)]
-
-
-def load_given_model(name: str, effects: Path | None) -> PhysicsModel:
-    """Loads the user's own effects and systems, then the model."""
-    from safedpa.dynamics import load_model, load_user_file
-
-    if effects is not None:
-        load_user_file(effects)
-    return load_model(name)
-
-
-def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
-    """Loads the recordings, with distinct names, and shows a progress bar."""
-    from safedpa.comparison.comparison import with_distinct_names
-    from safedpa.progress import progress
-    from safedpa.records import load_column_map, load_run
-
-    mapping = load_column_map(columns) if columns else None
-    found = []
-    with progress("reading") as report_progress:
-        for number, path in enumerate(paths):
-            report_progress(number, len(paths))
-            found.append(load_run(path, model.system, mapping))
-        report_progress(len(paths), len(paths))
-    return with_distinct_names(found, paths)
-
-
 class GroupedCommand(click.Command):
     """A command whose help groups its options.
 
@@ -112,9 +76,3 @@ class GroupedCommand(click.Command):
             if rows:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
-
-
-def value_text(name: str, value: FittedValue) -> str:
-    """Returns a fitted value as text: coefficient 0.121 +- 0.003 1/m."""
-    spread = "" if value.std is None else f" +- {value.std:.2g}"
-    return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")

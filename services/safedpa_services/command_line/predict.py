@@ -14,11 +14,7 @@ from safedpa_services.command_line.options import (
     effects_option,
     force_option,
     horizon_option,
-    inputs_of,
-    load_given_model,
 )  # fmt: skip
-
-__all__ = ["command"]
 
 
 @click.command(name="predict")
@@ -39,19 +35,9 @@ def command(
     Each prediction starts at the measured state and uses only the recorded actions. FILE.csv has the columns start_t, t
     and the states, with one line per measured row up to the horizon.
     """
-    from safedpa.comparison.output import refuse_inputs, require_writable_file
-    from safedpa.comparison.rollout import predict_run
-    from safedpa.records import load_column_map, load_run
-    from safedpa.records.writers.tables import write_columns
+    from safedpa.api.predicting import predict
 
-    refuse_inputs([out], inputs_of(model, [run], columns, effects), force)
-    loaded = load_given_model(model, effects)
-    recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
-    require_writable_file(out)
-    table = predict_run(loaded, recorded, horizon)
-    write_columns(table, out, "csv")
-    starts = len(set(table["start_t"].tolist()))
-    facts = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
-    report_progress(
-        f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=facts
-    )
+    found = predict(model, run, horizon, columns=columns, effects=effects, out=out, force=force)
+    facts = found.to_dict()
+    line = f"{out}: {facts['predictions']} predictions from {facts['starts']} starts over {horizon:g} s"
+    report_progress(line, err=True, facts=facts)

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
     effects_option,
-    load_given_model,
-    load_runs,
     runs_argument,
 )
-
-__all__ = ["command"]
 
 
 @click.command(name="rehearse")
@@ -54,18 +48,11 @@ def command(
     the noise of the runs. The result says whether drives like these would show an effect. Takes the time of one
     diagnosis per effect and size.
     """
-    from safedpa.diagnosis.identifiability.rehearsal import rehearse_diagnosis
-    from safedpa.progress import progress
+    from safedpa.api.planning import rehearse
 
-    if seed < 0 or not all(size > 0 for size in sizes):
-        raise InputError(f"--size {sizes}, --seed {seed}: wanted sizes above 0, and a seed of 0 or more")
-    loaded = load_given_model(model, effects)
-    recorded = load_runs(loaded, runs, columns)
-    with progress("rehearsing") as report_progress:
-        found = rehearse_diagnosis(loaded, recorded, sizes, names, seed, report_progress)
+    found = rehearse(model, runs, columns=columns, effects=effects, effect=names, size=sizes, seed=seed)
     if as_json:
-        trials = [asdict(trial) for trial in found.trials]
-        click.echo(json.dumps({"format": 1, "trials": trials, "agreeing": found.agreeing}, allow_nan=False))
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
         return
     for trial in found.trials:
         unit = "" if trial.unit == "1" else f" {trial.unit}"

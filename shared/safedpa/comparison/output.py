@@ -48,16 +48,13 @@ def require_writable_file(path: Path) -> Path:
 
 
 @contextmanager
-def results_folder(
-    out: Path | None, command: str, model: str, names: Iterable[str], inputs: Iterable[str | Path], force: bool
-) -> Iterator[Path]:
-    """Yields the folder ``out``, or a new one named after command, model and time.
+def results_folder(folder: Path, names: Iterable[str], inputs: Iterable[str | Path], force: bool) -> Iterator[Path]:
+    """Yields the folder, created at once, so that no other command takes it.
 
-    The folder is created at once, so that no other command takes it, and removed if the command fails before it writes
-    anything. ``names`` are the files to be written there. Raises InputError if the folder is not writable, or if one of
-    the files is an input, unless ``force``.
+    Folders that it created are removed if the command fails before it writes anything. ``names`` are the files to be
+    written there. Raises InputError if the folder is not writable, or if one of the files is an input, unless
+    ``force``.
     """
-    folder = new_folder(command, model) if out is None else out
     refuse_inputs([folder / name for name in names], inputs, force)
     created = [part for part in (folder, *folder.parents) if not part.exists()]
     try:

@@ -1,0 +1,23 @@
+"""Every public name of ``import safedpa`` has an example that runs, and prints what its docstring says."""
+
+import doctest
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import safedpa
+
+NAMES = [name for name in safedpa.__all__ if name != "__version__"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_prints_what_its_docstring_says(name: str, user_folder: Path) -> None:
+    names = {"safedpa": safedpa, "np": np}
+    examples = doctest.DocTestFinder().find(getattr(safedpa, name), name, module=False, globs=names)
+    assert any(found.examples for found in examples), "wanted an example"
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    said: list[str] = []
+    for found in examples:
+        runner.run(found, out=said.append)
+    assert not runner.failures, "".join(said)
