@@ -13,10 +13,9 @@ PAGE = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("safety.md
 
 
 def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_own(capsys: pytest.CaptureFixture[str]):
-    pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
     names: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 3
     for number, block in enumerate(blocks):
         exec(compile(block, f"docs/safety.md, block {number}", "exec"), names)
     assert capsys.readouterr().out.startswith("corrected [")
@@ -24,6 +23,16 @@ def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_
     first = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
     own = [line for line in first if line.startswith(("f =", "g =", "h =", "import numpy"))]
     assert len([line for line in first if line and line not in own]) == 5
+
+
+@pytest.mark.parametrize("page", ["gymnasium", "barriers"])
+def test_the_examples_of_a_page_run_in_order(page: str) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert blocks
+    for number, block in enumerate(blocks):
+        exec(compile(block, f"docs/{page}.md, block {number}", "exec"), names)
 
 
 def test_the_settings_example_is_read() -> None:

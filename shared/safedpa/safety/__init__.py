@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from safedpa.safety.barriers.base import AbstractBarrier, Barriers
+    from safedpa.safety.barriers.between_ticks import LipschitzBarrier
+    from safedpa.safety.barriers.distance_field import DistanceFieldBarrier, distance_to_occupied
     from safedpa.safety.barriers.equation import AbstractEquationBarrier
     from safedpa.safety.barriers.function import FunctionBarrier
     from safedpa.safety.barriers.higher_order import HigherOrderBarrier
     from safedpa.safety.barriers.limits import CorridorBarrier, SpeedBarrier
+    from safedpa.safety.barriers.look_ahead import LookAheadBarrier
     from safedpa.safety.barriers.rollout import RolloutBarrier
     from safedpa.safety.checks.check_filter import check_filter
     from safedpa.safety.checks.report import FilterIssue, FilterReport
@@ -34,6 +37,7 @@ __all__ = [
     "AbstractEquationBarrier",
     "Barriers",
     "CorridorBarrier",
+    "DistanceFieldBarrier",
     "FilterIssue",
     "FilterReport",
     "FilterSettings",
@@ -41,6 +45,8 @@ __all__ = [
     "GymnasiumSafetyFilter",
     "GymnasiumVectorSafetyFilter",
     "HigherOrderBarrier",
+    "LipschitzBarrier",
+    "LookAheadBarrier",
     "MarginCalibration",
     "OnlineMargin",
     "PendingActions",
@@ -55,6 +61,7 @@ __all__ = [
     "Verdict",
     "calibrate_margin",
     "check_filter",
+    "distance_to_occupied",
     "load_settings",
     "one_step_errors",
     "parse_settings",
@@ -67,10 +74,13 @@ __all__ = [
 
 _HOMES = {
     "barriers.base": "AbstractBarrier Barriers",
+    "barriers.between_ticks": "LipschitzBarrier",
+    "barriers.distance_field": "DistanceFieldBarrier distance_to_occupied",
     "barriers.equation": "AbstractEquationBarrier",
     "barriers.function": "FunctionBarrier",
     "barriers.higher_order": "HigherOrderBarrier",
     "barriers.limits": "CorridorBarrier SpeedBarrier",
+    "barriers.look_ahead": "LookAheadBarrier",
     "barriers.rollout": "RolloutBarrier",
     "checks.check_filter": "check_filter",
     "checks.report": "FilterIssue FilterReport",

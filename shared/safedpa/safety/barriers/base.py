@@ -37,9 +37,14 @@ class AbstractBarrier(ABC):
 
     A filter refuses a model with other states.
     """
-    at_once: bool = False
+    at_once: bool | tuple[bool, ...] = False
     """Whether one step may use up all of h, down to the margin, instead of the share eta: for a barrier whose h assumes
-    the worst case already, and would otherwise slow a robot down far away from an obstacle."""
+    the worst case already, and would otherwise slow a robot down far away from an obstacle. A tuple: for each row."""
+
+    @property
+    def at_once_rows(self) -> tuple[bool, ...]:
+        """(m,) ``at_once`` of each row."""
+        return self.at_once if isinstance(self.at_once, tuple) else (self.at_once,) * len(self.names)
 
     @abstractmethod
     def h(self, state: FloatArray) -> FloatArray:
@@ -83,7 +88,7 @@ class _Layout(NamedTuple):
                 rows[part.kind] = (*rows.get(part.kind, ()), *range(len(names), len(names) + count))
             names += part.names
             kinds += [part.kind] * count
-            at_once += [part.at_once] * count
+            at_once += part.at_once_rows
         return cls(tuple(names), tuple(kinds), at_once, rows, runs)
 
 

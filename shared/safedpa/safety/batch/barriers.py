@@ -116,7 +116,7 @@ class CompiledBatchBarriers(AbstractBatchBarriers):
         kinds = list(chain.from_iterable([part.kind] * len(part.names) for part in first))
         reads = next((part.reads for own in parts for part in own if part.reads), ())
         many = cls(next(iter(patterns)), kinds, states, shared, each, lambda robot: parts[robot], len(parts), reads)
-        many.at_once = tuple(chain.from_iterable([part.at_once] * len(part.names) for part in first))
+        many.at_once = tuple(chain.from_iterable(part.at_once_rows for part in first))
         return many
 
     def __len__(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf, log2, log10
 from typing import Final
 
@@ -11,14 +12,16 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray
 from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
-from safedpa.safety.checks.probes import FilterUnderTest, Probe
+from safedpa.safety.checks.probes import ROUNDING, FilterUnderTest, Probe
 from safedpa.safety.checks.report import FilterIssue, collect, format_vector
 
 __all__ = [
     "condition_issues",
+    "flat_issues",
     "gradient_issues",
     "margin_issues",
     "scale_issues",
+    "stall_issues",
     "tick_issues",
 ]
 
@@ -154,6 +157,34 @@ def tick_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIss
     return collect("ticks", checked.barriers.names, cases)
 
 
+_MIN_FLAT: Final = 3
+"""States at which an h must be flat before it is reported: at one it may be a kink."""
+
+
+def flat_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
+    """Barriers whose h no motion changes at some states, although it changes at others."""
+    cases: dict[int, tuple[float, str]] = {}
+    share = 1.0 - checked.safe.settings.eta
+    for part, rows in _rows_of_parts(checked):
+        # A barrier that evaluates the path between two ticks by itself has no such gap.
+        if part.starting_at(probes[0].state) is not part:
+            continue
+        for row in rows:
+            following = np.array([p.residuals[:, row] + share * p.h[row] + checked.epsilon[row] for p in probes])
+            change = np.abs(following - np.array([[p.h[row]] for p in probes])).max(axis=1)
+            size = ROUNDING * (np.array([abs(p.h[row]) for p in probes]) + checked.epsilon[row])
+            flat = [p for p, most, least in zip(probes, change, size, strict=True) if most <= least and p.moved.any()]
+            if len(flat) >= _MIN_FLAT and (change > size).any():
+                notice = (
+                    f"got an h that stays at {flat[0].h[row]:.3g} whatever the robot does in a tick, at {len(flat)} of "
+                    f"{len(probes)} states such as {format_vector(flat[0].state)}, wanted one that shows an approach: "
+                    "a truncated distance, a cost map or an occupancy map can be jumped through between two ticks; "
+                    "state a bound (LipschitzBarrier), or take DistanceFieldBarrier(...).bounded"
+                )
+                cases[row] = float(len(flat)), notice
+    return collect("flat", checked.barriers.names, cases)
+
+
 def _rows_of_parts(checked: FilterUnderTest) -> list[tuple[AbstractBarrier, range]]:
     found: list[tuple[AbstractBarrier, range]] = []
     first = 0
@@ -196,10 +227,12 @@ _MIN_HIGHER_DEGREE: Final = 1.45
 for one, 2 for two with exact ticks, 1.58 if the position follows the new speed."""
 _ACTION_STEP: Final = 0.1
 """Share of an action's range for a change that does not saturate a servo."""
-_ROUNDING: Final = 1e-11
+_EFFECT_ROUNDING: Final = 1e-11
 """Share of |h| below which an effect is rounding error."""
 _MAX_JUDGED: Final = 24
 """States per row at which the relative degree is determined; each takes many predictions."""
+_MAX_ROWS: Final = 4
+"""Rows per state at which the influence of each entry of the action is determined."""
 
 
 def condition_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
@@ -230,6 +263,40 @@ def condition_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filt
     return issues
 
 
+def stall_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
+    """Entries of the action that move the robot, but no barrier within one tick, while other entries move barriers."""
+    entries = len(checked.bounds[0])
+    judged = [probe for probe in probes if probe.inside][:_MAX_JUDGED]
+    idle: list[int] = []
+    for column in range(entries if len(judged) >= _MIN_FLAT else 0):
+        orders = [_relative_degree(checked, probe.state, row, (column,)) for probe in judged for row in _nearest(probe)]
+        if min(orders) > _MIN_HIGHER_DEGREE and any(_moves(checked, probe.state, column) for probe in judged):
+            idle.append(column)
+    # If no entry moves h, the relative degree says so.
+    if not idle or len(idle) == entries:
+        return []
+    notice = (
+        f"got no barrier that entry {idle[0]} of the action changes within one tick, at any of {len(judged)} states, "
+        "wanted one if the robot is to drive around an obstacle: as it is, the filter can only use the other entries, "
+        "and the robot creeps to rest in front of it; take a point ahead of the robot (LookAheadBarrier), or "
+        "RolloutBarrier; nothing to do if that entry has nothing to do with the barriers"
+    )
+    return [FilterIssue("stall", (), notice)]
+
+
+def _nearest(probe: Probe) -> list[int]:
+    """The rows with the smallest h; a scene may have hundreds."""
+    return [int(row) for row in np.argsort(probe.h)[:_MAX_ROWS]]
+
+
+def _moves(checked: FilterUnderTest, state: FloatArray, column: int) -> bool:
+    """Whether an entry of the action moves the state."""
+    low, high = checked.bounds
+    one, other = 0.5 * (low + high), 0.5 * (low + high)
+    one[column], other[column] = low[column], high[column]
+    return bool((checked.next_state(state, one) != checked.next_state(state, other)).any())
+
+
 def _degree_message(order: float, states: int) -> str:
     grown = "does not answer to the action in one tick" if order == inf else f"answers with its time to the {order:.2g}"
     return (
@@ -247,19 +314,24 @@ def _infeasible_message(probe: Probe, row: int, states: int) -> str:
     )
 
 
-def _relative_degree(checked: FilterUnderTest, state: FloatArray, row: int) -> float:
-    """The smallest relative degree of h_row over the actions, from effects after one and two ticks (~ time^degree)."""
+def _relative_degree(
+    checked: FilterUnderTest, state: FloatArray, row: int, columns: Sequence[int] | None = None
+) -> float:
+    """The smallest relative degree of h_row over the actions, from effects after one and two ticks (~ time^degree).
+
+    ``columns``: entries of the action to consider; None: all.
+    """
     low, high = checked.bounds
     least, size = inf, max(abs(float(checked.h(state)[row])), float(checked.epsilon[row]))
     for base in checked.corners():
-        for column in range(len(low)):
+        for column in range(len(low)) if columns is None else columns:
             other = base.copy()
             inward = _ACTION_STEP * (high - low)[column]
             other[column] += inward if base[column] + inward <= high[column] else -inward
             once, twice = _effect(checked, state, row, base, other)
             # An effect at the level of rounding has no exponent; an action without any effect leaves the degree
             # infinite.
-            if once > _ROUNDING * size:
+            if once > _EFFECT_ROUNDING * size:
                 least = min(least, log2(max(twice, once) / once))
     return least
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -12,10 +13,19 @@ from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.backup import backup_issues, horizon_issues
-from safedpa.safety.checks.barriers import condition_issues, gradient_issues, margin_issues, scale_issues, tick_issues
+from safedpa.safety.checks.barriers import (
+    condition_issues,
+    flat_issues,
+    gradient_issues,
+    margin_issues,
+    scale_issues,
+    stall_issues,
+    tick_issues,
+)
 from safedpa.safety.checks.compatibility import check_reads
 from safedpa.safety.checks.probes import FilterUnderTest, Probe, collect_probes
 from safedpa.safety.checks.report import FilterIssue, FilterReport
+from safedpa.safety.checks.time import time_issues
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.validation import checked_output
 
@@ -27,8 +37,10 @@ _CHECKS: Final[tuple[Callable[[FilterUnderTest, list[Probe]], list[FilterIssue]]
     margin_issues,
     scale_issues,
     condition_issues,
+    stall_issues,
     horizon_issues,
     tick_issues,
+    flat_issues,
     gradient_issues,
 )
 
@@ -41,6 +53,7 @@ def check_filter(
     latent: ArrayLike | None = None,
     epsilon: Mapping[str, float] | None = None,
     can_stop: bool = True,
+    period: float | None = None,
     ticks: int = 60,
     seed: int = 0,
 ) -> FilterReport:
@@ -57,6 +70,8 @@ def check_filter(
     - a backup out of bounds, one that differs from a ``RolloutBarrier``'s, or that violates a constraint; a horizon
       that ends before the backup has come to rest;
     - obstacles thinner than a tick's travel: h falls between two ticks by more than epsilon / eta;
+    - an h that is flat at some states, and an entry of the action that moves no h, so that the robot stalls;
+    - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
     - a gradient that contradicts its own h; anything that raises, is not finite, or that the filter refuses.
 
     A report without issues is no proof, since only these states were probed. Raises InputError for states of a wrong
@@ -64,6 +79,8 @@ def check_filter(
     """
     if not isinstance(safe, SafetyFilter):
         raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter")
+    if period is not None and not 0.0 < period < inf:
+        raise InputError(f"period: got {period!r}, wanted a finite number of seconds > 0")
     rows = np.atleast_2d(checked_output("states", states))
     if rows.ndim != 2 or not rows.size or not np.isfinite(rows).all():
         raise InputError(f"states: got shape {np.shape(states)}, wanted (k, states) finite numbers, k at least 1")
@@ -81,6 +98,7 @@ def check_filter(
         probes = collect_probes(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
         issues += backup_issues(checked, probes, can_stop=can_stop)
+        issues += [] if period is None else time_issues(checked, probes, period)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is checked
         notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), notice)], len(rows))
