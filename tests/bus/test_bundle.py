@@ -25,8 +25,8 @@ from safedpa.bus import (
     encode,
     topic_of,
 )
-from safedpa.bus.messages.topics import BUNDLE
-from safedpa.bus.security.access_control import NO_ONE, ROBOT, ROLES, access_control, check_names, may_write
+from safedpa.bus.messages.topics import BUNDLE, NO_ROBOT
+from safedpa.bus.security.access_control import ROBOT, ROLES, access_control, check_names, may_write
 from safedpa.bus.transport.batching import pack_bundle, split_into_bundles, unpack_bundle
 from safedpa.bus.transport.inbox import InboxReceiver
 from safedpa.errors import InputError, MessageError
@@ -216,7 +216,7 @@ def test_only_roles_that_serve_the_whole_fleet_may_send_bundles_and_no_robot_may
     for role in ROLES.values():
         for topic in TOPICS.values():
             allowed = may_write(role, topic, BUNDLE)
-            assert not allowed or (topic.bundles and may_write(role, topic, NO_ONE if topic.per_service else "r"))
+            assert not allowed or (topic.bundles and may_write(role, topic, NO_ROBOT if topic.per_service else "r"))
     table = access_control("f", ("r1", "r2"))
     keys = {rule["id"]: rule["key_exprs"] for rule in table["rules"]}
     assert f"safedpa/f/{BUNDLE}/latent" in keys["adaptation puts"]
@@ -234,5 +234,5 @@ def test_a_router_that_is_linked_for_some_robots_may_bring_no_bundle() -> None:
     brought = keys["router.hall brings"]
     assert brought
     assert not [key for key in brought if BUNDLE in key]
-    assert {key.split("/")[2] for key in brought} == {"r1", NO_ONE}
+    assert {key.split("/")[2] for key in brought} == {"r1", NO_ROBOT}
     assert LATENT.bundles

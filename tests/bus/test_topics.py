@@ -13,6 +13,7 @@ from hypothesis import strategies as some
 import safedpa
 from safedpa.bus import HEALTH, STATE, TOPICS, AbstractNode, Message, Topic, key_of, topic_of
 from safedpa.bus.messages.topics import Delivery
+from safedpa.bus.service.model_versions import ModelNode
 from safedpa.errors import InputError
 
 names = some.text("abcdefghijklmnopqrstuvwxyzABC0123456789_-.", min_size=1, max_size=12)
@@ -22,7 +23,8 @@ def nodes() -> list[type[AbstractNode]]:
     for info in pkgutil.walk_packages(safedpa.__path__, "safedpa."):
         if info.name.endswith(".node"):
             importlib.import_module(info.name)
-    return [node for node in AbstractNode.__subclasses__() if node.__module__.startswith("safedpa.")]
+    every = (*AbstractNode.__subclasses__(), *ModelNode.__subclasses__())
+    return [node for node in every if node is not ModelNode and node.__module__.startswith("safedpa.")]
 
 
 @given(names, names, some.sampled_from(list(TOPICS.values())), names)

@@ -12,8 +12,7 @@ import pytest
 from safedpa.bus import Bus
 from safedpa.bus.transport.memory import MemoryBroker, MemoryTransport
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.router.router import Router
-from safedpa_services.router.watchdog import LoopWatchdog
+from safedpa_services.router.router import LoopWatchdog, Router
 
 
 def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,7 +49,7 @@ def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
     program = (
         "import sys, threading, time\n"
-        "from safedpa_services.router.watchdog import LoopWatchdog\n"
+        "from safedpa_services.router.router import LoopWatchdog\n"
         "pulse, hang = LoopWatchdog(look_seconds=0.05, looks=20), threading.Event()\n"
         "threading.Thread(target=lambda: (sys.stdin.readline(), hang.set()), daemon=True).start()\n"
         "while not hang.is_set():\n"

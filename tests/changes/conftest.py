@@ -25,8 +25,7 @@ from safedpa.bus import (
 )
 from safedpa.bus.service.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint, write_model
-from safedpa.live.change import ModelChanges
-from safedpa.live.change_progress import SERVICES
+from safedpa.live.change import SERVICES, ModelChanges
 from safedpa.live.versions import ModelVersion, OfferedEffect, VersionFolder
 
 FIRST = ModelVersion("first", "document first")

@@ -15,7 +15,7 @@ import pytest
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import TAKEOVER, AbstractNode, Answer, ModelMessage, StateMessage
 from safedpa.bus.service.model_versions import ModelVersions
-from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
+from safedpa.bus.service.sandbox import JobHandle, JobProcess
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
@@ -72,7 +72,7 @@ def turn(node: AbstractNode, tick: int) -> Any:
     return outputs.get(TAKEOVER)
 
 
-def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractJobHandle]:
+def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessage], JobHandle]:
     """Has offers to a node tried in the process apart, as a service does."""
     return lambda robot, offer: apart.submit((node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot)))
 
@@ -298,7 +298,7 @@ def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMess
     """Trials that end together do not hold up a turn together: after each load the loop has as long for others."""
     now = [0.0]
 
-    class Tried(AbstractJobHandle):
+    class Tried:
         def outcome(self, *, wait: bool = False) -> dict[str, Any]:
             return {"document": "good"}
 
@@ -323,7 +323,7 @@ def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., Mode
     """What a robot in lockstep is answered depends on no clock."""
     versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, lambda *_: "new", clock=time.monotonic)
 
-    class Tried(AbstractJobHandle):
+    class Tried:
         def outcome(self, *, wait: bool = False) -> dict[str, Any]:
             assert wait
             return {"document": "good"}

@@ -12,9 +12,8 @@ import pytest
 
 from safedpa.bus import LATENT, SetupMessage
 from safedpa.errors import InputError
-from safedpa.replay.gaps import gaps_of
 from safedpa.replay.setups import node_of
-from safedpa.replay.tape import RobotTape, read_tape
+from safedpa.replay.tape import RobotTape, gaps_of, read_tape
 from safedpa_lab.experiments.hostile.targets import driven_again, recorded_drive, replayed, written
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]

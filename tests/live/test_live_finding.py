@@ -10,8 +10,7 @@ from tests.live.conftest import latent_of
 from safedpa.dynamics import Setting, fingerprint, load_model, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
-from safedpa.live.named_candidate import named_candidate
-from safedpa.live.search_jobs import InlineWorker, SearchJob, WorkOutcome
+from safedpa.live.search_jobs import InlineWorker, SearchJob, WorkOutcome, named_candidate
 
 CHANGE = 800
 NUMBERS = {"angle": 0.08}

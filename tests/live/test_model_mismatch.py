@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from safedpa.bus import HealthMessage
-from safedpa.live.change_progress import ModelMismatchMonitor
+from safedpa.live.change import ModelMismatchMonitor
 
 
 @pytest.fixture

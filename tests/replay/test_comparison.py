@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import pytest
 
 from safedpa.bus import LatentMessage
-from safedpa.replay.comparison import Difference, differences
+from safedpa.replay.replay import Difference, differences
 
 ONE = LatentMessage(
     epoch=3, tick=8, robot_time=0.4, publish_time=7.0, model="m", values=(0.5, 2.0), deviations=(0.1, 0.1)

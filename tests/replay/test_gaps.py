@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from safedpa.bus import LATENT, NOMINAL
-from safedpa.replay.gaps import TickGap, gaps_of
+from safedpa.replay.tape import TickGap, gaps_of
 
 
 def output(epoch: int, tick: int, step: int) -> Any:

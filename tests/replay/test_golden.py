@@ -13,9 +13,8 @@ import pytest
 
 from safedpa.bus import SetupMessage, VerdictMessage
 from safedpa.replay import setups
-from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import replay
-from safedpa.replay.tape import RobotTape, read_tape
+from safedpa.replay.tape import RobotTape, gaps_of, read_tape
 from safedpa.safety.settings import FilterSettings, parse_settings
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -10,9 +10,8 @@ import pytest
 
 from safedpa.bus import ACTION, LATENT, VERDICT, ActionMessage, LatentMessage, VerdictMessage
 from safedpa.bus.messages.service_info import setup_message
-from safedpa.replay.comparison import Difference
 from safedpa.replay.driver import Driver, ReplayedStep
-from safedpa.replay.replay import Replay, ServiceReplay, replay
+from safedpa.replay.replay import Difference, Replay, ServiceReplay, replay
 from safedpa.replay.tape import RecordedMessage, RobotTape
 
 FIELDS = {topic.message: frozenset(item.name for item in fields(topic.message)) for topic in (LATENT, VERDICT, ACTION)}

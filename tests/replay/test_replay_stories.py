@@ -13,9 +13,8 @@ from tests.replay.conftest import driven
 from safedpa.bus import LATENT, NOMINAL, STATE, VERDICT, VerdictMessage
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder
-from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import Replay, replay
-from safedpa.replay.tape import RobotTape, read_tape
+from safedpa.replay.tape import RobotTape, gaps_of, read_tape
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 EVENTS = st.lists(

@@ -8,11 +8,9 @@ import pytest
 
 from safedpa.bus import StateMessage, VerdictMessage
 from safedpa.records import Finding
-from safedpa.replay.comparison import Difference
-from safedpa.replay.gaps import TickGap
-from safedpa.replay.replay import Replay, ServiceReplay, UnknownStateSpan
+from safedpa.replay.replay import Difference, Replay, ServiceReplay, UnknownStateSpan
 from safedpa.replay.report import document_of, lines_of, what_if_document, what_if_lines
-from safedpa.replay.tape import RobotTape
+from safedpa.replay.tape import RobotTape, TickGap
 from safedpa.replay.what_if import DecisionPair, summary_of
 
 

@@ -21,9 +21,9 @@ from safedpa.bus import (
     Topic,
 )
 from safedpa.robots.car.adapters.ros import CarFace
-from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway
 from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     CommandTopic,
     NominalActionTopic,

@@ -17,9 +17,8 @@ from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
-from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.health_publisher import HealthPublisher
-from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
+from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     LocalisationTopic,
     ObstaclesTopic,
@@ -27,8 +26,17 @@ from safedpa_services.ros_gateway.robot_file import (
     ScanTopic,
     load_robot_file,
 )
-from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, PoseAndTwist, SensorInputs, goal_paths, pose_paths
+from safedpa_services.ros_gateway.sensor_inputs import (
+    SCAN_TYPE,
+    TRANSFORMS,
+    LatestMessage,
+    PoseAndTwist,
+    Scanner,
+    SensorInputs,
+    TransformListener,
+    goal_paths,
+    pose_paths,
+)
 
 INFINITE, NONE = math.inf, math.nan
 

@@ -21,8 +21,7 @@ from safedpa_services import service_main
 from safedpa_services.command_line import change_requests, stop_orders
 from safedpa_services.command_line.bus_options import request_answer
 from safedpa_services.metrics.exporter import FleetCollector
-from safedpa_services.router.router import Router
-from safedpa_services.router.watchdog import LoopWatchdog
+from safedpa_services.router.router import LoopWatchdog, Router
 
 OPTIONS = {"who": "ann", "as_json": True, "certificates": None, "connect": (), "fleet": "f"}
 

@@ -8,7 +8,6 @@ fails afterwards.
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import time
 from collections.abc import Callable
@@ -16,7 +15,6 @@ from functools import partial
 from pathlib import Path
 
 from safedpa.bus import (
-    HEALTH,
     LATENT,
     NO_ROBOT,
     NOMINAL,
@@ -30,11 +28,8 @@ from safedpa.bus import (
     SetupMessage,
 )
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.service_info import software_version
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
-
-__all__ = ["Recorder"]
 
 _SYNC_SECONDS = 0.5
 _TURN_SECONDS = 0.05
@@ -178,22 +173,15 @@ class Recorder:
     def _report_health(self, *, is_last: bool = False) -> None:
         """The last health message is ``failing`` if the recording is incomplete, even if it resumed after a failure."""
         failing = self._file is None or (is_last and bool(self.missing))
-        message = HealthMessage(
-            epoch=0,
-            tick=0,
-            robot_time=0.0,
-            publish_time=time.time(),
-            service="recorder",
-            pid=os.getpid(),
+        self._bus.report_health(
+            "recorder",
             state="failing" if failing else "running",
             detail=self._detail(is_last=is_last),
             steps=self._written,
             refused=self._refused,
-            software=software_version(),
             acknowledged=self.acknowledged,
             free_bytes=_free_bytes(self._path),
         )
-        self._bus.publish(HEALTH, NO_ROBOT, message, "recorder")
 
     def _detail(self, *, is_last: bool) -> str:
         lost = self._lost + self._inbox.dropped

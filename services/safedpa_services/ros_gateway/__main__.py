@@ -32,13 +32,20 @@ from safedpa.ros.link import RosLink
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
-from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway, Limits
 from safedpa_services.ros_gateway.health_publisher import HealthPublisher
-from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
+from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
-from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, SensorInputs, goal_paths, pose_paths
+from safedpa_services.ros_gateway.sensor_inputs import (
+    SCAN_TYPE,
+    TRANSFORMS,
+    LatestMessage,
+    Scanner,
+    SensorInputs,
+    TransformListener,
+    goal_paths,
+    pose_paths,
+)
 
 _POLICY = "policy"
 """Role whose certificate is used to publish nominal actions; its files are in the same folder as the robot's."""

@@ -33,8 +33,6 @@ from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 from safedpa_services.ros_gateway.robot_file import RobotFile
 from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist, SensorInputs
 
-__all__ = ["Gateway", "Limits"]
-
 _DEADLINE_SHARE = 0.9
 _LARGEST_AGE_PERIODS = 2.0
 """Largest age of a state, in periods, when its action is sent."""

@@ -12,8 +12,6 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.link import RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 
-__all__ = ["HealthPublisher"]
-
 _MARKER_SECONDS = 0.1
 """Shortest time between two markers [s]."""
 

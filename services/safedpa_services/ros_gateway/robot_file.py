@@ -20,23 +20,6 @@ from safedpa.ros.link import FORMS
 from safedpa.runtime.scene import MOST_OBSTACLES
 from safedpa.systems.robots import robot_named
 
-__all__ = [
-    "CommandTopic",
-    "GoalTopic",
-    "LocalisationTopic",
-    "NominalActionTopic",
-    "ObstaclesTopic",
-    "OdometryTopic",
-    "RobotFile",
-    "RosConnection",
-    "ScanTopic",
-    "ServedRobot",
-    "check_robot_file",
-    "check_served",
-    "load_robot_file",
-    "load_served_robot",
-]
-
 FORMAT = 2
 
 

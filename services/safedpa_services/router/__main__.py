@@ -17,8 +17,7 @@ from safedpa.bus.service.process import (
 )
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals, capture_zenoh_log
-from safedpa_services.router.router import Router, read_revocation_list
-from safedpa_services.router.watchdog import LoopWatchdog
+from safedpa_services.router.router import LoopWatchdog, Router, read_revocation_list
 
 REVOKED = "revoked.txt"
 """File in the folder of certificates with the names of revoked certificates, one per line."""

@@ -21,8 +21,6 @@ from typing import final
 
 from safedpa.bus.logging import log_event
 
-__all__ = ["LOG_DIRECTIVES", "LogFile", "Refusals", "capture_zenoh_log"]
-
 LOG_DIRECTIVES = ",".join(
     (
         "warn",

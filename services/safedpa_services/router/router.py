@@ -1,23 +1,20 @@
-"""What the router does besides routing: heartbeats, duplicate certificates and revoked certificates."""
+"""What the router does besides routing: heartbeats, duplicate and revoked certificates, and a watchdog."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import threading
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import final
 
-from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage
+from safedpa.bus import Bus
 from safedpa.bus.logging import log_event
 from safedpa.bus.security.access_control import ROLES, ROUTER
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.router.watchdog import LoopWatchdog
-
-__all__ = ["DuplicateCertificates", "RevocationList", "Router", "read_revocation_list"]
 
 _HEARTBEAT_SECONDS = 0.25
 _LOOKS = 4
@@ -159,16 +156,52 @@ class Router:
         self._beats += 1
         self._twice = self._duplicates.look()
         self._revoked.look()
-        message = HealthMessage(
-            epoch=0,
-            tick=0,
-            robot_time=0.0,
-            publish_time=time.time(),
-            service=ROUTER,
-            pid=os.getpid(),
+        self._bus.report_health(
+            ROUTER,
             state="ready",
             detail=f"twice: {', '.join(self._twice)}" if self._twice else self._refusals.newest,
             steps=self._beats,
             refused=self._refusals.total,
         )
-        self._bus.publish(HEALTH, NO_ROBOT, message, ROUTER)
+
+
+_STALL_LOOK_SECONDS = 0.25
+_STALL_LOOKS = 20
+"""Consecutive looks without a beat. Counted instead of timed: a suspended process beats again before they are over."""
+
+
+@final
+class LoopWatchdog:
+    """Calls ``on_stall`` if a loop did not call ``beat`` during ``looks`` consecutive looks."""
+
+    def __init__(
+        self,
+        on_stall: Callable[[], None] = lambda: os._exit(1),
+        *,
+        look_seconds: float = _STALL_LOOK_SECONDS,
+        looks: int = _STALL_LOOKS,
+    ) -> None:
+        self._on_stall, self._look_seconds, self._looks = on_stall, look_seconds, looks
+        self._beats = 0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)
+        self._thread.start()
+
+    def beat(self) -> None:
+        """Signals that the loop is running."""
+        self._beats += 1
+
+    def end(self) -> None:
+        """Ends the watchdog."""
+        self._ended.set()
+
+    def _watch(self) -> None:
+        stalled, seen = 0, self._beats
+        while not self._ended.wait(self._look_seconds):
+            stalled, seen = (stalled + 1, seen) if self._beats == seen else (0, self._beats)
+            if stalled >= self._looks:
+                seconds = self._looks * self._look_seconds
+                sentence = f"the router's main loop has hung for {seconds:.0f} s; the process ends, to be restarted"
+                log_event("router.stalled", sentence, level="error", service="router")
+                self._on_stall()
+                return

@@ -19,7 +19,7 @@ from typing import Any, Final
 from safedpa.bus import Answer, Bus, FindingMessage, Request, StateMessage
 from safedpa.errors import SafedpaError
 from safedpa.limits import parse_json
-from safedpa.live.named_candidate import named_candidate
+from safedpa.live.search_jobs import named_candidate
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
 WANTED_FALL: Final = 0.6

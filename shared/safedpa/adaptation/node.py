@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
@@ -16,19 +14,15 @@ from safedpa.adaptation.history_estimator import HistoryEstimator
 from safedpa.arrays import FloatArray
 from safedpa.bus import (
     LATENT,
-    MODEL,
     TAKEOVER,
-    AbstractNode,
-    Answer,
     Inputs,
     LatentMessage,
-    Message,
     ModelMessage,
     Outputs,
     StateMessage,
 )
-from safedpa.bus.service.model_versions import ModelVersions
-from safedpa.bus.service.sandbox import AbstractJobHandle
+from safedpa.bus.messages.messages import header
+from safedpa.bus.service.model_versions import ModelNode, ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError, MessageError
@@ -69,7 +63,7 @@ class _EstimationState:
 
 
 @final
-class AdaptationNode(AbstractNode):
+class AdaptationNode(ModelNode[_AdaptationModel]):
     """Estimates the latent of the model for each robot from its states and applied actions.
 
     With a history encoder in the model's weights, latent[k] = phi(history up to state[k]). Otherwise the model's free
@@ -84,7 +78,6 @@ class AdaptationNode(AbstractNode):
     name = "adaptation"
     inputs = ()
     outputs = (LATENT, TAKEOVER)
-    listens = (MODEL,)
     share = 0.0
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
@@ -121,28 +114,11 @@ class AdaptationNode(AbstractNode):
         if not memory.estimator.quick:
             self._learn(self._versions.of(robot), memory)
         self._teach_successor(robot, memory)
-        answer = self._versions.answer(robot, memory.newest)
-        return {} if answer is None else {TAKEOVER: answer}
-
-    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
-        assert isinstance(message, ModelMessage)
-        self._versions.hear(robot, message)
-
-    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.submit = submit
+        return self._answer(robot, memory.newest)
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
         memory = self._robots.get(robot)
         return None if memory is None else memory.newest
-
-    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.adopt_model(robot, status)
-
-    def agreed(self, robot: str) -> Answer | None:  # noqa: D102
-        return self._versions.agreed(robot)
-
-    def model_of(self, robot: str) -> str:  # noqa: D102
-        return self._versions.fingerprint(robot)
 
     def _load(self, robot: str, offer: ModelMessage) -> _AdaptationModel:
         """Loads the offered model and tries it on the robot's last transitions. Raises InputError if it is unusable."""
@@ -201,10 +177,6 @@ class AdaptationNode(AbstractNode):
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
 
-    def leave(self, robot: str) -> None:  # noqa: D102
-        self.forget(robot)
-        self._versions.forget(robot)
-
 
 def _check(held: _AdaptationModel, state: StateMessage) -> None:
     """Raises MessageError if the state or the applied action has the wrong length."""
@@ -218,10 +190,7 @@ def _check(held: _AdaptationModel, state: StateMessage) -> None:
 
 def _message(held: _AdaptationModel, state: StateMessage, estimator: AbstractEstimator) -> LatentMessage:
     return LatentMessage(
-        epoch=state.epoch,
-        tick=state.tick,
-        robot_time=state.robot_time,
-        publish_time=time.time(),
+        **header(state),
         model=held.fingerprint,
         values=tuple(estimator.latent.tolist()),
         deviations=tuple(estimator.deviations.tolist()),

@@ -32,6 +32,7 @@ from safedpa.bus.messages.topics import (
     HEALTH,
     LATENT,
     MODEL,
+    NO_ROBOT,
     NOMINAL,
     SCAN,
     SETUP,
@@ -45,7 +46,7 @@ from safedpa.bus.messages.topics import (
     topic_of,
 )
 from safedpa.bus.service.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.service.service_loop import NO_ROBOT, ServiceLoop
+from safedpa.bus.service.service_loop import ServiceLoop
 from safedpa.bus.transport.base import AbstractTransport
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import Inbox, ReceivedMessage, RejectedMessage

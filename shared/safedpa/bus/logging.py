@@ -26,15 +26,6 @@ from typing import Any, final
 
 from safedpa.limits import printable
 
-__all__ = [
-    "EVENT_LOG",
-    "KINDS",
-    "DelayedCaller",
-    "EventLog",
-    "counted_events",
-    "log_event",
-]
-
 KINDS = MappingProxyType(
     {
         "process.started": "A process joined the bus.",

@@ -21,18 +21,6 @@ from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, poo
 from safedpa.fleet.robots import RobotLogs
 from safedpa.fleet.similar_robots import APART, connected_components, differ_significantly
 
-__all__ = [
-    "Confirmation",
-    "CorrectionTask",
-    "FleetEffect",
-    "common_effects",
-    "confirm_correction",
-    "corrected_error",
-    "corrected_model",
-    "corrected_settings",
-    "together_effects",
-]
-
 # Minimum number of robots for statements about the whole fleet.
 _FEWEST = 5
 # Share of the robots in which an effect must be found to be common.

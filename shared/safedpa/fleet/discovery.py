@@ -18,8 +18,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 
-__all__ = ["FALSE_SHARE", "believed", "chance", "upper_tail"]
-
 FALSE_SHARE = 0.05
 """Maximum expected share of false findings among the accepted ones."""
 

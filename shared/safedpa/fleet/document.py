@@ -15,8 +15,6 @@ from safedpa.fleet.outcome import RobotOutcome
 from safedpa.fleet.pooled_evidence import PooledEvidence, evidence_over, pooled_number, pooled_numbers
 from safedpa.fleet.similar_robots import SimilarRobots, same_effects, with_one_name
 
-__all__ = ["Analysis", "Group", "analyse_fleet", "fleet_document"]
-
 # Robust standard deviations of log(error) from which a robot is an outlier, and the minimum ratio to the fleet's error.
 _ODD = 5.0
 _ODD_RATIO = 1.5

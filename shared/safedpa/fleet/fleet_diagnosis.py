@@ -34,19 +34,6 @@ from safedpa.fleet.robot_recordings import robots_in, split_recording
 from safedpa.fleet.robots import DiscoveredRobots, RobotLogs
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = [
-    "Fleet",
-    "Workers",
-    "clear_others",
-    "correct_fleet_model",
-    "diagnose_fleet",
-    "has_current_result",
-    "iterate_results",
-    "read_result",
-    "write_result",
-    "write_scripts",
-]
-
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 Corrected = list[tuple[FleetEffect, Confirmation]]

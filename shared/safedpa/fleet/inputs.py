@@ -12,8 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Options", "file_stamp", "options_digest", "same_files"]
-
 _BLOCK = 1 << 20
 
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
-__all__ = ["FORMAT", "RobotResult", "Status", "Task", "diagnose_robot", "failed_result", "read_runs"]
-
 FORMAT = 1
 Status = Literal["diagnosed", "no_verdict", "unreadable", "failed"]
 """``no_verdict``: the data do not allow one, for example because they are too short. ``failed``: a defect of the

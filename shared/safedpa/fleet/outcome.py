@@ -10,8 +10,6 @@ from typing import Any
 from safedpa.effects import effects_of
 from safedpa.errors import InputError
 
-__all__ = ["EffectEvidence", "Number", "RobotOutcome", "neutral_of", "outcome_of"]
-
 # Weight of evidence from the Kalman filter: a value has to be 9 standard deviations from neutral, where unseen blocks
 # have to gain 3 standard errors.
 _BY_FILTER = 3.0

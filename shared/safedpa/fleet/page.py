@@ -22,8 +22,6 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_page import embedded, rendered
 from safedpa.report.panels import Panels
 
-__all__ = ["error_figure", "fleet_page", "group_colour", "strip_figure", "write_fleet_page"]
-
 # The palette of Okabe and Ito, which colour-blind people can distinguish.
 _MISSING = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _OTHERS = {"unexplained": "#222222", "suspected": "#C9B800", "nothing": "#AEB8C2"}

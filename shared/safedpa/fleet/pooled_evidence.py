@@ -24,8 +24,6 @@ import numpy as np
 
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
 
-__all__ = ["Pooled", "PooledEvidence", "estimates", "evidence_over", "pooled_number", "pooled_numbers"]
-
 # Rounding error of the sum of weights, relative to it.
 _ROUNDING = 1e-12
 

@@ -16,8 +16,6 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.records.earlier_format import current_key
 from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
 
-__all__ = ["robots_in", "split_recording"]
-
 
 def robots_in(path: Path) -> tuple[list[str], str]:
     """Returns the sorted names of the robots with states in a recording, and why there are none (else empty)."""

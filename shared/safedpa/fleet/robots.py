@@ -11,8 +11,6 @@ from typing import Literal
 from safedpa.errors import InputError
 from safedpa.fleet.robot_recordings import robots_in
 
-__all__ = ["By", "DiscoveredRobots", "RobotLogs", "robots_in_folder", "robots_of_files"]
-
 By = Literal["auto", "folder", "file", "robot"]
 _ENDINGS = (".csv", ".parquet", ".mcap")
 

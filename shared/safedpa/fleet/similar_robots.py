@@ -9,16 +9,6 @@ from dataclasses import dataclass, replace
 
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of
 
-__all__ = [
-    "APART",
-    "SURELY",
-    "SimilarRobots",
-    "connected_components",
-    "differ_significantly",
-    "same_effects",
-    "with_one_name",
-]
-
 APART = 0.33
 """Minimum relative difference between two groups."""
 SURELY = 4.0

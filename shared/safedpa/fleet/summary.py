@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["common_sentence", "discovery_sentence", "group_title", "headline", "listed", "numbers_text", "range_text"]
-
 _KINDS = {
     "nothing": "nothing is missing",
     "no_verdict": "no verdict",

@@ -23,9 +23,6 @@ from safedpa.dynamics.user_files import EFFECTS_VARIABLE
 from safedpa.errors import InputError
 from safedpa.extras import need
 
-__all__ = ["available_cores", "in_processes", "on_cluster", "one_thread_each"]
-
-
 # The object store of a local instance only has answers of a few hundred kilobytes, no recordings.
 _LOCAL: dict[str, Any] = {"object_store_memory": 128 * 1024 * 1024, "include_dashboard": False}
 # Jobs submitted per core of the cluster, which limits the answers in the object store.

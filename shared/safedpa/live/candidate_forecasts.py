@@ -19,8 +19,6 @@ from safedpa.safety.margins.calibration import margin_from_text
 from safedpa.safety.margins.transition import margin_change
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["CandidateForecasts", "PredictEffect", "forecast_with"]
-
 PredictEffect = Callable[[str, str, VerdictMessage | None], str]
 """(text of the active margin, text of another one, newest verdict) -> description of the effect on the robot."""
 

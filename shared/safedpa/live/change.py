@@ -12,19 +12,167 @@ This module is independent of the network: messages go in and out, and time is c
 
 from __future__ import annotations
 
-import time
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from threading import RLock
-from typing import Final, final
+from typing import Final, Literal, final
 
 from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
+from safedpa.bus.messages.messages import header
 from safedpa.errors import RecordingError, did_you_mean
-from safedpa.live.change_progress import ChangeInProgress, ModelMismatchMonitor, with_stamp
 from safedpa.live.versions import ModelVersion, OfferedEffect, PersistedState, VersionFolder
 
-__all__ = ["ChangeSettings", "ModelChanges"]
+SERVICES = ("adaptation", "policy", "safety_filter")
+"""The services that use the model and take part in a change."""
+
+
+@dataclass
+class ChangeInProgress:
+    """A change from the request to the confirmation of the last service."""
+
+    number: int
+    why: str
+    who: str
+    replaces: str
+    """Fingerprint of the model that was active when the change began."""
+    versions: tuple[ModelVersion, ...]
+    """The agreed versions if the change succeeds; the last one is then active."""
+    version: ModelVersion | None
+    """The last of them; None while its model is being created."""
+    candidate: OfferedEffect = field(default_factory=lambda: OfferedEffect(""))
+    """The accepted candidate."""
+    repair: bool = False
+    """Whether the change offers the active version again."""
+    stage: Literal["preparing", "offer", "take"] = "preparing"
+    steps: int = 0
+    """Ticks since the stage began."""
+    ready: set[str] = field(default_factory=set)
+    taken: set[str] = field(default_factory=set)
+    refused: str = ""
+    """Why the change failed before the decision."""
+    expected_effect: str = ""
+    """Effect of the change that a service expects."""
+    epoch: int = 0
+    from_tick: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name of the change in sentences."""
+        return f"change {self.number} ({self.why})"
+
+    @property
+    def consequence(self) -> str:
+        """Expected effect as the end of a sentence; empty without one."""
+        return f"; {self.expected_effect}" if self.expected_effect else ""
+
+    @property
+    def unconfirmed(self) -> str:
+        """Names of the services that have not confirmed the new model."""
+        return ", ".join(sorted(set(SERVICES) - self.taken))
+
+    @property
+    def unready(self) -> str:
+        """Names of the services that have not answered the offer."""
+        return ", ".join(sorted(set(SERVICES) - self.ready))
+
+    def enter(self, stage: Literal["offer", "take"]) -> None:
+        """Enters the next stage."""
+        self.stage, self.steps, self.refused = stage, 0, ""
+
+    def complete(self, made: OfferedEffect) -> None:
+        """Sets the model to offer."""
+        self.version = ModelVersion(
+            made.fingerprint, made.document, made.margin, self.number, self.why, self.who, made.data
+        )
+        self.versions = (*self.versions, self.version)
+
+    def hear(self, message: TakeoverMessage) -> None:
+        """Handles a service's answer; ignores other changes and services that do not use the model."""
+        if self.version is None or message.change != self.number or message.service not in SERVICES:
+            return
+        if message.fingerprint != self.version.fingerprint:
+            self.refused = f"{message.service} answered for model {message.fingerprint}"
+        elif message.state == "refused":
+            self.refused = f"{message.service} refused it: {message.reason}"
+        elif message.state in ("ready", "taken"):
+            self.ready.add(message.service)
+            self.expected_effect = message.expected_effect or self.expected_effect
+            if message.state == "taken":
+                self.taken.add(message.service)
+
+    def message(self, step: Literal["offer", "take", "drop"], reason: str = "") -> ModelMessage:
+        """Returns the message for a step, without a tick; ``reason`` is why the change is dropped."""
+        version = self.version or ModelVersion("", "")
+        offers, takes = step == "offer", step == "take"
+        return ModelMessage(
+            **header(),
+            step=step,
+            change=self.number,
+            fingerprint=version.fingerprint,
+            replaces=self.replaces,
+            document=version.document if offers else "",
+            margin=version.margin if offers else "",
+            from_tick=self.from_tick if takes else 0,
+            who=self.who,
+            why=f"{self.why}: {reason}" if reason else self.why,
+            data=version.data,
+        )
+
+
+# Ticks after a change before a heartbeat with another model counts: it may have been sent before the change.
+_SETTLE_TICKS = 10
+# Ticks to wait after a failed repair; doubled each time, up to an hour at 20 Hz. A service that can never use the model
+# must not cause a change every few seconds.
+_FIRST_PAUSE = 200
+_LONGEST_PAUSE = 72000
+
+
+@final
+class ModelMismatchMonitor:
+    """Finds services with another model from their newest heartbeats, with an exponential back-off of repairs."""
+
+    def __init__(self) -> None:
+        self._health: dict[str, HealthMessage] = {}
+        self._since: tuple[int, int] | None = None
+        self._ticks = 0
+        self._again_at, self._pause = 0, _FIRST_PAUSE
+
+    def hear(self, message: HealthMessage) -> None:
+        """Stores a heartbeat."""
+        if message.service in SERVICES:
+            self._health[message.service] = message
+
+    def settle(self, state: StateMessage, *, again: bool) -> None:
+        """Counts ticks; call once per tick, and with ``again`` at the tick from which another version is active."""
+        if self._since is None or self._since[0] != state.epoch or again:
+            self._since = (state.epoch, state.tick)
+        self._ticks += not again
+
+    def found(self, fingerprint: str) -> str:
+        """Describes services that use another model than the active one; empty if there are none, or it is too
+        early."""
+        if self._since is None or self._ticks < self._again_at:
+            return ""
+        epoch, tick = self._since
+        strays = {
+            name: health.model
+            for name, health in self._health.items()
+            if health.epoch == epoch and health.tick >= tick + _SETTLE_TICKS and health.model not in ("", fingerprint)
+        }
+        # The next report needs new heartbeats, sent after the repair that follows this one.
+        if strays:
+            self._health = {}
+        return ", ".join(f"{name} uses {model}" for name, model in sorted(strays.items()))
+
+    def corrected(self) -> None:
+        """Resets the back-off after a successful change."""
+        self._pause = _FIRST_PAUSE
+
+    def not_corrected(self) -> None:
+        """Delays the next repair after a failed one."""
+        self._again_at = self._ticks + self._pause
+        self._pause = min(2 * self._pause, _LONGEST_PAUSE)
 
 
 @dataclass(frozen=True)
@@ -41,6 +189,9 @@ class ChangeSettings:
     """After that tick, for all services to confirm that they use the new model."""
     repeat: int = 10
     """Between two repetitions of a decision to services that have not confirmed it."""
+
+
+_REQUESTS: Final = ("accept", "reject", "roll_back", "status")
 
 
 @final
@@ -141,23 +292,15 @@ class ModelChanges:
             self._state = state
             self._settle(state)
             if self._reported:
-                return with_stamp(self._reported.popleft(), state, time.time())
+                return replace(self._reported.popleft(), **header(state))
             self._change = self._change or self._repair()
             message = None if self._change is None else self._advance(self._change, state)
-            return None if message is None else with_stamp(message, state, time.time())
+            return None if message is None else replace(message, **header(state))
 
     def answer(self, request: Request) -> Answer:
         """Carries out a request or refuses it with the reason; may be called on any thread."""
         with self._lock:
-            refusal = _refusal_of(
-                request,
-                in_force=self.fingerprint,
-                under_way="" if self._change is None else f"{self._change.name} by {self._change.who or 'someone'}",
-                finding=self._finding,
-                candidates=self._open_candidates(),
-                versions=len(self._retained.versions),
-                alive=self._state is not None,
-            )
+            refusal = self._refusal(request)
             if refusal:
                 return self._answer(False, f"refused: {refusal}")
             if request.do == "status":
@@ -166,6 +309,34 @@ class ModelChanges:
                 return self._reject(request)
             change = self._roll_back(request.who) if request.do == "roll_back" else self._accept(request)
             return self._answer(True, f"{change.name} begins")
+
+    def _refusal(self, request: Request) -> str:
+        """Returns why a request is refused; empty if it is not."""
+        if request.do not in _REQUESTS:
+            return f"'{request.do}': {did_you_mean(request.do, _REQUESTS)}"
+        if request.do == "status":
+            return ""
+        if self._change is not None:
+            who = self._change.who or "someone"
+            return f"{self._change.name} by {who} is in progress; ask again when it is done"
+        if self._state is None:
+            return "the robot has not sent a state yet; start it first"
+        return self._outdated(request)
+
+    def _outdated(self, request: Request) -> str:
+        # A user decides on the basis of what a page shows, which may be outdated.
+        if request.model != self.fingerprint:
+            seen = f"you saw {request.model}" if request.model else "you name none"
+            return f"the active model is {self.fingerprint}, {seen}; look at it again first"
+        if request.do == "roll_back":
+            alone = len(self._retained.versions) < 2
+            return "this is the robot's initial model; there is no earlier one" if alone else ""
+        if request.finding != self._finding:
+            return f"the newest finding has number {self._finding}, you name {request.finding}; look at it again first"
+        if request.effect not in (candidates := self._open_candidates()):
+            known = did_you_mean(request.effect, candidates) if candidates else "nothing is proposed now"
+            return f"effect '{request.effect}' is not a candidate; {known}"
+        return ""
 
     def _accept(self, request: Request) -> ChangeInProgress:
         change = self._begun(f"accept {request.effect} of finding {request.finding}", request.who)
@@ -317,54 +488,3 @@ class ModelChanges:
             candidates=self._open_candidates(),
             earlier=len(self._retained.versions) - 1,
         )
-
-
-_REQUESTS: Final = ("accept", "reject", "roll_back", "status")
-
-
-def _refusal_of(
-    request: Request,
-    *,
-    in_force: str,
-    under_way: str,
-    finding: int,
-    candidates: Sequence[str],
-    versions: int,
-    alive: bool,
-) -> str:
-    """Returns why a request is refused; empty if it is not.
-
-    ``in_force`` is the fingerprint of the active model, ``under_way`` the change in progress, ``finding`` the number of
-    the newest finding with its ``candidates``, ``versions`` the number of agreed versions, ``alive`` whether the robot
-    has sent a state.
-    """
-    if request.do not in _REQUESTS:
-        return f"'{request.do}': {did_you_mean(request.do, _REQUESTS)}"
-    if request.do == "status":
-        return ""
-    if under_way:
-        return f"{under_way} is in progress; ask again when it is done"
-    if not alive:
-        return "the robot has not sent a state yet; start it first"
-    return _about_model(request, in_force, versions) or _about_candidate(request, finding, candidates)
-
-
-def _about_model(request: Request, in_force: str, versions: int) -> str:
-    # A user decides on the basis of what a page shows, which may be outdated.
-    if request.model != in_force:
-        seen = f"you saw {request.model}" if request.model else "you name none"
-        return f"the active model is {in_force}, {seen}; look at it again first"
-    if request.do == "roll_back" and versions < 2:
-        return "this is the robot's initial model; there is no earlier one"
-    return ""
-
-
-def _about_candidate(request: Request, finding: int, candidates: Sequence[str]) -> str:
-    if request.do == "roll_back":
-        return ""
-    if request.finding != finding:
-        return f"the newest finding has number {finding}, you name {request.finding}; look at it again first"
-    if request.effect not in candidates:
-        known = did_you_mean(request.effect, candidates) if candidates else "nothing is proposed now"
-        return f"effect '{request.effect}' is not a candidate; {known}"
-    return ""

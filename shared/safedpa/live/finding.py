@@ -7,7 +7,6 @@ stages of ``FindingMessage``: learning, watching, raised, searching, candidates 
 from __future__ import annotations
 
 import json
-import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +16,12 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
+from safedpa.bus.messages.messages import header
 from safedpa.dynamics import fingerprint, parse_model
 from safedpa.live.model_monitor import ModelMonitor, VerdictFacts
-from safedpa.live.named_candidate import named_candidate
-from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
+from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome, named_candidate
 from safedpa.records.run import Run, Stretch
 from safedpa.systems import System
-
-__all__ = ["FIRST_SEARCH", "DriveHistory", "RobotDiagnosis"]
 
 
 @final
@@ -257,10 +254,7 @@ class RobotDiagnosis:
         outcome = self.outcome
         with_report = outcome is not None and self._sent % _REPORT_EVERY == 0
         return FindingMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
+            **header(state),
             model=self.fingerprint,
             stage=stage,
             sentence=self._sentence(stage),

@@ -17,9 +17,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.systems import System
 
-__all__ = ["Forecast", "ForecastTracker", "channel_errors", "channels", "stretch_error"]
-
-
 _PLANE = ("x", "y", "yaw")
 
 

@@ -47,19 +47,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, channels, stretch_error
 from safedpa.systems import System
 
-__all__ = [
-    "ALPHA",
-    "BEYOND",
-    "EDetector",
-    "ErrorBand",
-    "ModelMonitor",
-    "VerdictFacts",
-    "describe_conditions",
-    "has_moved",
-    "learned_band",
-]
-
-
 # Number of forecasts whose common error is reported. They last one second and begin every half second: five seconds.
 _STRETCH: Final = 10
 

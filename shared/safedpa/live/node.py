@@ -37,8 +37,6 @@ from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.live.versions import ModelVersion, OfferedEffect
 from safedpa.systems import System
 
-__all__ = ["DiagnosisNode"]
-
 
 @dataclass
 class _DiagnosedRobot:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf, isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.dynamics import PhysicsModel, parse_model, write_model
 from safedpa.errors import SafedpaError
@@ -16,7 +17,6 @@ from safedpa.records.run import Run
 if TYPE_CHECKING:
     from safedpa.diagnosis.report_schema import Candidate
 
-__all__ = ["AbstractWorker", "Calibrate", "InlineWorker", "SearchJob", "WorkOutcome", "execute_job"]
 
 # A candidate is listed before the one that the search accepted if its error is below this multiple of it.
 _BETTER = 0.9
@@ -157,3 +157,22 @@ class InlineWorker(AbstractWorker):
 
     def busy(self, robot: str) -> bool:  # noqa: D102
         return robot in self._outcomes
+
+
+def named_candidate(candidates: Iterable[Mapping[str, Any]], effect: str) -> Mapping[str, Any] | None:
+    """Returns the entry of a report's ``candidates`` for an effect; None if there is none.
+
+    An effect with and without a condition (below a speed, in a region) has the same name. Of the first stage's entries
+    with that name this is the accepted one, otherwise the one with the lowest error on unseen data.
+    """
+    own = [item for item in candidates if item.get("stage", 0) == 0 and item["effect"] == effect]
+    return min(own, key=_place, default=None)
+
+
+def _place(item: Mapping[str, Any]) -> tuple[bool, bool, float]:
+    """Sort key: accepted first, then by error."""
+    # NaN is not ordered, so it counts as missing; entries that were not tried on unseen data have no error and come
+    # last.
+    reported = item.get("heldout_error")
+    error = inf if reported is None or isnan(reported) else float(reported)
+    return item.get("decision") != "accepted", error == inf, error

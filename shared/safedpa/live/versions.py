@@ -11,8 +11,6 @@ from safedpa.disk import write_through
 from safedpa.errors import InputError, RecordingError
 from safedpa.limits import parse_json, text_of_file
 
-__all__ = ["ModelVersion", "OfferedEffect", "PersistedState", "VersionFolder"]
-
 _STATE = "changes.json"
 
 

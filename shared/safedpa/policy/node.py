@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
@@ -12,15 +11,11 @@ from numpy.typing import NDArray
 
 from safedpa.bus import (
     LATENT,
-    MODEL,
     NOMINAL,
     SURROUNDINGS,
     TAKEOVER,
-    AbstractNode,
-    Answer,
     Inputs,
     LatentMessage,
-    Message,
     ModelMessage,
     NominalMessage,
     Outputs,
@@ -28,8 +23,8 @@ from safedpa.bus import (
     SurroundingsMessage,
     Topic,
 )
-from safedpa.bus.service.model_versions import ModelVersions
-from safedpa.bus.service.sandbox import AbstractJobHandle
+from safedpa.bus.messages.messages import header
+from safedpa.bus.service.model_versions import ModelNode, ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.policy.controller import Controller, UsesSurroundings, controller_for
@@ -55,7 +50,7 @@ class _RobotController(NamedTuple):
 
 
 @final
-class PolicyNode(AbstractNode):
+class PolicyNode(ModelNode[_PolicyModel]):
     """Computes nominal actions that lead each robot to its goal, by one of the robot's controllers.
 
     Without a name this is the learned policy if the model's weights have one, else the robot's default. A latent of
@@ -65,7 +60,6 @@ class PolicyNode(AbstractNode):
     name = "policy"
     inputs = (LATENT,)
     outputs = (NOMINAL, TAKEOVER)
-    listens = (MODEL,)
     share = 0.2
     # The latent may be one tick old: a load does not change within a tick, and waiting for the adaptation would take a
     # quarter of the time from sense to act. Surroundings may be two ticks old: the route is planned for seconds.
@@ -100,40 +94,14 @@ class PolicyNode(AbstractNode):
             seen = inputs.get(SURROUNDINGS)
             driven.looks.look(seen if isinstance(seen, SurroundingsMessage) else None)
         values, controller = driven.controller.nominal_action(state, _latent(held, inputs))
-        message = NominalMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
-            values=values,
-            controller=controller,
-            model=held.fingerprint,
-        )
-        return {NOMINAL: message}
+        return {NOMINAL: NominalMessage(**header(state), values=values, controller=controller, model=held.fingerprint)}
 
     def afterwards(self, robot: str) -> Outputs:
         """Prepares an offered model and answers the offer."""
-        answer = self._versions.answer(robot, self._states[robot])
-        return {} if answer is None else {TAKEOVER: answer}
-
-    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
-        assert isinstance(message, ModelMessage)
-        self._versions.hear(robot, message)
-
-    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.submit = submit
+        return self._answer(robot, self._states[robot])
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
         return self._states.get(robot)
-
-    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.adopt_model(robot, status)
-
-    def agreed(self, robot: str) -> Answer | None:  # noqa: D102
-        return self._versions.agreed(robot)
-
-    def model_of(self, robot: str) -> str:  # noqa: D102
-        return self._versions.fingerprint(robot)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
         """Returns no nominal action, so that the filter brakes. The controller starts again."""
@@ -145,10 +113,6 @@ class PolicyNode(AbstractNode):
     def forget(self, robot: str) -> None:  # noqa: D102
         self._controllers.pop(robot, None)
         self._states.pop(robot, None)
-
-    def leave(self, robot: str) -> None:  # noqa: D102
-        self.forget(robot)
-        self._versions.forget(robot)
 
     def _held(self, model: PhysicsModel) -> _PolicyModel:
         return _PolicyModel(model, fingerprint(model), controller_for(model, self._controller))

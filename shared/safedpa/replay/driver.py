@@ -34,8 +34,6 @@ from safedpa.perception import PerceptionNode
 from safedpa.replay.tape import RecordedMessage, RobotTape, Stamp
 from safedpa.runtime.node import SafetyFilterNode
 
-__all__ = ["Driver", "InputOverride", "ModelChange", "ReplayedStep"]
-
 _SETUP_DELAY_NS = 6_000_000_000
 """A process sends its setup every five seconds: a setup recorded so soon after an output may be that of its sender."""
 _LOOK_BACK_TICKS = 200

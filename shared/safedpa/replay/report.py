@@ -24,22 +24,10 @@ from safedpa.bus import (
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode
 from safedpa.records import McapRecorder
-from safedpa.replay.comparison import Difference
 from safedpa.replay.driver import ReplayedStep
-from safedpa.replay.gaps import TickGap
-from safedpa.replay.replay import Replay, ServiceReplay, UnknownStateSpan
-from safedpa.replay.tape import RobotTape
+from safedpa.replay.replay import Difference, Replay, ServiceReplay, UnknownStateSpan
+from safedpa.replay.tape import RobotTape, TickGap
 from safedpa.replay.what_if import DecisionPair, WhatIfSummary
-
-__all__ = [
-    "ReplayOutputs",
-    "document_of",
-    "lines_of",
-    "note_lines",
-    "what_if_document",
-    "what_if_lines",
-    "write_decisions",
-]
 
 _MAX_SHOWN = 10
 

@@ -28,8 +28,6 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
 from safedpa.systems.robots import Robot, robot_like, robots
 
-__all__ = ["ExportedBag", "export_bag"]
-
 _WORLD, _BODY = "odom", "base_link"
 _TYPES = {
     "odom": "nav_msgs/msg/Odometry",

@@ -1,5 +1,7 @@
 """A recording of one robot, sorted for replay: states by tick, and the outputs of each service in their order.
 
+``gaps_of`` finds messages that did not reach the recorder, from gaps in ticks and step counts.
+
 A recording keeps the order of the messages of one sender, but not of different senders.
 """
 
@@ -9,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +49,6 @@ from safedpa.records import Finding
 from safedpa.records.earlier_format import without_removed_settings
 from safedpa.records.readers.mcap import read_payloads
 from safedpa.runtime.node import SafetyFilterNode
-
-__all__ = ["RecordedMessage", "RobotTape", "Stamp", "files_of", "options_of", "read_tape"]
 
 Stamp = tuple[int, int]
 """Epoch and tick."""
@@ -280,3 +281,60 @@ def _select(files: tuple[Path, ...], tapes: dict[str, RobotTape], robot: str | N
     if robot is not None and robot not in tapes:
         raise RunError(f"{where}: robot '{robot}': {did_you_mean(robot, {*tapes, *others})}")
     return tapes[robot] if robot is not None else next(iter(tapes.values()))
+
+
+@dataclass(frozen=True)
+class TickGap:
+    """A range of ticks in which messages of one kind are missing."""
+
+    what: str
+    """``state``, or the service whose outputs are missing."""
+    epoch: int
+    after_tick: int
+    before_tick: int
+    missing: int
+
+    @property
+    def sentence(self) -> str:
+        """A sentence that describes the gap."""
+        kind = "states" if self.what == "state" else f"outputs of {self.what}"
+        return f"{self.missing} {kind} between tick {self.after_tick} and tick {self.before_tick}"
+
+
+def gaps_of(tape: RobotTape) -> list[TickGap]:
+    """Returns every gap, states first.
+
+    A robot counts its periods, so a missing tick is a lost state (or a period in which its process was delayed). A
+    service counts its steps, so a missing number is a lost output. A lost last output is found if another service
+    reports that it used it.
+    """
+    outputs = [gap for service in tape.computed for gap in _output_gaps(tape, service)]
+    used = (("adaptation", LATENT), ("policy", NOMINAL))
+    at_end = [gap for service, topic in used for gap in _lost_at_end(tape, service, topic)]
+    return [*_state_gaps(tape), *outputs, *at_end]
+
+
+def _state_gaps(tape: RobotTape) -> Iterator[TickGap]:
+    stamps = sorted(tape.states)
+    for (epoch, tick), (following_epoch, following) in pairwise(stamps):
+        if epoch == following_epoch and following > tick + 1:
+            yield TickGap("state", epoch, tick, following, following - tick - 1)
+
+
+def _output_gaps(tape: RobotTape, service: str) -> Iterator[TickGap]:
+    messages = [entry.message for entry in tape.computed[service]]
+    for before, after in pairwise(messages):
+        missing = after.step - before.step - 1
+        if before.epoch == after.epoch and before.step and missing > 0:
+            yield TickGap(service, after.epoch, before.tick, after.tick, missing)
+
+
+def _lost_at_end(tape: RobotTape, service: str, topic: Topic) -> Iterator[TickGap]:
+    """Outputs after the last recorded one that other services report as used."""
+    last = {entry.message.epoch: entry.message.tick for entry in tape.computed[service]}
+    lost: dict[int, list[int]] = defaultdict(list)
+    for epoch, tick in tape.absent(topic):
+        if tick > last.get(epoch, -1):
+            lost[epoch].append(tick)
+    for epoch, ticks in sorted(lost.items()):
+        yield TickGap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))

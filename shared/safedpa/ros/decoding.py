@@ -16,8 +16,6 @@ from typing import Any
 from safedpa.errors import InputError, did_you_mean
 from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, MessageField, numeric_fields
 
-__all__ = ["Decoder", "DecodingError"]
-
 _LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
 _MAX_FIELDS = 20_000
 """Limit of fields in a flattened type; a message with 6 covariances has 250."""

@@ -17,19 +17,6 @@ from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa.limits import limit, readable, too_much
 
-__all__ = [
-    "NUMBERS",
-    "QUATERNION",
-    "TIMES",
-    "Definitions",
-    "MessageField",
-    "known_fields",
-    "numeric_fields",
-    "parsed",
-    "plain_type",
-    "summarize_definition",
-]
-
 NUMBERS: Final[Mapping[str, tuple[str, int]]] = {
     "bool": ("?", 1), "byte": ("B", 1), "char": ("B", 1), "octet": ("B", 1),
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4), "uint32": ("I", 4),

@@ -15,8 +15,6 @@ from safedpa.extras import need
 from safedpa.ros.decoding import DecodingError
 from safedpa.ros.definitions import known_fields, plain_type
 
-__all__ = ["decode", "encode", "hash_of", "stamp_of", "type_store"]
-
 
 @cache
 def type_store() -> Any:

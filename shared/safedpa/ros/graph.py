@@ -15,8 +15,6 @@ from dataclasses import dataclass
 
 from safedpa.ros.definitions import plain_type
 
-__all__ = ["NO_HASH", "PUBLISHER", "QOS", "SUBSCRIBER", "Attachment", "Endpoint", "data_key", "dds_type", "node_token"]
-
 NO_HASH = "TypeHashNotSupported"
 PUBLISHER, SUBSCRIBER = "MP", "MS"
 QOS = "::,10:,:,:,,"

@@ -11,15 +11,12 @@ import threading
 import time
 from collections.abc import Callable
 from itertools import count
-from types import TracebackType
 from typing import Any, Literal, final
 
 from safedpa.bus.transport.zenoh import close_session, open_session, zenoh_session_configuration
 from safedpa.errors import BusError, InputError
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import PUBLISHER, QOS, Attachment, Endpoint, data_key, node_token
-
-__all__ = ["FORMS", "Heard", "RosLink", "RosPublisher"]
 
 Form = Literal["rmw_zenoh", "bridge"]
 FORMS: tuple[Form, ...] = ("rmw_zenoh", "bridge")
@@ -155,9 +152,7 @@ class RosLink:
         """Returns the link."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Closes the session."""
         self.close()
 

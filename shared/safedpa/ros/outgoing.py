@@ -9,16 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from safedpa.bus.messages.messages import VerdictMessage
 
-__all__ = [
-    "diagnostics_of",
-    "gateway_diagnostics",
-    "level_of",
-    "odometry_of",
-    "path_marker",
-    "quaternion_of",
-    "transform_of",
-]
-
 Head = Mapping[str, Any]
 OK, WARN, ERROR = 0, 1, 2
 _LEVELS = {"passed": OK, "corrected": OK, "relaxed": WARN, "stopped": WARN, "disabled": WARN}

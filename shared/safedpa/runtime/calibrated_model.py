@@ -13,9 +13,6 @@ from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import MarginCalibration, margin_from_text
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["CalibratedModel", "accept_offer", "checked_calibration", "uncalibrated"]
-
-
 # Date of margins that were not calibrated.
 _NEVER = "never"
 

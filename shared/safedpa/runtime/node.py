@@ -6,25 +6,20 @@ backup action.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, ClassVar, final
 
 from safedpa.bus import (
     ACTION,
     LATENT,
-    MODEL,
     NOMINAL,
     SURROUNDINGS,
     TAKEOVER,
     VERDICT,
-    AbstractNode,
     ActionMessage,
-    Answer,
     Inputs,
     LatentMessage,
-    Message,
     ModelMessage,
     NominalMessage,
     Outputs,
@@ -34,8 +29,8 @@ from safedpa.bus import (
     Topic,
     VerdictMessage,
 )
-from safedpa.bus.service.model_versions import ModelVersions
-from safedpa.bus.service.sandbox import AbstractJobHandle
+from safedpa.bus.messages.messages import header
+from safedpa.bus.service.model_versions import ModelNode, ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.runtime.calibrated_model import CalibratedModel, accept_offer, checked_calibration, uncalibrated
 from safedpa.runtime.robot_session import NO_BARRIERS, LastDecision, RobotSession, state_too_old
@@ -46,8 +41,6 @@ from safedpa.safety.margins.transition import margin_change, min_h_by_kind
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
-__all__ = ["SafetyFilterNode"]
-
 # m/s; a car that is slower is stationary.
 _IS_STATIONARY = 0.02
 # Factor of a margin that no action can satisfy, relative to the largest |h| and to the active margins.
@@ -55,7 +48,7 @@ _IMPOSSIBLE_FACTOR = 1e3
 
 
 @final
-class SafetyFilterNode(AbstractNode):
+class SafetyFilterNode(ModelNode[CalibratedModel]):
     """Filters the nominal actions of each robot. With ``settings.enabled`` false it passes them on unchanged.
 
     A new model brings its own margin, and the margin monitor starts again. A latent of another model is not used: the
@@ -66,7 +59,6 @@ class SafetyFilterNode(AbstractNode):
     name = "safety_filter"
     inputs = (LATENT, NOMINAL)
     outputs = (ACTION, VERDICT, TAKEOVER)
-    listens = (MODEL,)
     sensor_inputs = (SURROUNDINGS,)
     share = 0.5
     # A latent may be one tick old, as in the policy: waiting for it would add the adaptation's time to every action.
@@ -194,29 +186,11 @@ class SafetyFilterNode(AbstractNode):
             if session.model is not self._rehearsed:
                 self._rehearsed = session.model
                 _rehearse(session, session.decision, session.barriers)
-        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, session)}
-        answer = self._versions.answer(robot, state)
-        return outputs if answer is None else {**outputs, TAKEOVER: answer}
-
-    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
-        assert isinstance(message, ModelMessage)
-        self._versions.hear(robot, message)
-
-    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
-        self._versions.submit = submit
+        return {VERDICT: _report(state, verdict, predicted, session), **self._answer(robot, state)}
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
         session = self._robots.get(robot)
         return None if session is None or session.decision is None else session.decision.state
-
-    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
-        self._versions.adopt_model(robot, status)
-
-    def agreed(self, robot: str) -> Answer | None:  # noqa: D102
-        return self._versions.agreed(robot)
-
-    def model_of(self, robot: str) -> str:  # noqa: D102
-        return self._versions.fingerprint(robot)
 
     def begin_shutdown(self) -> None:  # noqa: D102
         self.orders.end("the safety filter is about to end")
@@ -251,10 +225,6 @@ class SafetyFilterNode(AbstractNode):
         self._robots.pop(robot, None)
         self._broken.pop(robot, None)
 
-    def leave(self, robot: str) -> None:  # noqa: D102
-        self.forget(robot)
-        self._versions.forget(robot)
-
     def _load(self, robot: str, offer: ModelMessage) -> CalibratedModel:
         """Loads the offered model and margin, and tries them at the robot's last decision.
 
@@ -284,9 +254,7 @@ def _same_margin(before: RobotSession, now: RobotSession) -> bool:
 
 
 def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
-    return ActionMessage(
-        epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time(), values=values
-    )
+    return ActionMessage(**header(state), values=values)
 
 
 def _rehearse(session: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:
@@ -326,10 +294,7 @@ def _report(
         else ""
     )
     return VerdictMessage(
-        epoch=state.epoch,
-        tick=state.tick,
-        robot_time=state.robot_time,
-        publish_time=time.time(),
+        **header(state),
         status=verdict.status.value,
         sentence=" ".join([verdict.sentence, *remarks]) + deadlock_sentence,
         action=tuple(verdict.action.tolist()),

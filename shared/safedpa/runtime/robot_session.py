@@ -31,8 +31,6 @@ from safedpa.safety.solver.candidates import HeldSolution
 from safedpa.safety.validation import InvalidInput, checked_input
 from safedpa.safety.verdict import Status, Verdict
 
-__all__ = ["NO_BARRIERS", "LastDecision", "RobotSession", "state_too_old"]
-
 Rows = tuple[tuple[float, ...], ...]
 
 # s for which the last latent replaces a missing one. A load does not change unnoticed within a second.

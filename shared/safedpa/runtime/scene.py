@@ -23,15 +23,6 @@ from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
 from safedpa.systems.robots import Robot, robot_like, robots
 
-__all__ = [
-    "MOST_OBSTACLES",
-    "AbstractScene",
-    "DeclaredScene",
-    "propagate_obstacles",
-    "scene_of",
-]
-
-
 MOST_OBSTACLES: Final = 64
 """Maximum number of obstacles. With 64, a decision takes 5 ms at worst; with a thousand nearby ones it would take three
 seconds, in which the other robots of the fleet would get no action."""

@@ -19,8 +19,6 @@ from safedpa.disk import write_through
 from safedpa.errors import InputError
 from safedpa.limits import parse_json, text_of_file
 
-__all__ = ["EVERYBODY", "StopOrders"]
-
 EVERYBODY = "-"
 """Placeholder for the robot in an order for the whole fleet."""
 _FORMAT = 1

@@ -15,8 +15,6 @@ from safedpa.bus.messages.requests import Answer, Request
 from safedpa.bus.messages.topics import TOPICS
 from safedpa.errors import MessageError
 
-__all__ = ["LARGEST_BYTES", "decode", "encode"]
-
 LARGEST_BYTES: dict[type[Any], int] = {
     **{topic.message: topic.largest_bytes for topic in TOPICS.values()},
     Request: 4096,

@@ -10,8 +10,6 @@ from __future__ import annotations
 from functools import lru_cache
 from hashlib import blake2b
 
-__all__ = ["STAMP_BYTES", "is_misrouted", "key_stamp"]
-
 STAMP_BYTES = 8
 """Size of a stamp: large enough that two keys of a fleet do not collide by chance, small overhead per message."""
 

@@ -7,29 +7,11 @@ fields, so that older programs can read newer messages.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta
-
-__all__ = [
-    "LARGEST_NUMBER",
-    "ActionMessage",
-    "AskedMessage",
-    "ComputedMessage",
-    "FindingMessage",
-    "HealthMessage",
-    "LatentMessage",
-    "Message",
-    "ModelMessage",
-    "NominalMessage",
-    "ScanMessage",
-    "SetupMessage",
-    "StateMessage",
-    "SurroundingsMessage",
-    "TakeoverMessage",
-    "VerdictMessage",
-]
 
 LARGEST_NUMBER = 1e12
 """Largest magnitude that a received number may have."""
@@ -106,6 +88,13 @@ class StateMessage(Message):
     sources: tuple[str, ...] = ()
     """Names of the sensors that observe the surroundings. Each sends scans, ``obstacles`` is empty, and neither policy
     nor filter treats the boundary of ``field`` as solid. Empty: ``obstacles`` and ``field`` describe everything."""
+
+
+def header(state: StateMessage | None = None) -> dict[str, Any]:
+    """Returns the header of a message that is computed from a state now; None: of one that belongs to no tick."""
+    if state is None:
+        return {"epoch": 0, "tick": 0, "robot_time": 0.0, "publish_time": time.time()}
+    return {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": time.time()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,25 +5,11 @@ People, web pages and services send requests to the diagnosis, the safety filter
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
-from safedpa.bus.messages.messages import AskedMessage, Count
+from safedpa.bus.messages.messages import AskedMessage, Count, header
 from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.errors import InputError
-
-__all__ = [
-    "AGREED",
-    "ORDER",
-    "REQUEST",
-    "SENSE",
-    "STATUS",
-    "Answer",
-    "Request",
-    "asked_message",
-    "request_key",
-    "robot_of_request",
-]
 
 # Each kind of request has a key of its own, because the router grants access by key and cannot look into a payload.
 REQUEST = "request"
@@ -117,17 +103,15 @@ def asked_message(request: Request | None, answer: Answer) -> AskedMessage:
 
     It belongs to no tick; only its publish time is set.
     """
+    asked = request or Request(do="")
     return AskedMessage(
-        epoch=0,
-        tick=0,
-        robot_time=0.0,
-        publish_time=time.time(),
-        do="" if request is None else request.do,
+        **header(),
+        do=asked.do,
         ok=answer.ok,
         sentence=answer.sentence,
-        effect="" if request is None else request.effect,
-        model="" if request is None else request.model,
-        finding=0 if request is None else request.finding,
-        who="" if request is None else request.who,
+        effect=asked.effect,
+        model=asked.model,
+        finding=asked.finding,
+        who=asked.who,
         change=answer.change,
     )

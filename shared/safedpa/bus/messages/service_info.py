@@ -6,19 +6,12 @@ import json
 import os
 import platform
 import sys
-import time
 import uuid
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
-from safedpa.bus.messages.messages import SetupMessage
-
-__all__ = [
-    "SETUP_SECONDS",
-    "setup_message",
-    "software_version",
-]
+from safedpa.bus.messages.messages import SetupMessage, header
 
 SETUP_SECONDS = 5.0
 """Interval between setup messages: a recorder that is started later has the setup within this time."""
@@ -34,10 +27,7 @@ def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
     """
     reported = {name: _reported(value) for name, value in options.items() if value is not None}
     return SetupMessage(
-        epoch=0,
-        tick=0,
-        robot_time=0.0,
-        publish_time=time.time(),
+        **header(),
         service=service,
         instance=uuid.uuid4().hex[:12],
         pid=os.getpid(),

@@ -28,31 +28,13 @@ from safedpa.bus.messages.messages import (
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import readable
 
-__all__ = [
-    "ACTION",
-    "ASKED",
-    "BUNDLE",
-    "FINDING",
-    "HEALTH",
-    "LATENT",
-    "MODEL",
-    "NOMINAL",
-    "SCAN",
-    "SETUP",
-    "STATE",
-    "SURROUNDINGS",
-    "TAKEOVER",
-    "TOPICS",
-    "VERDICT",
-    "Topic",
-    "key_of",
-    "topic_of",
-]
-
 Delivery = Literal["latest", "all"]
 
 BUNDLE = "+"
 """Placeholder for the robot in the key of a bundle, which contains messages about many robots; not a valid name."""
+
+NO_ROBOT = "-"
+"""Placeholder for the robot in the keys of a service that serves the whole fleet, or no robot."""
 
 # Limit for messages that contain a model file or the report of a search. They are sent a few times an hour.
 _DOCUMENT_BYTES = 4 * 1024 * 1024

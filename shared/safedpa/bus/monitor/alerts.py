@@ -8,8 +8,6 @@ from typing import Literal
 
 from safedpa.bus.monitor.fleet_state import FleetOverview, RobotOverview, ServiceOverview
 
-__all__ = ["Alert", "fleet_alerts", "robot_alerts"]
-
 # Services send four heartbeats a second, the recorder two: three or more are missing.
 _SILENT_SECONDS = 1.5
 # Share of late ticks from which an alert is trouble: one in a hundred, 0.2 per second at 20 Hz.

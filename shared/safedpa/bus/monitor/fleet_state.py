@@ -19,17 +19,9 @@ from safedpa.bus.messages.messages import (
     SurroundingsMessage,
     VerdictMessage,
 )
-from safedpa.bus.messages.topics import FINDING, HEALTH, STATE, SURROUNDINGS, VERDICT
+from safedpa.bus.messages.topics import FINDING, HEALTH, NO_ROBOT, STATE, SURROUNDINGS, VERDICT
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage
-
-__all__ = [
-    "RECENT_SECONDS",
-    "FleetOverview",
-    "RobotOverview",
-    "ServiceOverview",
-    "SlidingCounter",
-]
 
 RECENT_SECONDS = 10.0
 """Window of shares and rates in s: long enough to resolve a percent at 20 Hz, short enough to show the present."""
@@ -191,7 +183,7 @@ class ServiceOverview:
     @property
     def robots(self) -> list[str]:
         """Names of the robots that the process serves."""
-        return [name for name in self.retained if name != "-"]
+        return [name for name in self.retained if name != NO_ROBOT]
 
     @property
     def steps(self) -> int:
@@ -264,7 +256,6 @@ class ServiceOverview:
 _FORGET_SECONDS = 300.0
 # A service without a heartbeat about a robot for this long no longer serves it.
 _LEFT_SECONDS = 5.0
-_NO_ROBOT = "-"
 _SILENT_SECONDS = 1.5
 
 
@@ -287,7 +278,7 @@ class FleetOverview:
         # Processes that serve no robot send their heartbeats under "-", which a subscription to one robot excludes.
         self._fleet_wide = None
         if self.robot != "*":
-            self._fleet_wide = self.bus.inbox((HEALTH,), _NO_ROBOT, keep_all=True, clock=self.clock)
+            self._fleet_wide = self.bus.inbox((HEALTH,), NO_ROBOT, keep_all=True, clock=self.clock)
         self.since = self.clock()
 
     @property
@@ -320,7 +311,7 @@ class FleetOverview:
         message = item.message
         if isinstance(message, HealthMessage) and message.service != "robot":
             self._hear_service(item.robot, message, item.at)
-        if item.robot == _NO_ROBOT:
+        if item.robot == NO_ROBOT:
             return
         known = self.robots.get(item.robot)
         if known is None:

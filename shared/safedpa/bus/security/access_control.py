@@ -20,6 +20,7 @@ from safedpa.bus.messages.topics import (
     HEALTH,
     LATENT,
     MODEL,
+    NO_ROBOT,
     NOMINAL,
     SCAN,
     STATE,
@@ -32,23 +33,6 @@ from safedpa.bus.messages.topics import (
 )
 from safedpa.errors import InputError
 
-__all__ = [
-    "NO_ONE",
-    "ROBOT",
-    "ROLES",
-    "ROUTER",
-    "Role",
-    "access_control",
-    "check_names",
-    "may_write",
-    "rate_limits",
-    "role_of_robot",
-    "roles_of",
-    "size_limits",
-]
-
-NO_ONE = "-"
-"""Placeholder for the robot in the keys of a service that serves the whole fleet."""
 ROBOT = "robot"
 ROUTER = "router"
 # Hz per key. Robots tick at 500 Hz at most, in lockstep as fast as they are answered. Zenoh drops every message within
@@ -138,7 +122,7 @@ def check_names(fleet: str, robots: tuple[str, ...]) -> None:
     for name in (fleet, *robots):
         key_of(name, name, STATE)  # raises for characters that are not valid in a key
         # With such a name, the rules of one robot would match others.
-        if name in ("*", NO_ONE, BUNDLE):
+        if name in ("*", NO_ROBOT, BUNDLE):
             raise InputError(f"name '{name}': it is a placeholder for several robots or none, wanted one robot")
     if len(set(robots)) < len(robots):
         raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
@@ -185,7 +169,7 @@ def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_
         yield role_of_robot(robot), _rights(ROLES[ROBOT], fleet, (robot,), robot)
     for role in ROLES.values():
         if role.name != ROBOT:
-            yield role.name, _rights(role, fleet, (*robots, BUNDLE, NO_ONE), "*")
+            yield role.name, _rights(role, fleet, (*robots, BUNDLE, NO_ROBOT), "*")
 
 
 def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_AccessRule]]]:
@@ -250,7 +234,7 @@ def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
     if robot == BUNDLE and not topic.bundles:
         return False
     if not topic.per_service:
-        return role.name == topic.writer and robot != NO_ONE
+        return role.name == topic.writer and robot != NO_ROBOT
     return role.takes_over if topic is TAKEOVER else role.lives
 
 
@@ -264,7 +248,7 @@ def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule
     With ``robots`` it may forward the messages of these robots only, but still all declarations of its clients.
     """
     everything = (f"safedpa/{fleet}/**",)
-    brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NO_ONE)) if robots else everything
+    brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NO_ROBOT)) if robots else everything
     return [
         _AccessRule("brings", _DATA, _IN, brings),
         _AccessRule("wants", _DECLARATIONS, _IN, everything),
@@ -285,7 +269,7 @@ def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
     lives = [role.name for role in ROLES.values() if role.lives] + [ROUTER]
     rules += [
         {"key_expr": key_of(fleet, robot, HEALTH, service), "freq": _MOST_HEARTBEATS}
-        for robot in (*names, NO_ONE, BUNDLE)
+        for robot in (*names, NO_ROBOT, BUNDLE)
         for service in lives
     ]
     return [{"id": "rates", "flows": [_IN], "messages": ["put"], "rules": rules}] if names else []

@@ -12,20 +12,23 @@ import ipaddress
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric.ec import (
+    SECP256R1,
+    EllipticCurvePrivateKey,
+    EllipticCurvePublicKey,
+    generate_private_key,
+)
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from safedpa.bus.security.certificates import AUTHORITY
 from safedpa.errors import InputError
 
-if TYPE_CHECKING:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
-
-__all__ = ["HOSTS", "Authority", "check_days"]
-
 HOSTS = ("localhost", "127.0.0.1", "::1", "router")
 """Default host names and addresses in a router's certificate."""
-_AUTHORITY_DAYS = 3650
 _LARGEST_DAYS = 3650
 # Certificates are valid from this long before they are made, because the clocks of robots differ.
 _SKEW = datetime.timedelta(minutes=5)
@@ -52,21 +55,11 @@ class Authority:
         With ``hosts``, the certificate may be used to accept connections under these names. Raises InputError for an
         invalid role or number of days.
         """
-        _check(role, days)
-        # Imported here and below: the package is an optional extra, and slow to import.
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes
-
-        key = _new_key()
-        builder = _builder(_name(role, self.fleet), self._certificate.subject, key.public_key(), days)
-        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        # Without SERVER_AUTH, a stolen key of a robot cannot be used to impersonate the router.
-        builder = builder.add_extension(_usage(bool(hosts)), critical=False)
-        if hosts:
-            builder = builder.add_extension(x509.SubjectAlternativeName(_hosts(hosts)), critical=False)
+        key = generate_private_key(SECP256R1())
+        certificate = self._signed(key.public_key(), role, days, hosts)
         path = self.folder / f"{role}.pem"
         with _readable_errors(path):
-            _write_pair(path, builder.sign(self._key, hashes.SHA256()), key)
+            _write_pair(path, certificate, key)
         return path
 
     def sign(self, request: bytes, role: str, days: float) -> bytes:
@@ -75,42 +68,44 @@ class Authority:
         Ignores the names in the request; the caller has to know who sent it. Raises InputError if the request is
         malformed, is not signed with its own key, or has a key that is not on P-256.
         """
-        _check(role, days)
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes
+        return self._signed(_key_of(request), role, days).public_bytes(Encoding.PEM)
 
-        key = _key_of(request)
+    def _signed(
+        self, key: EllipticCurvePublicKey, role: str, days: float, hosts: tuple[str, ...] = ()
+    ) -> x509.Certificate:
+        # The role becomes a file name; the authority's own name would overwrite its certificate.
+        if not role or role == AUTHORITY or not all(letter.isalnum() or letter in "-_." for letter in role):
+            raise InputError(f"role '{role}': wanted letters, digits, '-', '_' or '.', and not '{AUTHORITY}'")
+        check_days(days)
         builder = _builder(_name(role, self.fleet), self._certificate.subject, key, days)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        builder = builder.add_extension(_usage(False), critical=False)
-        return _pem(builder.sign(self._key, hashes.SHA256()))
+        # Without SERVER_AUTH, a stolen key of a robot cannot be used to impersonate the router.
+        usage = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
+        builder = builder.add_extension(x509.ExtendedKeyUsage(usage), critical=False)
+        if hosts:
+            builder = builder.add_extension(x509.SubjectAlternativeName(_hosts(hosts)), critical=False)
+        return builder.sign(self._key, hashes.SHA256())
 
     def _make(self) -> None:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes
-
-        key = _new_key()
+        key = generate_private_key(SECP256R1())
         name = _name(f"{self.fleet} authority", self.fleet)
-        builder = _builder(name, name, key.public_key(), _AUTHORITY_DAYS)
+        builder = _builder(name, name, key.public_key(), _LARGEST_DAYS)
         # path_length=0: it signs certificates of processes, but no further authorities.
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         _write_pair(self.folder / f"{AUTHORITY}.pem", builder.sign(key, hashes.SHA256()), key)
 
     def _load(self) -> tuple[EllipticCurvePrivateKey, x509.Certificate]:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import serialization
-        from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-
         path = self.folder / f"{AUTHORITY}.pem"
         try:
             certificate = x509.load_pem_x509_certificate(path.read_bytes())
-            key = serialization.load_pem_private_key((self.folder / f"{AUTHORITY}.key.pem").read_bytes(), None)
+            key = load_pem_private_key((self.folder / f"{AUTHORITY}.key.pem").read_bytes(), None)
         except (ValueError, TypeError) as error:
             raise InputError(f"{path}: no certificate and key of an authority; choose another folder") from error
         if not isinstance(key, EllipticCurvePrivateKey):
             raise InputError(f"{path}: got another kind of key, wanted one on P-256; choose another folder")
         # Roles carry no fleet, so one authority for two fleets would let members of one into the other.
-        fleet = _fleet_of(certificate)
+        named = certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
+        fleet = "".join(str(part.value) for part in named)
         if fleet != self.fleet:
             raise InputError(
                 f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': members of one fleet would be "
@@ -119,35 +114,13 @@ class Authority:
         return key, certificate
 
 
-def _fleet_of(certificate: x509.Certificate) -> str:
-    from cryptography.x509.oid import NameOID
-
-    return "".join(str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME))
-
-
-def _check(role: str, days: float) -> None:
-    # The role becomes a file name; the authority's own name would overwrite its certificate.
-    if not role or role == AUTHORITY or not all(letter.isalnum() or letter in "-_." for letter in role):
-        raise InputError(f"role '{role}': wanted letters, digits, '-', '_' or '.', and not '{AUTHORITY}'")
-    check_days(days)
-
-
 def check_days(days: float) -> None:
     """Raises InputError unless a certificate may be valid for this time [days]."""
     if not 0.0 < days <= _LARGEST_DAYS:
         raise InputError(f"--days: got {days:g}, wanted more than 0 and at most {_LARGEST_DAYS}")
 
 
-def _new_key() -> EllipticCurvePrivateKey:
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    return ec.generate_private_key(ec.SECP256R1())
-
-
 def _key_of(request: bytes) -> EllipticCurvePublicKey:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, EllipticCurvePublicKey
-
     wanted = "wanted a certificate signing request in PEM, signed with its own key on P-256"
     try:
         asked = x509.load_pem_x509_csr(request)
@@ -163,17 +136,13 @@ def _key_of(request: bytes) -> EllipticCurvePublicKey:
 
 
 def _name(common: str, fleet: str) -> x509.Name:
-    from cryptography import x509
-    from cryptography.x509.oid import NameOID
-
-    return x509.Name(
-        [x509.NameAttribute(NameOID.ORGANIZATION_NAME, fleet), x509.NameAttribute(NameOID.COMMON_NAME, common)]
-    )
+    parts = ((NameOID.ORGANIZATION_NAME, fleet), (NameOID.COMMON_NAME, common))
+    return x509.Name([x509.NameAttribute(*part) for part in parts])
 
 
-def _builder(subject: x509.Name, issuer: x509.Name, key: EllipticCurvePublicKey, days: float) -> Any:
-    from cryptography import x509
-
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: EllipticCurvePublicKey, days: float
+) -> x509.CertificateBuilder:
     now = datetime.datetime.now(datetime.UTC)
     return (
         x509.CertificateBuilder()
@@ -186,17 +155,7 @@ def _builder(subject: x509.Name, issuer: x509.Name, key: EllipticCurvePublicKey,
     )
 
 
-def _usage(accepts: bool) -> x509.ExtendedKeyUsage:
-    from cryptography import x509
-    from cryptography.x509.oid import ExtendedKeyUsageOID
-
-    server = [ExtendedKeyUsageOID.SERVER_AUTH] if accepts else []
-    return x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, *server])
-
-
 def _hosts(hosts: tuple[str, ...]) -> list[x509.GeneralName]:
-    from cryptography import x509
-
     names: list[x509.GeneralName] = []
     for host in dict.fromkeys(hosts):
         try:
@@ -210,19 +169,9 @@ def _write_pair(path: Path, certificate: x509.Certificate, key: EllipticCurvePri
     """Writes the key, then the certificate."""
     # Each file atomically, because a process may be reading them; the key first, so that a process that finds a new
     # role's certificate also finds its key.
-    from cryptography.hazmat.primitives import serialization
-
-    private = key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
+    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     _write(path.with_suffix(".key.pem"), private, 0o600)
-    _write(path, _pem(certificate), 0o644)
-
-
-def _pem(certificate: x509.Certificate) -> bytes:
-    from cryptography.hazmat.primitives import serialization
-
-    return certificate.public_bytes(serialization.Encoding.PEM)
+    _write(path, certificate.public_bytes(Encoding.PEM), 0o644)
 
 
 def _write(path: Path, content: bytes, mode: int) -> None:

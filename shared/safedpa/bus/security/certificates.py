@@ -19,8 +19,6 @@ from typing import final
 from safedpa.bus.logging import log_event
 from safedpa.errors import BusError
 
-__all__ = ["AUTHORITY", "Certificates", "PemCredentials", "protect_process_memory"]
-
 AUTHORITY = "authority"
 # Bytes of credentials read from a pipe, as many as a pipe holds.
 _MOST_BYTES = 1 << 16

@@ -26,8 +26,6 @@ from typing import final
 
 from safedpa.bus.logging import log_event
 
-__all__ = ["ConnectionReaper", "cut_off", "defer_accept", "listening_ports", "raise_descriptor_limit"]
-
 # How long the kernel keeps a silent connection. It takes some hundred bytes there and nothing in this process.
 _SILENT_SECONDS = 250
 # Length of the kernel's queue of a listening socket; the kernel lowers it to ``net.core.somaxconn``.

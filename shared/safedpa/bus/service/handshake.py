@@ -16,8 +16,6 @@ from safedpa.bus.service.node import AbstractNode
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import Inbox, ReceivedMessage
 
-__all__ = ["ModelHandshake"]
-
 # Time-out for the diagnosis, and again for the other services. A process on the same machine answers in milliseconds;
 # if no process answers such questions, the bus reports that immediately.
 _TIMEOUT_SECONDS = 0.3

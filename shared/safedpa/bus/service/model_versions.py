@@ -12,14 +12,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar, final
+from typing import Any, ClassVar, Generic, TypeVar, final
 
-from safedpa.bus.messages.messages import ModelMessage, StateMessage, TakeoverMessage
+from safedpa.bus.messages.messages import Message, ModelMessage, StateMessage, TakeoverMessage, header
 from safedpa.bus.messages.requests import Answer
-from safedpa.bus.service.sandbox import AbstractJobHandle
+from safedpa.bus.messages.topics import MODEL, TAKEOVER, Topic
+from safedpa.bus.service.node import AbstractNode, Outputs
+from safedpa.bus.service.sandbox import JobHandle
 from safedpa.limits import limit, too_much
-
-__all__ = ["ModelVersions"]
 
 Held = TypeVar("Held")
 """The object that the service creates from a model; robots with the same model share it."""
@@ -45,7 +45,7 @@ class _RobotModels(Generic[Held]):
     version: _Version[Held]
     offer: ModelMessage | None = None
     """The offer while it is not ready yet."""
-    ticket: AbstractJobHandle | None = None
+    ticket: JobHandle | None = None
     """The trial of the offer in the sandbox."""
     prepared: _Version[Held] | None = None
     take: ModelMessage | None = None
@@ -78,7 +78,7 @@ class ModelVersions(Generic[Held]):
         for up to 14 ms; after each one, the loop has the same time for its other work."""
         self._first = _Version(first, fingerprint)
         self._robots: dict[str, _RobotModels[Held]] = {}
-        self.submit: Callable[[str, ModelMessage], AbstractJobHandle] | None = None
+        self.submit: Callable[[str, ModelMessage], JobHandle] | None = None
         """Tries an offer in the sandbox; None loads offers directly, for trusted senders in the same process."""
 
     def of(self, robot: str) -> Held:
@@ -133,23 +133,24 @@ class ModelVersions(Generic[Held]):
         settled = status.pending != "take" or status.fingerprint == status.pending_fingerprint
         if status.document:
             number = status.change if settled and status.pending != "offer" else 0
-            agreed = _offer(status, status.fingerprint, status.document, status.margin, number)
+            content = {"document": status.document, "margin": status.margin}
+            agreed = _message("offer", status, number, status.fingerprint, **content)
             known.version = self._made(robot, known, agreed) or known.version
         if status.pending in ("offer", "take") and known.offer is None and known.prepared is None:
             self._take_up(robot, known, status)
 
     def _take_up(self, robot: str, known: _RobotModels[Held], status: Answer) -> None:
         """Joins a pending change."""
-        pending = _offer(
-            status, status.pending_fingerprint, status.pending_document, status.pending_margin, status.change
-        )
+        content = {"document": status.pending_document, "margin": status.pending_margin}
+        pending = _message("offer", status, status.change, status.pending_fingerprint, **content)
         self._hear_offer(known, pending)
         if status.pending == "take":
             # Without a trial in the sandbox: it is decided, so every service has already checked this model, and the
             # others switch to it at a tick that will not wait.
             self._load_offer(robot, known, pending)
             known.offer = None
-            self._hear_take(known, _take(status, pending))
+            take = _message("take", status, status.change, pending.fingerprint, from_tick=status.from_tick)
+            self._hear_take(known, take)
 
     def begin(self, robot: str, state: StateMessage) -> bool:
         """Starts a tick; True if another model is active from this tick on. Call it once per tick, first."""
@@ -174,10 +175,7 @@ class ModelVersions(Generic[Held]):
             return None
         message, outcome, notice = known.answers.popleft()
         return TakeoverMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
+            **header(state),
             service=self._service,
             change=message.change,
             fingerprint=message.fingerprint,
@@ -267,6 +265,38 @@ class ModelVersions(Generic[Held]):
             return None
 
 
+class ModelNode(AbstractNode, Generic[Held]):
+    """A node whose models may change while it runs. A subclass sets ``_versions`` and calls their ``begin``."""
+
+    listens: ClassVar[tuple[Topic, ...]] = (MODEL,)
+    _versions: ModelVersions[Held]
+
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        assert isinstance(message, ModelMessage)
+        self._versions.hear(robot, message)
+
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], JobHandle]) -> None:  # noqa: D102
+        self._versions.submit = submit
+
+    def adopt_model(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.adopt_model(robot, status)
+
+    def agreed(self, robot: str) -> Answer | None:  # noqa: D102
+        return self._versions.agreed(robot)
+
+    def model_of(self, robot: str) -> str:  # noqa: D102
+        return self._versions.fingerprint(robot)
+
+    def leave(self, robot: str) -> None:  # noqa: D102
+        self.forget(robot)
+        self._versions.forget(robot)
+
+    def _answer(self, robot: str, state: StateMessage) -> Outputs:
+        """Prepares an offered model and returns the answer to send, if any; call it in ``afterwards``."""
+        answer = self._versions.answer(robot, state)
+        return {} if answer is None else {TAKEOVER: answer}
+
+
 def _too_large(offer: ModelMessage) -> str:
     """Returns why an offer is too large for the sandbox; empty if it is not."""
     longest = max(len(offer.document), len(offer.margin))
@@ -282,28 +312,7 @@ def _is(version: _Version[Held] | None, message: ModelMessage) -> bool:
     return version is not None and (version.change, version.fingerprint) == (message.change, message.fingerprint)
 
 
-def _offer(status: Answer, fingerprint: str, document: str, margin: str, change: int) -> ModelMessage:
-    return _message("offer", status.epoch, change, fingerprint, document=document, margin=margin)
-
-
-def _take(status: Answer, offer: ModelMessage) -> ModelMessage:
-    return _message("take", status.epoch, offer.change, offer.fingerprint, from_tick=status.from_tick)
-
-
-def _message(
-    step: str, epoch: int, change: int, fingerprint: str, document: str = "", margin: str = "", from_tick: int = 0
-) -> ModelMessage:
+def _message(step: str, status: Answer, change: int, fingerprint: str, **more: Any) -> ModelMessage:
     """Creates a message as the diagnosis would have sent it."""
-    return ModelMessage(
-        epoch=epoch,
-        tick=0,
-        robot_time=0.0,
-        publish_time=time.time(),
-        step=step,
-        change=change,
-        fingerprint=fingerprint,
-        replaces="",
-        document=document,
-        margin=margin,
-        from_tick=from_tick,
-    )
+    stamp = {**header(), "epoch": status.epoch}
+    return ModelMessage(**stamp, step=step, change=change, fingerprint=fingerprint, replaces="", **more)

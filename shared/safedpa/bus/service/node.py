@@ -13,9 +13,7 @@ from typing import ClassVar
 from safedpa.bus.messages.messages import Message, ModelMessage, StateMessage
 from safedpa.bus.messages.requests import Answer
 from safedpa.bus.messages.topics import Topic
-from safedpa.bus.service.sandbox import AbstractJobHandle
-
-__all__ = ["AbstractNode", "Inputs", "Outputs", "Stale"]
+from safedpa.bus.service.sandbox import JobHandle
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ class AbstractNode(ABC):
         """Handles a message of a topic in ``listens``: each one once, in order, of any tick."""
         del robot, message
 
-    def use_sandbox(self, submit: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:
+    def use_sandbox(self, submit: Callable[[str, ModelMessage], JobHandle]) -> None:
         """Has offered models tried by ``submit(robot, offer)``, in the sandbox, before this process loads them."""
         del submit
 

@@ -30,20 +30,6 @@ from safedpa.bus.transport.zenoh import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, JoinError, SafedpaError
 from safedpa.limits import readable
 
-__all__ = [
-    "GROWTH",
-    "RealtimePriority",
-    "StopSignal",
-    "add_bus_options",
-    "add_credentials_option",
-    "bus_from_options",
-    "freeze_garbage_collector",
-    "identity_from_options",
-    "log_lifetime",
-    "run_process",
-    "transport_settings_from_options",
-]
-
 GROWTH: Final = 50_000
 """Number of new container objects after which Python's garbage collector runs. A batch of a hundred robots allocates
 more than Python's default of 700 at once, and each run then scans the sliding windows of measurements: 7 % of a fleet's

@@ -6,24 +6,14 @@ The trace is written into the computed messages, so that a recording shows which
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from safedpa.bus.messages.messages import ComputedMessage, HealthMessage, Message, StateMessage
+from safedpa.bus.messages.messages import ComputedMessage, HealthMessage, Message, StateMessage, header
 from safedpa.bus.messages.service_info import software_version
 from safedpa.bus.messages.topics import Topic
 from safedpa.bus.service.node import Inputs, Outputs, Stale
-
-__all__ = [
-    "NO_ROBOT",
-    "ComputationTrace",
-    "HeartbeatCounts",
-    "RobotSlot",
-    "consumed",
-    "heartbeat",
-]
 
 _NEVER = -1.0
 # Messages are frozen dataclasses; this sets a field of one that is not published yet.
@@ -172,10 +162,6 @@ def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: i
     return message if 0 <= age <= max(topic.largest_age_ticks, slack) else Stale(topic, max(age, 0))
 
 
-NO_ROBOT = "-"
-"""Placeholder for the robot in the health key of a service without robots."""
-
-
 def heartbeat(service: str, slot: RobotSlot | None, unserved: HeartbeatCounts, model: str) -> HealthMessage:
     """Returns the heartbeat of ``service`` about one robot, or about none (``slot`` is None).
 
@@ -184,10 +170,7 @@ def heartbeat(service: str, slot: RobotSlot | None, unserved: HeartbeatCounts, m
     counts = unserved if slot is None else slot.counts
     refused = counts.refused if slot is None else counts.refused + unserved.refused
     return HealthMessage(
-        epoch=slot.state.epoch if slot else 0,
-        tick=slot.state.tick if slot else 0,
-        robot_time=slot.state.robot_time if slot else 0.0,
-        publish_time=time.time(),
+        **header(slot.state if slot else None),
         service=service,
         pid=os.getpid(),
         state="failing" if counts.failing else "running" if slot else "ready",

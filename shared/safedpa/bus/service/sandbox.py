@@ -18,7 +18,6 @@ import signal
 import struct
 import sys
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from importlib import import_module
 from typing import IO, TYPE_CHECKING, Any, final
@@ -28,8 +27,6 @@ from safedpa.limits import parse_json
 
 if TYPE_CHECKING:
     import subprocess
-
-__all__ = ["AbstractJobHandle", "JobProcess", "serve"]
 
 # Limits of one job. The check of a legitimate model takes a fraction of a second.
 _CPU_SECONDS = 5
@@ -60,23 +57,18 @@ _START = (
 )
 
 
-class AbstractJobHandle(ABC):
+@final
+class JobHandle:
     """A submitted job."""
 
-    @abstractmethod
+    def __init__(self, worker: JobProcess, number: int, until: float) -> None:
+        self._worker, self._number, self._until = worker, number, until
+
     def outcome(self, *, wait: bool = False) -> dict[str, Any] | None:
         """Returns the result, or None while the job is running; with ``wait``, blocks until there is one.
 
         A failed job, or one that took too long, has the result ``{"problem": "..."}``.
         """
-
-
-@final
-class _JobHandle(AbstractJobHandle):
-    def __init__(self, worker: JobProcess, number: int, until: float) -> None:
-        self._worker, self._number, self._until = worker, number, until
-
-    def outcome(self, *, wait: bool = False) -> dict[str, Any] | None:
         while True:
             found = self._worker.take(self._number)
             if found is not None:
@@ -113,7 +105,7 @@ class JobProcess:
         """Process id of the worker; 0 without one."""
         return 0 if self._process is None else self._process.pid
 
-    def submit(self, work: object) -> AbstractJobHandle:
+    def submit(self, work: object) -> JobHandle:
         """Submits a job with this argument; never blocks."""
         self._number += 1
         # Pickle only towards the worker, which already has fewer rights than this process. Results come back as JSON.
@@ -127,7 +119,7 @@ class JobProcess:
             # A job may be written in part; after that the stream has no boundaries the worker could find.
             self.kill()
             self._results[self._number] = {"problem": f"it could not be tried ({error.strerror})"}
-        return _JobHandle(self, self._number, self.clock() + _TIMEOUT_SECONDS)
+        return JobHandle(self, self._number, self.clock() + _TIMEOUT_SECONDS)
 
     def take(self, number: int) -> dict[str, Any] | None:
         """Returns and removes the result of a job; None if there is none yet."""

@@ -16,11 +16,10 @@ import heapq
 import threading
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import Protocol, final
+from typing import TYPE_CHECKING, final
 
-from safedpa.bus.transport.inbox import Inbox
-
-__all__ = ["MAX_HOLD_SECONDS", "ScheduledLoop", "Scheduler", "TimerQueue", "batch_interval"]
+if TYPE_CHECKING:
+    from safedpa.bus.service.service_loop import ServiceLoop
 
 # Longest wait for a message; also the interval at which `stopped` and the batch interval are checked.
 _LONGEST_WAIT_SECONDS = 0.25
@@ -97,42 +96,11 @@ def batch_interval(periods: Sequence[float], *, coalescing: bool) -> float:
     return quantum if quantum >= _SHORTEST_SECONDS else 0.0
 
 
-class ScheduledLoop(Protocol):
-    """A service loop as the scheduler drives it."""
-
-    inbox: Inbox
-    clock: Callable[[], float]
-    quantum: float
-
-    @property
-    def is_needed(self) -> bool:
-        """Whether a robot still waits for this loop during a shutdown."""
-
-    @property
-    def preferred_quantum(self) -> float:
-        """The batch interval [s] that its robots need."""
-
-    def begin_shutdown(self) -> None:
-        """Serves the known robots only, from now on."""
-
-    def wait_time(self, longest_wait: float) -> float:
-        """The time [s] until its next timer, at most ``longest_wait``."""
-
-    def turn(self, longest_wait: float) -> None:
-        """Takes messages, steps the robots that are ready, and does periodic work."""
-
-    def serve(self, longest_wait: float) -> None:
-        """Takes messages and steps the robots that are ready."""
-
-    def coalesce(self, quantum: float) -> None:
-        """Sets the batch interval [s]; 0 means none."""
-
-
 @final
 class Scheduler:
     """Runs the service loops of one process, in the given order, which is the order of the data flow."""
 
-    def __init__(self, loops: Sequence[ScheduledLoop]) -> None:
+    def __init__(self, loops: Sequence[ServiceLoop]) -> None:
         self._loops = loops
         self._running = threading.Lock()
         """Held by the thread that runs the loops."""

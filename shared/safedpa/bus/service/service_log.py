@@ -14,8 +14,6 @@ from safedpa.bus.logging import log_event
 from safedpa.bus.messages.messages import FindingMessage, Message, ModelMessage, TakeoverMessage, VerdictMessage
 from safedpa.bus.service.node import Outputs
 
-__all__ = ["ServiceLog"]
-
 _STEPS = {"offer": "model.offered", "take": "model.decided", "drop": "model.dropped"}
 _ANSWERS = {"ready": "model.ready", "taken": "model.taken", "refused": "model.refused"}
 _STATUS_KINDS = {"stopped": "filter.stopped", "disabled": "filter.disabled"}

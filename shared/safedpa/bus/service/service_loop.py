@@ -17,17 +17,15 @@ from collections.abc import Callable
 
 from safedpa.bus.messages.messages import SetupMessage, StateMessage
 from safedpa.bus.messages.service_info import SETUP_SECONDS
-from safedpa.bus.messages.topics import ACTION, HEALTH, SETUP, STATE
+from safedpa.bus.messages.topics import ACTION, HEALTH, NO_ROBOT, SETUP, STATE
 from safedpa.bus.service.handshake import ModelHandshake
 from safedpa.bus.service.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.service.robot_slot import NO_ROBOT, ComputationTrace, HeartbeatCounts, RobotSlot, consumed, heartbeat
+from safedpa.bus.service.robot_slot import ComputationTrace, HeartbeatCounts, RobotSlot, consumed, heartbeat
 from safedpa.bus.service.scheduler import MAX_HOLD_SECONDS, Scheduler, TimerQueue, batch_interval
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage, RejectedMessage
 from safedpa.errors import BusError, InputError
-
-__all__ = ["NO_ROBOT", "ServiceLoop"]
 
 _HEARTBEAT_SECONDS = 0.25
 # A name may be taken over by a new epoch (a restarted robot) after this silence. A second robot cannot displace one

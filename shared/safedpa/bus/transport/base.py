@@ -6,8 +6,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-__all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample", "Subscription"]
-
 OnSample = Callable[[str, bytes], None]
 """Called with key and payload on any thread; must return immediately and must not raise."""
 

@@ -16,8 +16,6 @@ import msgspec
 
 from safedpa.errors import MessageError
 
-__all__ = ["Entry", "pack_bundle", "split_into_bundles", "unpack_bundle"]
-
 Entry = tuple[str, bytes]
 """Name of a robot, and the encoded message about it."""
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
-from types import TracebackType
+from typing import Any
 
 from safedpa.bus.messages.codec import decode, encode
-from safedpa.bus.messages.messages import Message
+from safedpa.bus.messages.messages import HealthMessage, Message, header
 from safedpa.bus.messages.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
-from safedpa.bus.messages.topics import BUNDLE, Topic, key_of
+from safedpa.bus.messages.service_info import software_version
+from safedpa.bus.messages.topics import BUNDLE, HEALTH, NO_ROBOT, Topic, key_of
 from safedpa.bus.transport.base import AbstractTransport
 from safedpa.bus.transport.batching import Entry, pack_bundle, split_into_bundles
 from safedpa.bus.transport.inbox import Decode, Inbox, InboxReceiver, RequestOutcome
 from safedpa.errors import BusError, InputError, MessageError
-
-__all__ = ["Bus"]
 
 _CLAIM_POLL_SECONDS = 0.05
 # Time for a competing instance to notice that it lost the claim and to leave. It needs up to a second to list the
@@ -68,6 +68,11 @@ class Bus:
             key = key_of(self.fleet, robot, topic, service)
             self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
+    def report_health(self, service: str, **fields: Any) -> None:
+        """Publishes a heartbeat of this process that is about no robot, with further fields of ``HealthMessage``."""
+        message = HealthMessage(**header(), service=service, pid=os.getpid(), software=software_version(), **fields)
+        self.publish(HEALTH, NO_ROBOT, message, service)
+
     def hold(self) -> None:
         """Collects published messages until ``flush``, which sends those of one topic as a bundle."""
         self._holds = True
@@ -106,7 +111,7 @@ class Bus:
         inbox = Inbox(clock, decode=self._decode)
         for topic in topics:
             wait_all = keep_all or topic.delivery == "all"
-            accept = self._accepting(inbox, topic, robot, all_of_them=wait_all)
+            accept = InboxReceiver(inbox, topic, self.fleet, robot, self._serves, all_of_them=wait_all)
             bundle = (BUNDLE,) if topic.bundles and robot != "*" and not alone else ()
             for wanted in (robot, *bundle):
                 subscription = self._transport.subscribe(key_of(self.fleet, wanted, topic, "*"), accept)
@@ -114,9 +119,6 @@ class Bus:
                 if not wait_all:
                     inbox.fill_from(subscription)
         return inbox
-
-    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> InboxReceiver:
-        return InboxReceiver(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Sends a request about one robot and returns the answer; None if none arrives within ``timeout`` [s].
@@ -234,7 +236,5 @@ class Bus:
     def __enter__(self) -> Bus:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()

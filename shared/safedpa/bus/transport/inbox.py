@@ -23,15 +23,6 @@ from safedpa.bus.transport.base import Subscription
 from safedpa.bus.transport.batching import unpack_bundle
 from safedpa.errors import InputError, MessageError
 
-__all__ = [
-    "Inbox",
-    "InboxReceiver",
-    "ReceivedMessage",
-    "RejectedMessage",
-    "RequestOutcome",
-    "SharedPayload",
-]
-
 # Limits of one inbox. A service that reads its inbox is far below them: 1000 robots at 20 Hz reach 100 000 messages
 # only after 5 s without a read. They stop a flood or a stalled reader from exhausting the memory of the machine.
 _LONGEST_QUEUE = 100_000

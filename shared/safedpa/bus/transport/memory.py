@@ -13,8 +13,6 @@ from safedpa.bus.transport.base import AbstractTransport, OnAnswer, OnQuestion, 
 from safedpa.bus.transport.inbox import InboxReceiver, SharedPayload
 from safedpa.errors import BusError
 
-__all__ = ["JointTransport", "MemoryBroker", "MemoryTransport"]
-
 
 class MemoryBroker:
     """Connects all ``MemoryTransport`` that are created with it."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Iterable
-from itertools import count
+from collections.abc import Iterable, Iterator
+from functools import cache
+from itertools import chain, count
 from pathlib import Path
-from typing import final
 
 from safedpa.errors import InputError
-
-__all__ = ["free_port"]
 
 # Ports are taken from 20000 to 32767: above the registered services in common use, below Linux's default range of
 # ephemeral ports, from which the system takes ports for outgoing connections.
@@ -23,6 +21,7 @@ _FEWEST = 1000
 # prime, so that it shares no factor with the size of the range.
 _SPACING = 1009
 _RANGE = Path("/proc/sys/net/ipv4/ip_local_port_range")
+_LOCK = threading.Lock()
 
 
 def free_port(preferred: Iterable[int] = ()) -> int:
@@ -31,38 +30,25 @@ def free_port(preferred: Iterable[int] = ()) -> int:
     The port is outside the ephemeral range, so no outgoing connection takes it before the caller listens on it. The
     same process does not get the same port again. Raises InputError if no port is free.
     """
-    for port in preferred:
-        if _is_free(port):
-            return port
-    for port in _search.following():
+    for port in chain(preferred, _candidates()):
         if _is_free(port):
             return port
     raise InputError("port: no TCP port is free; stop some programs that listen")
 
 
-@final
-class _Search:
-    """Sequence of candidate ports; each process starts at another one."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._offsets = count()
-        self._process = 0
-
-    def following(self) -> Iterable[int]:
-        """Yields each port once, starting after the last one returned."""
-        below = _first_ephemeral()
-        size = below - _LOWEST
-        for _ in range(size):
-            with self._lock:
-                # Also true in a fork, which would otherwise return the same ports as its parent.
-                if self._process != os.getpid():
-                    self._process, self._offsets = os.getpid(), count(os.getpid() * _SPACING)
-                offset = next(self._offsets)
-            yield _LOWEST + offset % size
+@cache
+def _offsets(process: int) -> Iterator[int]:
+    """Sequence of offsets of a process, which starts at another one in each; also in a fork."""
+    return count(process * _SPACING)
 
 
-_search = _Search()
+def _candidates() -> Iterator[int]:
+    """Yields each port once, starting after the last one that this process tried."""
+    size = _first_ephemeral() - _LOWEST
+    for _ in range(size):
+        with _LOCK:  # count() is not documented as thread-safe
+            offset = next(_offsets(os.getpid()))
+        yield _LOWEST + offset % size
 
 
 def _first_ephemeral() -> int:

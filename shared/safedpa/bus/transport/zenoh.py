@@ -31,16 +31,6 @@ from safedpa.limits import readable
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = [
-    "Mode",
-    "ZenohSettings",
-    "ZenohTransport",
-    "close_session",
-    "open_session",
-    "short_error_text",
-    "zenoh_session_configuration",
-]
-
 # Threads with which Zenoh opens and closes links, for all sessions of a process. With the default of one thread,
 # sessions deadlocked for good when peers joined and left often: the thread waited for a lock whose holder waited for
 # the thread. https://github.com/eclipse-zenoh/zenoh/issues/2581; ``deploy/zenoh_churn.py`` reproduces it.
