@@ -5,26 +5,18 @@ The main thread updates the state from the bus; the web server's thread reads it
 
 from __future__ import annotations
 
-import os
 import threading
 import time
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from safedpa.bus import HEALTH, NO_ROBOT, HealthMessage
-from safedpa.bus.messages.service_info import software_version
 from safedpa.bus.monitor import FleetOverview, RobotOverview, ServiceOverview, robot_alerts
 from safedpa.errors import InputError
 
 if TYPE_CHECKING:
-    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
-
-    AnyFamily = CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily
-
-__all__ = ["FAMILIES", "Exporter", "Family", "FleetCollector", "Histogram"]
+    from prometheus_client import Histogram, Metric
 
 _TURN_SECONDS = 0.25
 
@@ -61,20 +53,9 @@ class Exporter:
         """Processes the messages of a quarter of a second, then sends a heartbeat."""
         self._collector.listen(_TURN_SECONDS)
         self._turns += 1
-        message = HealthMessage(
-            epoch=0,
-            tick=0,
-            robot_time=0.0,
-            publish_time=time.time(),
-            service="metrics",
-            pid=os.getpid(),
-            state="running",
-            detail=f"port {self.port}",
-            steps=self._turns,
-            refused=self._fleet.refused,
-            software=software_version(),
+        self._fleet.bus.report_health(
+            "metrics", state="running", detail=f"port {self.port}", steps=self._turns, refused=self._fleet.refused
         )
-        self._fleet.bus.publish(HEALTH, NO_ROBOT, message, "metrics")
 
 
 LATENCY_BUCKETS = (0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.03, 0.045, 0.1, 0.5)
@@ -144,28 +125,6 @@ FAMILIES: dict[str, Family] = {
 """Metric families by name, in the order of the page."""
 
 
-class Histogram:
-    """A cumulative histogram; the last bucket has no upper bound."""
-
-    def __init__(self, bounds: Sequence[float]) -> None:
-        self._bounds = tuple(bounds)
-        self._counts = [0] * (len(self._bounds) + 1)
-        self.sum = 0.0
-
-    def add(self, value: float) -> None:
-        """Counts a value; upper bounds are inclusive."""
-        self._counts[bisect_left(self._bounds, value)] += 1
-        self.sum += value
-
-    def buckets(self) -> list[tuple[str, float]]:
-        """Returns (upper bound as text, number of values up to it), in ascending order."""
-        found, total = [], 0
-        for bound, count in zip((*map(str, self._bounds), "+Inf"), self._counts, strict=True):
-            total += count
-            found.append((bound, float(total)))
-        return found
-
-
 _SILENT_SECONDS = 1.5
 _GONE_SECONDS = 30.0
 """A process that was silent this long is left out; its successor has another process id."""
@@ -179,8 +138,10 @@ class FleetCollector:
 
     def __init__(self, fleet: FleetOverview) -> None:
         self._fleet, self._lock = fleet, threading.Lock()
-        self._latencies: dict[str, Histogram] = {}
-        self._steps: dict[str, Histogram] = {}
+        self._latencies = _histogram("safedpa_sense_to_act_seconds", LATENCY_BUCKETS)
+        self._measured: set[str] = set()
+        """Robots with latencies."""
+        self._steps = _histogram("safedpa_step_seconds", STEP_BUCKETS)
         self._seen: dict[tuple[str, int], float] = {}
 
     def listen(self, wait: float) -> None:
@@ -190,38 +151,32 @@ class FleetCollector:
             self._fleet.listen(0.0)
             self._fill_histograms()
 
-    def collect(self) -> Iterator[AnyFamily]:
+    def collect(self) -> Iterator[Metric]:
         """Yields all families with their current samples."""
         with self._lock:
             samples = list(self._samples())
-            histograms = self._histograms()
-        for name, family in FAMILIES.items():
-            if family.kind == "histogram":
-                yield _histogram_family(name, histograms[name])
-            else:
-                yield _family(name, [sample for sample in samples if sample[0] == name])
+            histograms = {metric.name: metric for part in (self._latencies, self._steps) for metric in part.collect()}
+        for metric in histograms.values():  # without their times of creation, which no rule asks for
+            metric.samples = [sample for sample in metric.samples if not sample.name.endswith("_created")]
+        for name in FAMILIES:
+            yield histograms.get(name) or _family(name, [sample for sample in samples if sample[0] == name])
 
     def _fill_histograms(self) -> None:
         for robot in self._fleet.robots.values():
             latencies, robot.new_latencies = robot.new_latencies, []
             for latency in latencies:
-                self._latencies.setdefault(robot.name, Histogram(LATENCY_BUCKETS)).add(latency)
+                self._measured.add(robot.name)
+                self._latencies.labels(robot.name).observe(latency)
+        for name in self._measured - self._fleet.robots.keys():
+            self._measured.remove(name)
+            self._latencies.remove(name)
         for which, service in self._fleet.services.items():
             if self._seen.get(which) != service.at:
                 self._seen[which] = service.at
                 seconds = 1e-6 * service.health.step_microseconds
                 if seconds > 0.0:  # 0: not measured
-                    self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
+                    self._steps.labels(service.name).observe(seconds)
         self._seen = {which: at for which, at in self._seen.items() if which in self._fleet.services}
-        self._latencies = {name: known for name, known in self._latencies.items() if name in self._fleet.robots}
-
-    def _histograms(self) -> dict[str, list[tuple[str, list[tuple[str, float]], float]]]:
-        """By family: (label, buckets, sum)."""
-        histograms = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
-        return {
-            name: [(label, histogram.buckets(), histogram.sum) for label, histogram in sorted(table.items())]
-            for name, table in histograms.items()
-        }
 
     def _samples(self) -> Iterator[Sample]:
         now = self._fleet.clock()
@@ -290,7 +245,13 @@ def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:
             yield "safedpa_recorder_free_bytes", (str(health.pid),), float(health.free_bytes)
 
 
-def _family(name: str, samples: list[Sample]) -> AnyFamily:
+def _histogram(name: str, bounds: Sequence[float]) -> Histogram:
+    from prometheus_client import Histogram
+
+    return Histogram(name, FAMILIES[name].meaning, FAMILIES[name].labels, buckets=bounds, registry=None)
+
+
+def _family(name: str, samples: list[Sample]) -> Metric:
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
     described = FAMILIES[name]
@@ -298,13 +259,4 @@ def _family(name: str, samples: list[Sample]) -> AnyFamily:
     family = kind(name, described.meaning, labels=described.labels)
     for _, labels, value in samples:
         family.add_metric(labels, value)
-    return family
-
-
-def _histogram_family(name: str, rows: list[tuple[str, list[tuple[str, float]], float]]) -> AnyFamily:
-    from prometheus_client.core import HistogramMetricFamily
-
-    family: HistogramMetricFamily = HistogramMetricFamily(name, FAMILIES[name].meaning, labels=FAMILIES[name].labels)
-    for label, buckets, total in rows:
-        family.add_metric([label], buckets, total)
     return family
