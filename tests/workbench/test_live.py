@@ -21,7 +21,7 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.errors import InputError
-from safedpa_services.workbench.live.bus_link import LiveLink
+from safedpa_services.workbench.live.links import LiveLink, ReplayLink
 from safedpa_services.workbench.live.panels import (
     change_lines,
     error_bars,
@@ -30,7 +30,6 @@ from safedpa_services.workbench.live.panels import (
     field_figure,
     live_cards,
 )
-from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.panels.theme import LIGHT
 

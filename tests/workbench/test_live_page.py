@@ -14,7 +14,7 @@ from tests.workbench.tab import Tab
 from safedpa.bus import Answer
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench import page, tab
-from safedpa_services.workbench.live.bus_link import QueryResult
+from safedpa_services.workbench.live.links import QueryResult
 from safedpa_services.workbench.live.page import LivePage
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer

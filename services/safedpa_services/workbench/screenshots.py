@@ -21,7 +21,6 @@ _DRAW_TIME = 1200
 """ms that the browser needs to draw the figures."""
 _AFTER_CHANGE = 15_000
 """ms between a model change and its screenshot: the error after the change is a median of some seconds."""
-_SIZE = {"width": 1280, "height": 800}
 _CHROMIUM_OPTIONS = ("--no-sandbox", "--disable-background-networking")
 
 
@@ -32,25 +31,40 @@ def take_screenshots(arguments: Sequence[str], folder: Path, *, live: bool) -> I
     running robots: workbench_live.png, once there are candidates; for a replay also workbench_changed.png.
     Raises SafedpaError if there is no browser, or if the page does not reach a step in time.
     """
-    browser = find_browser()
     steps = (_REPLAYED if "--replay" in arguments else _LIVE) if live else _RECORDED
+    browser = find_browser()
+    folder.mkdir(parents=True, exist_ok=True)
+    with _served(arguments) as address, _opened(browser, address, (1280, 800), "pictures") as page:
+        for name, step in steps.items():
+            step(page)
+            page.wait_for_timeout(_DRAW_TIME)
+            page.screenshot(path=folder / name)
+            yield folder / name
+
+
+def take_screenshot(address: str, path: Path) -> None:
+    """Writes a screenshot (1400 x 900) of the page at ``address``; raises SafedpaError on failure."""
+    with _opened(find_browser(), address, (1400, 900), str(path)) as page:
+        page.wait_for_selector(".stages .value")
+        page.wait_for_timeout(_DRAW_TIME)
+        page.screenshot(path=path)
+
+
+@contextmanager
+def _opened(browser: str, address: str, size: tuple[int, int], what: str) -> Iterator[Any]:
+    """Yields the page at an address. Raises SafedpaError, which begins with ``what``, if a step of it fails."""
     from playwright.sync_api import Error, sync_playwright
 
-    folder.mkdir(parents=True, exist_ok=True)
     try:
-        with _served(arguments) as address, sync_playwright() as play:
+        with sync_playwright() as play:
             started = play.chromium.launch(executable_path=browser, args=list(_CHROMIUM_OPTIONS))
-            page = started.new_page(viewport=_SIZE)  # type: ignore[arg-type]
+            page = started.new_page(viewport={"width": size[0], "height": size[1]})
             page.set_default_timeout(_TIMEOUT)
             page.goto(address)
-            for name, step in steps.items():
-                step(page)
-                page.wait_for_timeout(_DRAW_TIME)
-                page.screenshot(path=folder / name)
-                yield folder / name
+            yield page
             started.close()
     except Error as error:
-        raise SafedpaError(f"pictures: the page did not reach the next step ({str(error).splitlines()[0]})") from error
+        raise SafedpaError(f"{what}: the page did not reach the next step ({str(error).splitlines()[0]})") from error
 
 
 def find_browser() -> str:
@@ -61,24 +75,6 @@ def find_browser() -> str:
     if importlib.util.find_spec("playwright") is None:
         raise SafedpaError("pictures: playwright is not installed; run: pip install playwright")
     return found
-
-
-def take_screenshot(address: str, path: Path) -> None:
-    """Writes a screenshot (1400 x 900) of the page at ``address``; raises SafedpaError on failure."""
-    browser = find_browser()
-    from playwright.sync_api import Error, sync_playwright
-
-    try:
-        with sync_playwright() as play:
-            started = play.chromium.launch(executable_path=browser, args=list(_CHROMIUM_OPTIONS))
-            page = started.new_page(viewport={"width": 1400, "height": 900})
-            page.goto(address)
-            page.wait_for_selector(".stages .value")
-            page.wait_for_timeout(_DRAW_TIME)
-            page.screenshot(path=path)
-            started.close()
-    except Error as error:
-        raise SafedpaError(f"{path}: the screenshot could not be taken ({str(error).splitlines()[0]})") from error
 
 
 @contextmanager
@@ -101,13 +97,12 @@ def _served(arguments: Sequence[str]) -> Iterator[str]:
 def _show_worst_cell(page: Any) -> None:
     """Selects the worst cell of the error map while the search is running."""
     page.wait_for_selector(".heatmaplayer", state="attached")
-    page.keyboard.press("m")
-    page.wait_for_selector("text=/windows: error/")
+    _press(page, "m", "text=/windows: error/")
 
 
-def _show_candidates(page: Any) -> None:
-    page.keyboard.press("c")
-    page.wait_for_selector(".candidate")
+def _press(page: Any, key: str, shown: str) -> None:
+    page.keyboard.press(key)
+    page.wait_for_selector(shown)
 
 
 def _add_two(page: Any) -> None:
@@ -119,29 +114,18 @@ def _add_two(page: Any) -> None:
         page.wait_for_selector(".candidate")
 
 
-def _open_dialog(page: Any) -> None:
-    page.keyboard.press("o")
-    page.wait_for_selector(".preview table")
-
-
-def _show_live_candidates(page: Any) -> None:
-    page.wait_for_selector(".candidate")
-
-
-_RECORDED: dict[str, Callable[[Any], None]] = {
-    "workbench_where.png": _show_worst_cell,
-    "workbench_candidates.png": _show_candidates,
-    "workbench_added.png": _add_two,
-    "workbench_open.png": _open_dialog,
-}
-
-
 def _show_change(page: Any) -> None:
     """Waits until the error after the model change has settled."""
     page.wait_for_selector("text=/since the change/")
     page.wait_for_timeout(_AFTER_CHANGE)
 
 
-_LIVE: dict[str, Callable[[Any], None]] = {"workbench_live.png": _show_live_candidates}
+_RECORDED: dict[str, Callable[[Any], None]] = {
+    "workbench_where.png": _show_worst_cell,
+    "workbench_candidates.png": lambda page: _press(page, "c", ".candidate"),
+    "workbench_added.png": _add_two,
+    "workbench_open.png": lambda page: _press(page, "o", ".preview table"),
+}
+_LIVE: dict[str, Callable[[Any], None]] = {"workbench_live.png": lambda page: page.wait_for_selector(".candidate")}
 _REPLAYED: dict[str, Callable[[Any], None]] = {**_LIVE, "workbench_changed.png": _show_change}
 """A recording contains an accepted change; on a running robot only the user may accept one."""

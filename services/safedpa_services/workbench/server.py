@@ -25,9 +25,8 @@ from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
 from safedpa_services.web.page_options import PageServerOptions
 from safedpa_services.web.upload_store import FileStore
-from safedpa_services.workbench.live.bus_link import LiveLink
+from safedpa_services.workbench.live.links import AbstractLink, LiveLink, ReplayLink
 from safedpa_services.workbench.live.page import LivePage
-from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.page import WorkbenchPage
 from safedpa_services.workbench.panels.elements import apply_page_style
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
@@ -126,7 +125,7 @@ def _add_page(path: str, title: str, style: str, tab: Callable[[], AbstractTab])
         await page.begin()
 
 
-def _end_with(stop: StopSignal, link: LiveLink | ReplayLink | None) -> None:
+def _end_with(stop: StopSignal, link: AbstractLink | None) -> None:
     stop.wait()
     if link is not None:
         link.ended, until = True, time.monotonic() + _END_MESSAGE_SECONDS

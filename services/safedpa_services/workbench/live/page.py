@@ -12,7 +12,7 @@ from nicegui import ui
 
 from safedpa.bus import Answer, Request
 from safedpa.systems.robots import DEFAULT_ROBOT
-from safedpa_services.workbench.live.bus_link import LiveLink, QueryResult
+from safedpa_services.workbench.live.links import AbstractLink, QueryResult
 from safedpa_services.workbench.live.panels import (
     change_lines,
     drive_table,
@@ -23,7 +23,6 @@ from safedpa_services.workbench.live.panels import (
     field_legend,
     live_cards,
 )
-from safedpa_services.workbench.live.replay_link import ReplayLink
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.panels.candidates import CandidatesPanel
 from safedpa_services.workbench.panels.elements import button, escaped, panel, set_accessible_name, text
@@ -55,7 +54,7 @@ class LivePage(AbstractTab):
 
     title = "safedpa workbench, live"
 
-    def __init__(self, link: LiveLink | ReplayLink) -> None:
+    def __init__(self, link: AbstractLink) -> None:
         self._link = link
         self._robot = ""
         self._accepted: tuple[str, ...] = ()

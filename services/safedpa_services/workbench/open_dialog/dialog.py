@@ -6,8 +6,9 @@ import re
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from nicegui import events, ui
 
@@ -33,6 +34,7 @@ from safedpa_services.workbench.open_dialog.file_preview import RecordingCheck, 
 from safedpa_services.workbench.panels.elements import button, escaped, on_render, set_accessible_name, text
 from safedpa_services.workbench.session.inputs import EditedColumnMap, InputSelection
 
+_Result = TypeVar("_Result")
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
 _SHOWN_UPLOADS = 5
@@ -66,6 +68,20 @@ document.addEventListener('drop', (event) => {
 """Uploads files that are dropped on the page; by default the browser would replace the page by the file."""
 
 
+def _reports_errors(method: Callable[[OpenDialog], _Result]) -> Callable[[OpenDialog], _Result | None]:
+    """Shows an error in the dialog instead of raising it; the result is then None."""
+
+    @wraps(method)
+    def reporting(dialog: OpenDialog) -> _Result | None:
+        try:
+            return method(dialog)
+        except SafedpaError as error:
+            dialog.report(str(error))
+            return None
+
+    return reporting
+
+
 class OpenDialog:
     """Chooses model, recordings and columns; shows a preview in SI units and the quality checks before opening."""
 
@@ -96,9 +112,8 @@ class OpenDialog:
             self._horizon = ui.number("Horizon [s]", value=1.0, min=0.05, max=60.0, step=0.1)
             self._horizon.props("dense outlined").style("width: 110px")
         with ui.element("div").classes("row").style("width: 100%; align-items: flex-start"):
-            self._paths = ui.textarea(
-                f"Recordings on the server, one path or pattern per line ({' '.join(RECORDINGS)})"
-            )
+            kinds = " ".join(RECORDINGS)
+            self._paths = ui.textarea(f"Recordings on the server, one path or pattern per line ({kinds})")
             self._paths.props("dense outlined autogrow").style("flex: 1").on("blur", self._refresh)
             upload = ui.upload(label="or drag them here", multiple=True, auto_upload=True, on_upload=self._on_uploaded)
             upload.on_rejected(self._on_rejected)
@@ -138,7 +153,7 @@ class OpenDialog:
     def _on_rejected(self) -> None:
         """Reports that the browser refused to send a file."""
         most = f"{limit('upload_bytes') / 1e6:.0f} MB"
-        self._report(
+        self.report(
             f"Not uploaded: wanted recordings ({' '.join(RECORDINGS)}) of at most {most}, {limit('uploads')} at most"
         )
 
@@ -152,7 +167,7 @@ class OpenDialog:
         suffix = Path(event.file.name).suffix.lower()
         count = len(list(self._uploads.glob("*"))) if self._uploads.is_dir() else 0
         if count >= limit("uploads") or suffix not in RECORDINGS:
-            self._report(
+            self.report(
                 f"{event.file.name}: not uploaded; wanted a recording ({' '.join(RECORDINGS)}), and at most "
                 f"{limit('uploads')} files in {self._uploads}"
             )
@@ -166,7 +181,7 @@ class OpenDialog:
                 with suppress(OSError):  # remove the incomplete file
                     path.unlink()
             why = why_not_written(error)
-            self._report(f"{event.file.name}: cannot be saved in {self._uploads} ({why}), or choose another --out")
+            self.report(f"{event.file.name}: cannot be saved in {self._uploads} ({why}), or choose another --out")
             return
         self._upload_store = self._upload_store.with_folder(self._uploads)
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
@@ -186,34 +201,23 @@ class OpenDialog:
                 continue
             return path
 
-    def _selected_paths(self) -> list[str]:
-        """The named paths with patterns expanded; empty, with an error message, if one may not be opened."""
-        try:
-            return self._upload_store.recordings(str(self._paths.value or "").splitlines())
-        except SafedpaError as error:
-            self._report(str(error))
-            return []
-
-    # columns
+    # model, recordings and columns; these raise SafedpaError for what cannot be opened
 
     def _loaded_model(self) -> PhysicsModel | None:
-        try:
-            name = str(self._model.value or "")
-            return load_model(self._upload_store.model(name, shipped_models())) if name else None
-        except SafedpaError as error:
-            self._report(str(error))
-            return None
+        name = str(self._model.value or "")
+        return load_model(self._upload_store.model(name, shipped_models())) if name else None
 
+    def _selected_paths(self) -> list[str]:
+        """Returns the named paths with patterns expanded."""
+        return self._upload_store.recordings(str(self._paths.value or "").splitlines())
+
+    @_reports_errors
     def _refresh(self) -> None:
         """Reads the columns of the first file, and chooses a column map that fits them."""
         model, paths = self._loaded_model(), self._selected_paths()
         if model is None or not paths:
             return
-        try:
-            self._raw = raw_rows(paths[0])
-        except SafedpaError as error:
-            self._report(str(error))
-            return
+        self._raw = raw_rows(paths[0])
         native = set(native_map(model.system).sources) <= set(self._raw.names)
         if self._raw.names and not native and self._map.value == _NATIVE:
             self._map.value = self._matching_shipped_map(model) or _GUESSED  # calls _map_chosen
@@ -228,6 +232,7 @@ class OpenDialog:
                 return name
         return ""
 
+    @_reports_errors
     def _map_chosen(self) -> None:
         model = self._loaded_model()
         if model is None:
@@ -245,13 +250,7 @@ class OpenDialog:
         return lines_of(model.system, native_map(model.system) if base_map is None else base_map)
 
     def _base_map(self) -> ColumnMap | None:
-        if self._map.value in (_NATIVE, _GUESSED):
-            return None
-        try:
-            return load_column_map(str(self._map.value))
-        except SafedpaError as error:
-            self._report(str(error))
-            return None
+        return None if self._map.value in (_NATIVE, _GUESSED) else load_column_map(str(self._map.value))
 
     def _edited_map(self, model: PhysicsModel) -> EditedColumnMap | None:
         """The map that the table describes; None for a bus recording. Raises ColumnMapError if it is invalid."""
@@ -262,27 +261,25 @@ class OpenDialog:
         edited.columns  # noqa: B018  raises ColumnMapError if the table is invalid
         return edited
 
+    @_reports_errors
     def _check_now(self) -> None:
         """Reads the first recording as the diagnosis would."""
         model, paths = self._loaded_model(), self._selected_paths()
         if model is None or not paths:
             return
-        try:
-            edited = self._edited_map(model)
-        except SafedpaError as error:
-            self._report(str(error))
-            return
+        edited = self._edited_map(model)
         columns = None if edited is None else edited.columns
         self._show_check(Path(paths[0]).name, len(paths), check_recording(paths[0], model.system, columns), model)
 
-    def _report(self, problem: str) -> None:
+    def report(self, problem: str) -> None:
+        """Shows a problem in place of the preview."""
         self._check.clear()
         with self._check:
             text(problem, "problem", "div")
 
     def _show_check(self, name: str, files: int, found: RecordingCheck, model: PhysicsModel) -> None:
         if found.problem:
-            self._report(found.problem)
+            self.report(found.problem)
             return
         units = {variable.name: variable.unit for variable in (*model.system.state, *model.system.action)} | {"t": "s"}
         more = f" (first of {files} files)" if files > 1 else ""
@@ -291,43 +288,37 @@ class OpenDialog:
             text(f"{name}{more}: {found.sentence}", "fine", "div")
             for message in found.findings:
                 text(f"• {message}", "quiet", "div")
-            ui.html(_preview_table([f"{n} [{units[n]}]" for n in found.names], found.rows), sanitize=False).classes(
-                "preview"
-            )
+            table = _preview_table([f"{n} [{units[n]}]" for n in found.names], found.rows)
+            ui.html(table, sanitize=False).classes("preview")
 
     # buttons
 
     async def _open(self) -> None:
-        model, paths = self._loaded_model(), self._selected_paths()
-        if model is None or not paths:
-            if not str(self._paths.value or "").strip():
-                self._report("Choose a model and at least one recording.")
-            elif not self._model.value:
-                self._report("Choose a model.")
-            return  # otherwise the error is shown already
-        try:
-            columns = self._edited_map(model)
-        except SafedpaError as error:
-            self._report(str(error))
-            return
-        choice = replace(
-            self._choice, model=str(self._model.value), columns=columns, horizon=float(self._horizon.value)
-        )
-        self._dialog.close()
-        await self._on_open(choice.with_runs(paths))
+        choice = self._chosen()
+        if choice is not None:
+            self._dialog.close()
+            await self._on_open(choice)
 
+    @_reports_errors
+    def _chosen(self) -> InputSelection | None:
+        """Returns the inputs to open; None, with a message, if they are incomplete."""
+        model, paths = self._loaded_model(), self._selected_paths()
+        if not paths:
+            raise SafedpaError("Choose a model and at least one recording.")
+        if model is None:
+            raise SafedpaError("Choose a model.")
+        columns, horizon = self._edited_map(model), float(self._horizon.value)
+        return replace(self._choice, model=str(self._model.value), columns=columns, horizon=horizon).with_runs(paths)
+
+    @_reports_errors
     def _save_map(self) -> None:
         model = self._loaded_model()
         if model is None or not self._columns_table.lines:
             return
         path = self._out / "columns.toml"
-        try:
-            self._edited_map(model)
-            with atomic_path(path) as temporary:
-                temporary.write_text(map_text(model.system, self._columns_table.lines), encoding="utf-8")
-        except SafedpaError as error:
-            self._report(str(error))
-            return
+        self._edited_map(model)
+        with atomic_path(path) as temporary:
+            temporary.write_text(map_text(model.system, self._columns_table.lines), encoding="utf-8")
         ui.notify(f"Written: {path}", type="positive")
 
 
@@ -379,9 +370,8 @@ class ColumnsTable:
 
     def _choice(self, index: int, field: str, options: list[str], value: str | None, title: str) -> None:
         known = value if value in options else None
-        shown = {
-            option: readable(option, limit("name_letters")) for option in options
-        }  # topic names of a bag can be long
+        # topic names of a bag can be long
+        shown = {option: readable(option, limit("name_letters")) for option in options}
         box = ui.select(shown, value=known, on_change=lambda e: self._changed(index, field, str(e.value or "")))
         set_accessible_name(box.props("dense outlined options-dense").classes("flat"), title)
 
