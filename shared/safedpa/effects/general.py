@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
 from typing import final
 
@@ -11,97 +11,46 @@ from safedpa.effects.effect import AbstractEffect, Context, Named, RateEffect, S
 from safedpa.effects.friction import direction_of
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
+from safedpa.operations import Scalar
 from safedpa.systems import System, Variable
 
 _REST = 0.02
 """Share of the usual size of a state below which its friction is smoothed."""
 
 
+_LOSSES: Mapping[str, tuple[str, Callable[[Scalar, Scalar, float, Context], Scalar]]] = {
+    "drag": ("-= coefficient v", lambda v, coefficient, _size, _context: coefficient * v),
+    "quadratic_drag": (
+        "-= coefficient |v| v",
+        lambda v, coefficient, _size, context: coefficient * context.operations.absolute(v) * v,
+    ),
+    "friction": (
+        "-= deceleration sign(v)",
+        lambda v, deceleration, size, context: deceleration * direction_of(v, deceleration, _REST * size, context),
+    ),
+    "push": ("+= push", lambda _v, push, _size, _context: -push),
+}
+"""Equation of dv/dt and (v, parameter, usual size of v, context) -> what is subtracted from it, by kind."""
+
+
+@final
 class StateEffect(RateEffect):
     """An effect on d(``state``)/dt, called ``{state}_{kind}``; ``size`` is the usual size of the state, in its unit."""
 
-    stage = Stage.RESISTANCE
-
-    def __init__(self, robot: str, state: str, kind: str, equation: str, parameter: Parameter, size: float) -> None:
+    def __init__(self, robot: str, state: str, kind: str, parameter: Parameter, size: float) -> None:
+        self.kind, self.state, self.size = kind, state, size  # the kind by its name: functions cannot be pickled
         self.robot: str = robot  # type: ignore[misc]
-        self.state, self.size = state, size
         self.name: str = f"{state}_{kind}"  # type: ignore[misc]
+        self.stage: Stage = Stage.WEIGHT if kind == "friction" else Stage.RESISTANCE  # type: ignore[misc]
         # equations are written over v, the state
-        self.equation: str = f"d({state})/dt {equation.replace('v', state)}"  # type: ignore[misc]
+        self.equation: str = f"d({state})/dt {_LOSSES[kind][0].replace('v', state)}"  # type: ignore[misc]
         self.parameters: tuple[Parameter, ...] = (parameter,)  # type: ignore[misc]
+        self.signature: str = _SIGNATURES[kind]  # type: ignore[misc]
+        self.source: str = _SOURCES[kind]  # type: ignore[misc]
 
-    def _less(self, rates: Named, loss: object) -> Named:
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        loss = _LOSSES[self.kind][1](context.state[self.state], parameters[self.parameters[0].name], self.size, context)
         return {**rates, self.state: rates[self.state] - loss}
-
-
-@final
-class StateDrag(StateEffect):
-    """dv/dt -= coefficient v."""
-
-    signature = "a residual against the motion, in proportion to it"
-    source = "linear damping; Khalil, Nonlinear Systems, 3rd ed., section 1.2"
-
-    def __init__(self, robot: str, state: str, size: float) -> None:
-        super().__init__(
-            robot, state, "drag", "-= coefficient v", Parameter("coefficient", "1/s", 0.0, 50.0, 0.3), size
-        )
-
-    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        return self._less(rates, parameters["coefficient"] * context.state[self.state])
-
-
-@final
-class StateQuadraticDrag(StateEffect):
-    """dv/dt -= coefficient |v| v."""
-
-    signature = "a residual against the motion that grows with its square"
-    source = "Hoerner, Fluid-Dynamic Drag, 1965, ch. 1"
-
-    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
-        each = "1/m" if unit == "m/s" else f"1/s/({unit})"
-        # over the usual size, so that it decelerates as the linear drag with coefficient 0.3 1/s does there
-        parameter = Parameter("coefficient", each, 0.0, 50.0 / size, 0.3 / size)
-        super().__init__(robot, state, "quadratic_drag", "-= coefficient |v| v", parameter, size)
-
-    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        value = context.state[self.state]
-        return self._less(rates, parameters["coefficient"] * context.operations.absolute(value) * value)
-
-
-@final
-class StateFriction(StateEffect):
-    """dv/dt -= deceleration sign(v), smoothed near rest."""
-
-    stage = Stage.WEIGHT
-    signature = "a residual of one size against the motion, which changes sign with it"
-    source = "Armstrong-Helouvry et al., A survey of models with friction, Automatica 30, 1994, section 2"
-
-    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
-        each = "m/s2" if unit == "m/s" else "rad/s2" if unit == "rad/s" else f"({unit})/s"
-        parameter = Parameter("deceleration", each, 0.0, 20.0 * size, 0.3 * size)
-        super().__init__(robot, state, "friction", "-= deceleration sign(v)", parameter, size)
-
-    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        deceleration = parameters["deceleration"]
-        direction = direction_of(context.state[self.state], deceleration, _REST * self.size, context)
-        return self._less(rates, deceleration * direction)
-
-
-@final
-class StatePush(StateEffect):
-    """dv/dt += push."""
-
-    signature = "a residual of one size and sign, whatever the state and the action"
-    source = "a constant disturbance; Astrom and Murray, Feedback Systems, 2nd ed., ch. 7"
-
-    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
-        each = "m/s2" if unit == "m/s" else "rad/s2" if unit == "rad/s" else f"({unit})/s"
-        super().__init__(
-            robot, state, "push", "+= push", Parameter("push", each, -20.0 * size, 20.0 * size, 0.2 * size), size
-        )
-
-    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        return {**rates, self.state: rates[self.state] + parameters["push"]}
 
 
 def general_effects(system: System, moving: Mapping[str, float] | None = None) -> tuple[AbstractEffect, ...]:
@@ -118,17 +67,15 @@ def general_effects(system: System, moving: Mapping[str, float] | None = None) -
             raise InputError(f"moving: got '{name}'; {did_you_mean(name, system.state_names)}")
         if not (isfinite(size) and size > 0.0):
             raise InputError(f"moving: {name}: got {size!r}, wanted its usual size, above 0")
-        unit = system.state[system.state_names.index(name)].unit
-        found += [
-            StateDrag(system.name, name, size),
-            StateQuadraticDrag(system.name, name, unit, size),
-            StateFriction(system.name, name, unit, size),
-            StatePush(system.name, name, unit, size),
-        ]
+        found += _of_state(system.name, system.state[system.state_names.index(name)], size)
     return tuple(found)
 
 
 _SIGNATURES = {
+    "drag": "a residual against the motion, in proportion to it",
+    "quadratic_drag": "a residual against the motion that grows with its square",
+    "friction": "a residual of one size against the motion, which changes sign with it",
+    "push": "a residual of one size and sign, whatever the state and the action",
     "gain": "the answer to the action differs by the same share at every size",
     "offset": "a residual of one size and sign, whatever the action",
     "lag": "a residual after each change of the action, of opposite sign to the change, dying out",
@@ -137,6 +84,10 @@ _SIGNATURES = {
     "dead_zone": "a residual against the action that grows with it up to a width, then of one size",
 }
 _SOURCES = {
+    "drag": "linear damping; Khalil, Nonlinear Systems, 3rd ed., section 1.2",
+    "quadratic_drag": "Hoerner, Fluid-Dynamic Drag, 1965, ch. 1",
+    "friction": "Armstrong-Helouvry et al., A survey of models with friction, Automatica 30, 1994, section 2",
+    "push": "a constant disturbance; Astrom and Murray, Feedback Systems, 2nd ed., ch. 7",
     "gain": "static gain of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
     "offset": "trim of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
     "lag": "first-order actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
@@ -144,6 +95,19 @@ _SOURCES = {
     "limit": "saturation; Tao and Kokotovic, Adaptive Control of Systems, 1996, ch. 1",
     "dead_zone": "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2",
 }
+
+
+def _of_state(robot: str, state: Variable, size: float) -> list[AbstractEffect]:
+    per_length = "1/m" if state.unit == "m/s" else f"1/s/({state.unit})"
+    rate = f"{state.unit}2" if state.unit in ("m/s", "rad/s") else f"({state.unit})/s"
+    parameters = {
+        "drag": Parameter("coefficient", "1/s", 0.0, 50.0, 0.3),
+        # over the usual size, so that it decelerates as the linear drag with coefficient 0.3 1/s does there
+        "quadratic_drag": Parameter("coefficient", per_length, 0.0, 50.0 / size, 0.3 / size),
+        "friction": Parameter("deceleration", rate, 0.0, 20.0 * size, 0.3 * size),
+        "push": Parameter("push", rate, -20.0 * size, 20.0 * size, 0.2 * size),
+    }
+    return [StateEffect(robot, state.name, kind, parameter, size) for kind, parameter in parameters.items()]
 
 
 def _of_action(robot: str, action: Variable) -> list[AbstractEffect]:
