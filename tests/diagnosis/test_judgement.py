@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.experiment_design import choice
+from safedpa.diagnosis import experiment_design
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation
 from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect, Profile, as_document
@@ -159,19 +159,19 @@ class Drifting:
 def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, reported, monkeypatch):
     """Noise 0.1 and 2: the root mean square of the difference over it is the same in both states."""
     start, rows = np.zeros(2), np.zeros((8, 1))
-    monkeypatch.setattr(choice, "manoeuvres", lambda _: {"first": (start, rows), "second": (start, rows + 1.0)})
+    monkeypatch.setattr(experiment_design, "manoeuvres", lambda _: {"first": (start, rows), "second": (start, rows + 1.0)})
     models: Any = {name: Drifting(size, times) for name, size in (("one", 0.0), ("two", 1.0), ("three", 3.0))}
     noise, most = np.array([0.1, 2.0]), max(times)
     others: Any = [Drifting(size, times) for size in (1.0, 0.3, 4.0)]
     own: Any = Drifting(0.0, times)
     best = "first" if times[0] > times[1] else "second"
-    found = choice.discriminating_manoeuvres(own, others, noise)
+    found = experiment_design.discriminating_manoeuvres(own, others, noise)
     assert found == [best if most * size >= 1.0 else "" for size in (1.0, 0.3, 4.0)]
-    experiment = choice.choose_experiment(models, noise)
+    experiment = experiment_design.choose_experiment(models, noise)
     assert experiment is not None
     assert (experiment.manoeuvre == reported) is bool(reported)
     assert (f"differ there by {most:.0f} times the noise" in experiment.why) is bool(reported)
-    assert choice.choose_experiment({"one": own}, noise) is None
+    assert experiment_design.choose_experiment({"one": own}, noise) is None
 
 
 NAN = float("nan")

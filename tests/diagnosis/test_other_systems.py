@@ -17,7 +17,7 @@ import pytest
 from safedpa.adaptation import AdaptationNode
 from safedpa.diagnosis.add_effect import add_effect
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.experiment_design.choice import choose_experiment, general_manoeuvres, manoeuvres
+from safedpa.diagnosis.experiment_design import choose_experiment, general_manoeuvres, manoeuvres
 from safedpa.diagnosis.fit.cross_validation import heldout_of
 from safedpa.diagnosis.fit.multiple_shooting import shooting_of
 from safedpa.diagnosis.fit.trial import fit_trial

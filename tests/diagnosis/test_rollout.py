@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from safedpa.comparison.actuators import effective_action_columns
-from safedpa.comparison.naive import constant_velocity, measured_rates, no_change
 from safedpa.comparison.rollout import effective_actions, rollout, rollout_at
-from safedpa.comparison.rollout_error import change_scale, error_of, rollout_error, trimmed_rms
+from safedpa.comparison.rollout_error import (
+    change_scale,
+    constant_velocity,
+    error_of,
+    measured_rates,
+    no_change,
+    rollout_error,
+    trimmed_rms,
+)
 from safedpa.comparison.side_by_side import StackedMechanics
 from safedpa.comparison.windows import check_runs, windows_of
 from safedpa.diagnosis.fit.multiple_shooting import folds_of

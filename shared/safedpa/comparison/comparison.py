@@ -11,14 +11,22 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.excerpt import without_duplicates
-from safedpa.comparison.naive import constant_velocity, no_change
 from safedpa.comparison.rollout import rollout_at
-from safedpa.comparison.rollout_error import RolloutError, error_of, prediction_errors, scaled_error, trimmed_rms
+from safedpa.comparison.rollout_error import (
+    RolloutError,
+    constant_velocity,
+    error_of,
+    no_change,
+    prediction_errors,
+    scaled_error,
+    trimmed_rms,
+)
 from safedpa.comparison.where import Cell, Factor, cells, factors, window_errors
 from safedpa.comparison.windows import Windows, windows_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.limits import readable
 from safedpa.records.run import Finding, Run
+from safedpa.result import one_line
 
 __all__ = [
     "EVERY",
@@ -98,7 +106,7 @@ class PerRunError:
     """Scaled error of predicting no change, by state."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """The result of a comparison."""
 
@@ -116,6 +124,10 @@ class Comparison:
     runs: tuple[PerRunError, ...]
     findings: tuple[tuple[str, Finding], ...]
     """(name of the run, finding) pairs."""
+
+    def __repr__(self) -> str:
+        facts = {"robot": self.model.system.name, "error": f"{self.error.value:.3g}", "horizon": f"{self.horizon:g} s"}
+        return one_line("Comparison", {**facts, "runs": len(self.runs), "windows": len(self.windows)})
 
     @property
     def error(self) -> RolloutError:

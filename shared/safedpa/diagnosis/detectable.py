@@ -17,7 +17,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.comparison.rollout_error import change_scale
-from safedpa.diagnosis.experiment_design.choice import discriminating_manoeuvres
+from safedpa.diagnosis.experiment_design import discriminating_manoeuvres
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, standardized_gain, standardized_gains, with_effect_at

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from safedpa.comparison.comparison import EVERY, compare_model
-from safedpa.comparison.naive import naive_errors
+from safedpa.comparison.rollout_error import naive_errors
 from safedpa.comparison.summary import worst_bins
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.add_effect import Addition, add_effect
 from safedpa.diagnosis.coverage import coverage_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
-from safedpa.diagnosis.experiment_design.choice import choose_experiment
+from safedpa.diagnosis.experiment_design import choose_experiment
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.data_checks import (
     DataSufficiency,

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from safedpa.dynamics import PhysicsModel
+from safedpa.result import one_line
 
 __all__ = [
     "Candidate",
@@ -250,7 +251,7 @@ class CoveredRange:
     gaps: tuple[CoverageGap, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """The result of a diagnosis; ``models`` are those of the stages, the given one (refitted) first."""
 
@@ -282,6 +283,10 @@ class Report:
     """Horizons of the search [s], which the data determine; the main one first."""
     coverage: tuple[CoveredRange, ...] = ()
     """Covered range of each state and action; outside it the model extrapolates."""
+
+    def __repr__(self) -> str:
+        facts = {"robot": self.robot, "verdict": self.verdict, "added": ", ".join(self.added) or "nothing"}
+        return one_line("Report", {**facts, "stages": len(self.stages), "candidates": len(self.candidates)})
 
 
 def as_document(report: Report) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
+from safedpa.result import one_line
 
 Named = Mapping[str, Scalar]
 """Scalars by name: a state, an action, rates or parameters."""
@@ -114,6 +115,10 @@ class AbstractEffect(ABC):
 
 class CommandEffect(AbstractEffect):
     """An effect between the action that was sent and the action that the mechanics feel."""
+
+    def __repr__(self) -> str:
+        names = ", ".join(parameter.name for parameter in self.parameters)
+        return one_line(type(self).__name__, {"robot": self.robot, "name": self.name, "parameters": names})
 
     def initial_memory(self, action: Named) -> Any:
         """Returns the memory after ``action`` has been held for a long time; None for an effect without memory."""

@@ -16,8 +16,7 @@ from safedpa.comparison.rollout import check_system
 from safedpa.comparison.rollout_error import change_scale
 from safedpa.comparison.windows import check_runs, windows_of
 from safedpa.diagnosis.fit.cross_validation import Heldout, heldout_of
-from safedpa.diagnosis.fit.multiple_shooting import Shooting, shooting_of
-from safedpa.diagnosis.fit.simulation import simulate
+from safedpa.diagnosis.fit.multiple_shooting import Shooting, shooting_of, simulate
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import RunError
 from safedpa.records.run import Run

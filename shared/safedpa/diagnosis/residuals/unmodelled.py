@@ -18,8 +18,15 @@ from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, trial_of, with_effect_at
 from safedpa.diagnosis.report_schema import Dependence, FormulaTerm, Profile, Unexplained
-from safedpa.diagnosis.residuals.dependence import Dependences, dependences_of, profile_of
-from safedpa.diagnosis.residuals.rates import map_of, rate_states, rate_unit_of, remaining_rates
+from safedpa.diagnosis.residuals.dependence import (
+    Dependences,
+    dependences_of,
+    map_of,
+    profile_of,
+    rate_states,
+    rate_unit_of,
+    remaining_rates,
+)
 from safedpa.diagnosis.residuals.weak_sindy import SelectedTerms, is_significant, selected_terms
 from safedpa.diagnosis.search.regions import RegionFit, best_region
 from safedpa.operations import NUMPY

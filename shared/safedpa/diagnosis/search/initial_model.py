@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.naive import naive_errors
+from safedpa.comparison.rollout_error import naive_errors
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.least_squares import bounds_of, fit, objectives, relinearized, typical_change, with_values
 from safedpa.diagnosis.fit.multiple_shooting import Shooting

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.diagnosis.experiment_design.choice import discriminating_manoeuvres
+from safedpa.diagnosis.experiment_design import discriminating_manoeuvres
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.trial import block_gain, fit_trials
 from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect
