@@ -6,8 +6,6 @@ import re
 import socket
 import struct
 
-__all__ = ["container_at", "name_in", "number_in", "own_address", "pointer_question"]
-
 ENGINE = ("127.0.0.11", 53)
 _LARGEST_ANSWER = 512
 
