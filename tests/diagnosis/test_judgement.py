@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis import experiment_design
+from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation
 from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect, Profile, as_document
@@ -159,7 +159,8 @@ class Drifting:
 def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, reported, monkeypatch):
     """Noise 0.1 and 2: the root mean square of the difference over it is the same in both states."""
     start, rows = np.zeros(2), np.zeros((8, 1))
-    monkeypatch.setattr(experiment_design, "manoeuvres", lambda _: {"first": (start, rows), "second": (start, rows + 1.0)})
+    drives = {"first": (start, rows), "second": (start, rows + 1.0)}
+    monkeypatch.setattr(experiment_design, "manoeuvres", lambda _: drives)
     models: Any = {name: Drifting(size, times) for name, size in (("one", 0.0), ("two", 1.0), ("three", 3.0))}
     noise, most = np.array([0.1, 2.0]), max(times)
     others: Any = [Drifting(size, times) for size in (1.0, 0.3, 4.0)]
