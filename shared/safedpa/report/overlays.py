@@ -9,8 +9,8 @@ import numpy as np
 
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.comparison import Comparison
-from safedpa.comparison.naive import measured_rates
 from safedpa.comparison.rollout import rollout
+from safedpa.comparison.rollout_error import measured_rates
 from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows
 from safedpa.report.comparison_figures import COLOURS, LEGEND
