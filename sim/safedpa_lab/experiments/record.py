@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, TypeVar, final
 
 import click
 
 from safedpa.errors import InputError, did_you_mean
 
+T = TypeVar("T")
 Options = Mapping[str, Any]
 """The parameters of a run by their names."""
 Result = dict[str, Any]
@@ -160,6 +162,13 @@ class Experiment:
         """The files and folders that this run writes, by kind."""
         written = [item for item in self.parameters if isinstance(item, Parameter) and item.writes]
         return {item.writes: value for item in written if (value := options[item.name or ""]) is not None}
+
+
+def from_options(kind: Callable[..., T], options: Options, **known: Any) -> T:
+    """A dataclass of parameters from the options of the same names; what was not given keeps its default."""
+    names = inspect.signature(kind).parameters
+    given = {name: value for name, value in options.items() if name in names and value not in (None, ())}
+    return kind(**given | known)
 
 
 def resolve(name: str) -> Any:

@@ -32,6 +32,16 @@ def percent(ends: Sequence[float], digits: int = 1) -> str:
     return f"{100.0 * ends[0]:.{digits}f} to {100.0 * ends[1]:.{digits}f} %"
 
 
+def share_percent(share: float, ends: Sequence[float]) -> str:
+    """A share and its interval in per cent, without the sign: "97.10 (90.21 to 99.50)"."""
+    return f"{100.0 * share:.2f} ({100.0 * ends[0]:.2f} to {100.0 * ends[1]:.2f})"
+
+
+def page(title: str, about: str, result: Mapping[str, Any], *blocks: str) -> str:
+    """A Markdown page: title, what was done, the command that made it, and tables and lists that are not empty."""
+    return "\n\n".join([f"# {title}", about, made_by(result), *filter(None, blocks)]) + "\n"
+
+
 def made_by(result: Mapping[str, Any]) -> str:
     """The command and day that made a result, from its provenance."""
     made = result.get(KEY, {})

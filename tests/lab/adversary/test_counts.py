@@ -13,31 +13,34 @@ from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import campaign as report
 from safedpa_lab.experiments.adversary import drives, systems
 from safedpa_lab.experiments.adversary import drives as standing
-from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
+from safedpa_lab.experiments.adversary.attack import Judged, Result, Row, WholeAttack
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, Treated
-from safedpa_lab.experiments.adversary.bends import Bends, BentAnswer
+from safedpa_lab.experiments.adversary.bends import Bends
 from safedpa_lab.experiments.adversary.campaign import adversary
 from safedpa_lab.experiments.adversary.car_grid import CarGrid
 from safedpa_lab.experiments.adversary.drives import KINDS, Driven, Drives, LateDrives, Standing
-from safedpa_lab.experiments.adversary.linear.judge import Judged
 from safedpa_lab.experiments.adversary.linear.problem import shape_of
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors, Reflected
 from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.scales import Drive, Scales, Units, drive
+from safedpa_lab.experiments.common.drives import Outcome
 from safedpa_lab.experiments.driving.delayed_drives import DelayedDrives, Lateness
 from safedpa_lab.experiments.driving.long_drives import LongOutcome
 
-RIGHT = Judged("corrected", False, False, 0.0, False, False, 0.0, False, None, False)
-BENT = BentAnswer(0, "kinks", "corrected", broken=0.0, excess=0.0)
+RIGHT = Judged(status="corrected", broken=0.0, excess=0.0)
+BENT = replace(RIGHT, number=0, shape="kinks")
 
 
 def test_linear_problems_are_counted_by_fault() -> None:
-    wrong = Judged("fallback", True, True, None, True, True, None, True, 0.5, True)
+    wrong = Judged(
+        status="fallback", out_of_bounds=True, altered=True, below=True, untold=True, missed=True, shortfall=0.5,
+        needless=True,
+    )  # fmt: skip
     raised = replace(wrong, status="raised ValueError", shortfall=None, missed=False)
-    broken = Judged("corrected", False, False, 1.0, True, False, None, False, None, False)
+    broken = Judged(status="corrected", broken=1.0, below=True)
     far, unheard = replace(RIGHT, excess=1.0), replace(RIGHT, excess=None)
     items = [wrong, wrong, raised, raised, broken, broken, far, far, unheard, unheard, RIGHT]
-    found = Programs().reported([[(1, number, item) for number, item in enumerate(items)]])
+    found = Programs().reported([(1, [replace(item, number=number) for number, item in enumerate(items)])])
     assert figures(found.rows) == {
         "answers corrected": (7, None), "answers fallback": (2, None), "answers raised ValueError": (2, None),
         "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the nominal action": (4, 11),
@@ -72,14 +75,14 @@ def test_bad_inputs_are_counted_by_treatment() -> None:
 
 
 def test_answers_to_bent_problems_are_counted_by_shape() -> None:
+    rest = replace(BENT, broken=None, excess=None)
     answers = [
-        BentAnswer(0, "kinks", "passed", broken=0.0),
+        replace(BENT, status="passed", excess=None),
         replace(BENT, broken=0.25, below=True, excess=0.5), replace(BENT, below=True, excess=0.3),
         replace(BENT, excess=0.05), BENT,
-        *[BentAnswer(4, "kinks", "relaxed", missed=True, shortfall=0.5, needless=True)] * 3,
-        BentAnswer(5, "kinks", "relaxed", missed=True, shortfall=0.001),
-        BentAnswer(6, "kinks", "violated", shortfall=0.2), BentAnswer(7, "kinks", "fallback"),
-        BentAnswer(8, "kinks", "raised ValueError"),
+        *[replace(rest, status="relaxed", missed=True, shortfall=0.5, needless=True)] * 3,
+        replace(rest, status="relaxed", missed=True, shortfall=0.001), replace(rest, status="violated", shortfall=0.2),
+        replace(rest, status="fallback"), replace(rest, status="raised ValueError"),
     ]  # fmt: skip
     rows = Bends().reported([answers[:5], answers[5:]]).rows
     assert figures(rows, "kinks: ") == {
@@ -130,12 +133,13 @@ def test_answers_of_the_car_are_counted_against_the_grid(car_answer: Any) -> Non
 )
 def test_the_three_largest_breaks_are_reported_with_their_count(attack, sizes, numbers, count, car_answer) -> None:
     made = {
-        "programs": lambda number, size: (7, number, replace(RIGHT, broken=size)),
+        "programs": lambda number, size: replace(RIGHT, number=number, shape=shape_of(number), broken=size),
         "bends": lambda number, size: replace(BENT, number=number, broken=size),
         "car": lambda number, size: replace(car_answer, number=number, broken=size),
     }[attack.name]
     items = [made(number, size) for number, size in enumerate(sizes)]
-    worst = attack.reported([("car", items) if attack.name == "car" else items]).worst
+    kind = {"programs": 7, "car": "car"}.get(attack.name)
+    worst = attack.reported([items if kind is None else (kind, items)]).worst
     assert [case["number"] for case in worst] == numbers
     assert [case["size"] for case in worst] == [sizes[number] for number in numbers]
     assert {(case["fault"], case["count"]) for case in worst} == {("condition broken", count)}
@@ -159,11 +163,11 @@ def test_reflections_are_counted_and_the_three_furthest_of_a_mirror_are_reported
 
 def test_hostile_drives_are_counted_by_kind() -> None:
     found = Drives().reported([
-        Driven("car", "box", 1, 0, 0.5, {"passed": 3}),
-        Driven("car", "box", 2, 3, -0.25, {"passed": 4, "corrected": 1}),
-        Driven("car", "box", 3, 1, 0.125, {}),
-        Driven("point", "none", 4, 0, 0.75, {"relaxed": 1}),
-        Driven("point", "none", 5, 0, float("inf"), {}, missing="no such robot"),
+        Driven("car", "box", 1, Outcome(0, 0, 0.5, {"passed": 3})),
+        Driven("car", "box", 2, Outcome(3, 0, -0.25, {"passed": 4, "corrected": 1})),
+        Driven("car", "box", 3, Outcome(1, 0, 0.125, {})),
+        Driven("point", "none", 4, Outcome(0, 0, 0.75, {"relaxed": 1})),
+        Driven("point", "none", 5, None, missing="no such robot"),
     ])  # fmt: skip
     assert figures(found.rows) == {
         "car: drives with a collision (corrected 12.5 %, passed 87.5 %)": (2, 3), "car: least reported h": (-0.25, 3),
@@ -253,7 +257,7 @@ def test_parts_of_a_different_campaign_are_left_out(other: str, tmp_path: Path) 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["forward", "any direction", "killed", "reversing"])
 def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
-    once, again = (KINDS[kind](kind, "box", 4, 4.0) for _ in range(2))
+    once, again = (KINDS[kind]("box", 4, 4.0) for _ in range(2))
     assert (once, once.collisions, sum(once.statuses.values())) == (again, 0, 80)
     assert {"corrected"} & set(once.statuses)
 
@@ -299,7 +303,7 @@ def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
     off = replace(settings_named("car"), enabled=False)
     monkeypatch.setattr(drives, "settings_named", lambda name: off)
     attack = Drives()
-    answers = [KINDS[kind](kind, "none", seed, 8.0) for kind in ("forward", "killed") for seed in (4, 5)]
+    answers = [attack.work((kind, "none", seed, 8.0)) for kind in ("forward", "killed") for seed in (4, 5)]
     rows = {row.what.split(" (")[0]: row for row in attack.reported(answers).rows}
     assert rows["forward: drives with a collision"].measured > 0
     assert rows["forward: drives with a collision"].held is False
@@ -310,5 +314,5 @@ def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
 def test_a_point_robot_and_a_pendulum_are_driven_at_what_they_must_not_touch(kind, seconds):
     if kind == "point":
         pytest.importorskip("mujoco")
-    driven = KINDS[kind](kind, "none", 3, seconds)
+    driven = KINDS[kind]("none", 3, seconds)
     assert (driven.collisions, driven.statuses["corrected"] > 0) == (0, True)

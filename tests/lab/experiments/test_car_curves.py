@@ -26,7 +26,7 @@ from safedpa_lab.experiments.car.conditions import (
     towed_named,
 )
 from safedpa_lab.experiments.car.curves import LOAD, SWEEPS, Place, chosen_sweeps
-from safedpa_lab.experiments.car.episodes import Cell, EpisodeGroup, Outcome, run_group
+from safedpa_lab.experiments.car.episodes import Cell, Outcome, run_group
 from safedpa_lab.experiments.car.methods import METHODS
 from safedpa_lab.experiments.car.report import advantages
 from safedpa_lab.experiments.common.figures import METHOD_COLOURS
@@ -38,7 +38,7 @@ NOWHERE = Path("/nowhere")
 
 def outcomes(conditions: Conditions, ticks: int = 40, seeds: tuple[int, ...] = (3000,), load: str = LOAD):
     """Of the physics model behind its filter, with the settings' margin."""
-    return run_group(EpisodeGroup(METHODS["physics"], load, seeds, NOWHERE, SETTINGS, None, ticks, conditions))
+    return run_group(Cell(METHODS["physics"], load, seeds, NOWHERE, SETTINGS, None, conditions, ticks))
 
 
 @pytest.mark.parametrize("sweep", SWEEPS.values(), ids=lambda sweep: sweep.name)

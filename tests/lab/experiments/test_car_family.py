@@ -21,7 +21,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.car import episodes as car_cells
 from safedpa_lab.experiments.car import experiment
 from safedpa_lab.experiments.car.drives import FIRST_SEEDS, Drive, DriveOrder, recorded_drive
-from safedpa_lab.experiments.car.episodes import EpisodeGroup, run_group
+from safedpa_lab.experiments.car.episodes import Cell, run_group
 from safedpa_lab.experiments.car.experiment import CarExperiment
 from safedpa_lab.experiments.car.latent import latent_result
 from safedpa_lab.experiments.car.margin import coverage_of, margin_of, step_errors
@@ -43,7 +43,7 @@ from safedpa_lab.experiments.car.predictor import (
 from safedpa_lab.experiments.car.report import markdown_of
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots import LOADS, CarWorld
-from safedpa_sim.robots.car.footprint import footprint
+from safedpa_sim.robots.car.loads import footprint
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.environments import car_task
 
@@ -221,7 +221,7 @@ def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(learned_folde
     used: dict[str, dict[str, float]] = {}
     run = car_cells.run_group
 
-    def seen(group: EpisodeGroup) -> Any:
+    def seen(group: Cell) -> Any:
         assert group.margin is not None
         used[group.method.name] = group.margin.epsilon
         return run(group)
@@ -253,7 +253,7 @@ def drive_with_box() -> Drive:
 
 
 def outcomes(name, folder, seeds=(0,), ticks=150):
-    return run_group(EpisodeGroup(METHODS[name], "none", seeds, folder, SETTINGS, None, ticks))
+    return run_group(Cell(METHODS[name], "none", seeds, folder, SETTINGS, None, ticks=ticks))
 
 
 @pytest.mark.parametrize("name", ["safedpa", "fix", "mix"])

@@ -149,7 +149,7 @@ def test_progress_of_the_experiment_ends_at_its_total(parts, wanted, monkeypatch
 def test_curves_drive_every_method_at_every_value_once(sweeps, shared, methods, monkeypatch) -> None:
     """Forty drives calibrate; without any change all sweeps meet in one place."""
     chosen = [METHODS["safedpa"], METHODS["rma"]][:methods]
-    monkeypatch.setattr(car_curves, "Calibration", Calibrated)
+    monkeypatch.setattr(car, "Calibration", Calibrated)
     monkeypatch.setattr(car_curves, "run_cells", run_cells)
     monkeypatch.setattr(car_curves.CarCurves, "drivable", lambda _: (chosen, []))
     reported: list[tuple[int, int]] = []

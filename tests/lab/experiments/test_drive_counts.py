@@ -23,6 +23,7 @@ from safedpa_lab.experiments.car import margin as car_margin
 from safedpa_lab.experiments.car.conditions import Conditions
 from safedpa_lab.experiments.car.drives import Drive, cut_at_contact
 from safedpa_lab.experiments.car.methods import METHODS
+from safedpa_lab.experiments.common import drives as common_drives
 from safedpa_lab.experiments.diagnosis import live
 from safedpa_lab.experiments.driving import controllers, delayed_drives, long_drives, reversing_drives, safety
 from safedpa_lab.experiments.driving import differential_drive as wheels
@@ -54,19 +55,19 @@ def on_wheels(patch: Patch, own: Any) -> Counted:
 
 def backwards(patch: Patch, own: Any) -> Counted:
     follow(patch, reversing_drives, own)
-    found = reversing_drives.run_reversing_drive(reversing_drives.ReversingDrive("none", 1, 0.2))
-    assert found.reversed_metres == pytest.approx(0.2)
+    found, reversed_metres = reversing_drives.run_reversing_drive(reversing_drives.ReversingDrive("none", 1, 0.2))
+    assert reversed_metres == pytest.approx(0.2)
     return found.collisions, None, found.statuses, found.least_h
 
 
 def against_a_hostile_policy(patch: Patch, own: Any) -> Counted:
     follow(patch, hostile, own)
-    found = hostile.KINDS["forward"]("forward", "none", 1, 0.2)
+    found = hostile.KINDS["forward"]("none", 1, 0.2)
     return found.collisions, None, found.statuses, found.least_h
 
 
 def for_a_margin(patch: Patch, own: Any) -> Counted:
-    follow(patch, margin_drives, own)
+    follow(patch, common_drives, own)
     patch.setattr(margin_drives, "barrier_residuals", lambda _model, _settings, along: {"steps": len(along)})
     patch.setattr(margin_drives, "DRIVERS", {"own": margin_drives.Driver("car", "car", lambda _: own, 0.2)})
     found = margin_drives.driven(margin_drives.DriveOrder("own", 9, None))
@@ -77,13 +78,13 @@ def for_a_margin(patch: Patch, own: Any) -> Counted:
 def of_the_safety_table(patch: Patch, own: Any) -> Counted:
     follow(patch, safety, own)
     found = safety.run_episode(safety.Episode("box", 1, True, 0.2, "car", settings_named("car")))
-    assert (found.interventions, found.ticks) == (2, 4)
+    assert (found.changed, found.ticks) == (2, 4)
     return found.collisions, found.goals, found.statuses, found.least_h
 
 
 def of_a_controller(patch: Patch, own: Any) -> Counted:
     follow(patch, controllers, own)
-    found = controllers.timed_drive(load_model("car"), settings_named("car"), "goal_seeker", "none", 1, 0.2)
+    found = controllers.timed_drive(load_model("car"), settings_named("car"), "goal_seeker", "none", 1, 0.2).outcome
     assert (found.ticks, found.changed) == (4, 2)
     return found.collisions, found.goals, None, -0.125
 
@@ -117,7 +118,7 @@ def long_drive(patch: Patch, start: Any, places: Sequence[Any], period: float) -
     own = robot(2, 5, values=(*start, 0.0, 0.0))
     follow(patch, long_drives, own, story)
     patch.setattr(long_drives, "load_model", lambda _: SimpleNamespace(period=period))
-    for name in ("AdaptationNode", "PolicyNode", "SafetyFilterNode", "margin_for"):
+    for name in ("PolicyNode", "shipped_nodes"):
         patch.setattr(long_drives, name, lambda *_, **__: None)
     return long_drives.run_long_drive(long_drives.LongDrive("none", 1, period * len(places)))
 
@@ -175,7 +176,7 @@ def test_an_episode_of_the_car_is_counted_to_its_goal(goal_at: int | None, touch
     monkeypatch.setattr(Conditions, "nodes", lambda *_: None)
     monkeypatch.setattr(Conditions, "robot", lambda *_: own)
     (found,) = car_episodes.run_group(
-        car_episodes.EpisodeGroup(METHODS["rma"], "none", (4,), None, settings_named("car"), None)  # type: ignore[arg-type]
+        car_episodes.Cell(METHODS["rma"], "none", (4,), None, settings_named("car"), None)  # type: ignore[arg-type]
     )
     seen = statuses if goal_at is None else statuses[: goal_at + 1]
     assert (found.success, found.safe, found.collisions) == (goal_at is not None, not touched, touched)

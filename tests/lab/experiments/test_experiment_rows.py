@@ -13,6 +13,7 @@ from safedpa.dynamics import load_model
 from safedpa.errors import SafedpaError
 from safedpa.safety import MarginCalibration
 from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import Outcome
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval, wilson_interval
 from safedpa_lab.experiments.diagnosis import hidden_effects as hidden_horizons
 from safedpa_lab.experiments.diagnosis import live
@@ -35,10 +36,10 @@ def rounded(hits: int, trials: int) -> list[float]:
 
 def test_controllers_are_compared_over_all_scenes_of_a_load(monkeypatch: pytest.MonkeyPatch) -> None:
     drives = {
-        1: SimpleNamespace(goals=0, collisions=0, ticks=100, changed=10, milliseconds=(1.0, 2.0)),
-        2: SimpleNamespace(goals=3, collisions=2, ticks=300, changed=50, milliseconds=(3.0,)),
-        3: SimpleNamespace(goals=2, collisions=1, ticks=100, changed=0, milliseconds=(4.0, 5.0)),
-        4: SimpleNamespace(goals=0, collisions=0, ticks=100, changed=0, milliseconds=(3.0,)),
+        1: controllers.TimedDrive(Outcome(0, 0, 1.0, {"passed": 90, "corrected": 10}), (1.0, 2.0)),
+        2: controllers.TimedDrive(Outcome(2, 3, 1.0, {"passed": 250, "corrected": 50}), (3.0,)),
+        3: controllers.TimedDrive(Outcome(1, 2, 1.0, {"passed": 100}), (4.0, 5.0)),
+        4: controllers.TimedDrive(Outcome(0, 0, 1.0, {"passed": 100}), (3.0,)),
     }
     monkeypatch.setattr(controllers, "timed_drive", lambda _m, _s, _name, _load, seed, _seconds: drives[seed])
     model: Any = None
@@ -58,24 +59,21 @@ def test_controllers_are_compared_over_all_scenes_of_a_load(monkeypatch: pytest.
 
 
 def test_episodes_of_a_load_are_counted_with_and_without_the_filter(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = safety.Outcome("", True, 0, 2, 100, 5, 0.5, "", {"passed": 1})
+    usual = Outcome(0, 2, 0.5, {"passed": 95, "corrected": 5})
     boxes = [
-        usual, dataclasses.replace(usual, collisions=3, goals=0, least_h=-0.25, ticks=300, interventions=75),
-        dataclasses.replace(usual, collisions=2), dataclasses.replace(usual, statuses={"fallback": 2, "passed": 4}),
+        usual, Outcome(3, 0, -0.25, {"passed": 225, "fallback": 75}), dataclasses.replace(usual, collisions=2), usual,
     ]  # fmt: skip
 
-    def run(episode: safety.Episode) -> safety.Outcome:
+    def run(episode: safety.Episode) -> Outcome:
         with_box = boxes[episode.seed] if episode.filtered else dataclasses.replace(usual, collisions=7)
-        return dataclasses.replace(
-            with_box if episode.load == "box" else usual, load=episode.load, filtered=episode.filtered
-        )
+        return with_box if episode.load == "box" else usual
 
     monkeypatch.setattr(safety, "run_episode", run)
     rows = safety.safety_experiment(range(4), 1.0, processes=1)["rows"]
     assert [row["load"] for row in rows] == list(safety.LOADS)
     assert rows[1]["filter_on"] == {
         "episodes": 4, "safe_episodes": 2, "safe_share_95": rounded(2, 4), "collisions": 5, "goals": 6,
-        "least_h": -0.25, "intervention_share": 0.15, "statuses": {"fallback": 2, "passed": 7},
+        "least_h": -0.25, "intervention_share": 0.15, "statuses": {"corrected": 15, "fallback": 75, "passed": 510},
     }  # fmt: skip
     assert (rows[1]["filter_off"]["episodes"], rows[1]["filter_off"]["collisions"]) == (4, 28)
     assert rows[0]["filter_on"]["collisions"] == 0
@@ -104,7 +102,7 @@ def test_episodes_with_an_incomplete_and_with_a_diagnosed_model(monkeypatch: pyt
     monkeypatch.setattr(safety_pays, "training_runs", lambda *_: [])
     monkeypatch.setattr(safety_pays, "diagnose", lambda *_: SimpleNamespace(models=[model, model]))
     monkeypatch.setattr(safety_pays, "calibration_from_runs", lambda *_: margin)
-    monkeypatch.setattr(safety_pays.MarginCalibration, "parse", lambda _: None)
+    monkeypatch.setattr(safety_pays, "shipped_nodes", lambda *_, **__: [])
     monkeypatch.setattr(safety_pays, "hidden_robot", lambda *_: robot())
     monkeypatch.setattr(safety_pays, "drive", driven)
     reported: list[tuple[int, int]] = []

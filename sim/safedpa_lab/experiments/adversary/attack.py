@@ -1,11 +1,23 @@
-"""The interface of an attack: pieces of work for several processes, and rows of measured values with their limits."""
+"""The interface of an attack, rows of measured values with their limits, and what is said of a judged answer."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
+
+import numpy as np
+
+from safedpa.arrays import BoolArray, FloatArray
+
+BROKEN: Final = 1e-9
+"""Share of its scale by which a condition is broken beyond rounding."""
+FAR: Final = 0.1
+"""Ranges by which a correction is further away than the nearest action of a grid."""
+CLOSE: Final = 0.01
+"""Share of the scale within which the least-violation action counts as such."""
 
 
 @final
@@ -33,23 +45,16 @@ class Row:
     @property
     def asked(self) -> str:
         """The limits as text."""
-        if self.most is None and self.least is None:
-            return ""
         if self.most is not None and self.least is not None:
             return f"{self.least:g} to {self.most:g} {self.unit}".strip()
-        phrase = f"at most {self.most:g}" if self.most is not None else f"at least {self.least:g}"
-        return f"{phrase} {self.unit}".strip()
+        if self.most is None and self.least is None:
+            return ""
+        limit = f"at most {self.most:g}" if self.most is not None else f"at least {self.least:g}"
+        return f"{limit} {self.unit}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "what": self.what,
-            "measured": self.measured,
-            "of": self.of,
-            "asked": self.asked,
-            "unit": self.unit,
-            "held": self.held,
-        }
+        return {name: getattr(self, name) for name in ("what", "measured", "of", "asked", "unit", "held")}
 
 
 @final
@@ -59,6 +64,122 @@ class Result:
 
     rows: Sequence[Row]
     worst: Sequence[dict[str, Any]] = ()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """What was wrong with one answer of the filter; None where a question does not arise."""
+
+    status: str
+    number: int = -1
+    """Of the problem, which is drawn again from it."""
+    shape: str = ""
+    out_of_bounds: bool = False
+    altered: bool = False
+    """Passed, but not the nominal action bit for bit."""
+    broken: float | None = None
+    """Passed or corrected: by how much the worst condition is broken, in its scale; 0 when all are kept."""
+    below: bool = False
+    """Passed or corrected, and some predicted h is below 0."""
+    untold: bool = False
+    """Some h is below 0 now, and the status is not violated; or the other way round."""
+    excess: float | None = None
+    """Corrected: weighted distance from the nominal action beyond the least, in ranges."""
+    missed: bool = False
+    """Relaxed or fallback, though an action satisfies every condition with room."""
+    shortfall: float | None = None
+    """Relaxed, violated or fallback: least scaled h left, against the best attainable."""
+    needless: bool = False
+    """Relaxed or fallback predicts h < 0, where an action with all h >= 0 exists."""
+
+    @property
+    def undecided(self) -> bool:
+        """Raised an exception, or nothing was computed."""
+        return self.status.startswith("raised") or self.status == "fallback"
+
+
+@final
+class Answers:
+    """Many judged answers: the sizes of their faults, and how often they occur."""
+
+    def __init__(self, items: Iterable[Judged]) -> None:
+        self.items = list(items)
+        self.broken = [item.broken for item in self.items if item.broken is not None]
+        self.excess = [item.excess for item in self.items if item.excess is not None]
+        self.shortfall = [item.shortfall for item in self.items if item.shortfall is not None]
+        self.rest = sum(item.broken is None for item in self.items)
+        """Answers that are neither passed nor corrected."""
+
+    def count(self, fault: str) -> int:
+        """Answers with this fault, the name of a field."""
+        return sum(getattr(item, fault) for item in self.items)
+
+    def statuses(self, before: str = "") -> list[Row]:
+        """A row for each status."""
+        counts = Counter(item.status for item in self.items)
+        return [Row(f"{before}answers {status}", count) for status, count in sorted(counts.items())]
+
+    def too_far(self, name: str, most: float | None) -> Row:
+        """Per cent of the corrections that are ``FAR`` further away than the nearest of the grid."""
+        far = 100.0 * sum(value > FAR for value in self.excess) / max(1, len(self.excess))
+        return Row(f"{name}: corrected 0.1 of a range beyond the grid", far, len(self.excess), most=most, unit="%")
+
+    def worst(self, faults: Mapping[str, Callable[[Judged], float | None]]) -> list[dict[str, Any]]:
+        """The three largest of each fault, whose size is None or 0 where there is none; the higher number first."""
+        found = []
+        for fault, size_of in faults.items():
+            cases = [(size, item.number, item.shape) for item in self.items if (size := size_of(item))]
+            found += [
+                {"fault": fault, "size": size, "number": number, "shape": shape, "count": len(cases)}
+                for size, number, shape in sorted(cases, reverse=True)[:3]
+            ]
+        return found
+
+
+def above(size: float | None, limit: float) -> float | None:
+    """The size of a fault that counts above a limit."""
+    return size if size is not None and size > limit else None
+
+
+def action_grid(low: Sequence[float], high: Sequence[float], counts: Sequence[int]) -> FloatArray:
+    """All combinations (n, actions) of evenly spaced actions."""
+    sides = [np.linspace(*ends) for ends in zip(low, high, counts, strict=True)]
+    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
+
+
+def judged_on_grid(
+    status: str, own: FloatArray, h: FloatArray, required: FloatArray, scale: FloatArray, **known: Any
+) -> tuple[Judged, BoolArray]:
+    """An answer whose predicted h is ``own`` (rows,), next to the h (n, rows) of a grid of actions.
+
+    Also returns which actions of the grid keep all conditions with room. ``known`` are further fields.
+    """
+    keeping: BoolArray = np.all((h - required) / scale >= BROKEN, axis=1)
+    finite = bool(np.isfinite(own).all())
+    if status in ("passed", "corrected"):
+        broken = max(0.0, -float(((own - required) / scale).min())) if finite else float("inf")
+        return Judged(status=status, broken=broken, **known), keeping
+    height = float((own / scale).min()) if finite else -float("inf")
+    best, could = float((h / scale).min(axis=1).max()), status != "violated"
+    return Judged(
+        status=status,
+        missed=could and bool(keeping.any()),
+        shortfall=max(0.0, best - height),
+        needless=could and height < -BROKEN and bool((h >= 0.0).all(axis=1).any()),
+        **known,
+    ), keeping
+
+
+def notice_of(statuses: Mapping[str, int]) -> str:
+    """Verdicts as text: "corrected 12.5 %, passed 87.5 %"."""
+    seen = max(1, sum(statuses.values()))
+    return ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(statuses.items()))
+
+
+def pieces_of(seed: int, count: int, size: int) -> list[tuple[int, int, int]]:
+    """Problems 0 to ``count`` in pieces of this size: seed, first number, and the number after the last."""
+    return [(seed, first, min(first + size, count)) for first in range(0, count, size)]
 
 
 class AbstractAttack(ABC):

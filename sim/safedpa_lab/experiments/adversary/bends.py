@@ -5,16 +5,28 @@ Kinks, plateaus, steps, holes and several ways round, in one or two actions.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.attack import (
+    BROKEN,
+    CLOSE,
+    FAR,
+    AbstractAttack,
+    Answers,
+    Judged,
+    Result,
+    Row,
+    above,
+    action_grid,
+    judged_on_grid,
+    pieces_of,
+)
 
 Random = np.random.Generator
 
@@ -206,30 +218,9 @@ BENT_SHAPES: Final[dict[str, Callable[[Random, FloatArray, int], Parts]]] = {
 _FULL: Final = 20_000
 _SMALL: Final = 200
 _PIECE: Final = 200
-_BROKEN: Final = 1e-9
-_FAR: Final = 0.1
-_CLOSE: Final = 0.01
 _POINTS: Final = {1: 1001, 2: 61}
 _SMOOTH: Final = ("kinks", "discs", "saturated", "curved", "flat", "turning")
 """Where h has a slope nearly everywhere that leads somewhere."""
-
-
-@final
-@dataclass(frozen=True)
-class BentAnswer:
-    """One answer, compared with the grid; None where a question does not arise."""
-
-    number: int
-    shape: str
-    status: str
-    broken: float | None = None
-    below: bool = False
-    missed: bool = False
-    """Not passed or corrected, though a point of the grid satisfies all conditions with room."""
-    excess: float | None = None
-    """Distance from the nominal action beyond the grid's nearest, in ranges."""
-    shortfall: float | None = None
-    needless: bool = False
 
 
 @final
@@ -240,99 +231,72 @@ class Bends(AbstractAttack):
     sentence = "random problems with kinks, plateaus, steps, holes and several ways round, against grids of actions"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
-        count = _SMALL if small else _FULL
-        return [(seed, first, min(first + _PIECE, count)) for first in range(0, count, _PIECE)]
+        return pieces_of(seed, _SMALL if small else _FULL, _PIECE)
 
-    def work(self, piece: Any) -> list[BentAnswer]:  # noqa: D102
+    def work(self, piece: Any) -> list[Judged]:  # noqa: D102
         seed, first, last = piece
         return [bent_answer(bent_problem(seed, number), number) for number in range(first, last)]
 
     def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
-        items = [item for answer in answers for item in answer]
-        rows = [Row(f"answers {status}", count) for status, count in sorted(Counter(i.status for i in items).items())]
+        found = Answers(item for answer in answers for item in answer)
+        rows = found.statuses()
         for shape in BENT_SHAPES:
-            rows += _rows(shape, [item for item in items if item.shape == shape])
-        return Result(rows, _worst(items))
+            rows += _rows(shape, Answers(item for item in found.items if item.shape == shape))
+        return Result(rows, found.worst(_FAULTS))
 
 
-def bent_answer(problem: BentProblem, number: int = -1) -> BentAnswer:
+def bent_answer(problem: BentProblem, number: int = -1) -> Judged:
     """Asks the filter, and the grid."""
     with np.errstate(all="ignore"):
         try:
             verdict = problem.decide()
         except Exception as error:  # noqa: BLE001 - that nothing is raised is one of the questions
-            return BentAnswer(number, problem.shape, f"raised {type(error).__name__}")
+            return Judged(status=f"raised {type(error).__name__}", number=number, shape=problem.shape)
         return _judged(problem, number, verdict.status.value, verdict.action / problem.units[1])
 
 
-def _judged(problem: BentProblem, number: int, status: str, action: FloatArray) -> BentAnswer:
-    grid = _grid(problem.actions)
+def _judged(problem: BentProblem, number: int, status: str, action: FloatArray) -> Judged:
+    grid = action_grid([-1.0] * problem.actions, [1.0] * problem.actions, [_POINTS[problem.actions]] * problem.actions)
     h = problem.h(problem.moved(grid))
     grid, h = grid[np.isfinite(h).all(axis=1)], h[np.isfinite(h).all(axis=1)]
     now, own = problem.h(problem.state[None])[0], problem.h(problem.moved(action[None]))[0]
     required = (1.0 - problem.eta) * now + problem.epsilon
     scale = np.maximum(np.maximum(np.abs(now), problem.epsilon), h.max(axis=0) - h.min(axis=0))
     scale[scale == 0.0] = 1.0
-    keeping = grid[((h - required) / scale >= _BROKEN).all(axis=1)]
-    if status in ("passed", "corrected"):
-        excess = None
-        if status == "corrected" and len(keeping):
-            excess = float(_far(problem, action[None])[0] - _far(problem, keeping).min())
-        broken = max(0.0, -float(((own - required) / scale).min())) if np.isfinite(own).all() else float("inf")
-        return BentAnswer(number, problem.shape, status, broken, bool(own.min() < -1e-12), excess=excess)
-    height = -float("inf") if not np.isfinite(own).all() else float((own / scale).min())
-    return BentAnswer(
-        number,
-        problem.shape,
-        status,
-        missed=status != "violated" and len(keeping) > 0,
-        shortfall=max(0.0, float((h / scale).min(axis=1).max()) - height),
-        needless=status != "violated" and height < -_BROKEN and bool((h >= 0.0).all(axis=1).any()),
-    )
-
-
-def _grid(actions: int) -> FloatArray:
-    side = np.linspace(-1.0, 1.0, _POINTS[actions])
-    return np.stack(np.meshgrid(*[side] * actions), axis=-1).reshape(-1, actions)
+    found, keeping = judged_on_grid(status, own, h, required, scale, number=number, shape=problem.shape)
+    if status not in ("passed", "corrected"):
+        return found
+    excess = None
+    if status == "corrected" and keeping.any():
+        excess = float(_far(problem, action[None])[0] - _far(problem, grid[keeping]).min())
+    return replace(found, below=bool(own.min() < -1e-12), excess=excess)
 
 
 def _far(problem: BentProblem, actions: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.linalg.norm(actions - problem.nominal, axis=1))
 
 
-def _rows(shape: str, items: Sequence[BentAnswer]) -> list[Row]:
+def _rows(shape: str, found: Answers) -> list[Row]:
     """Steps, cliffs, holes and dead bands have no gradient: misses are reported there, without a limit."""
-    kept = [item.broken for item in items if item.broken is not None]
-    excess = [item.excess for item in items if item.excess is not None]
-    rest = [item for item in items if item.broken is None]
+    kept, rest = len(found.broken), found.rest
     asked, few = (0.0, 0.5) if shape in _SMOOTH else (None, None)
-    far = 100.0 * sum(value > _FAR for value in excess) / max(1, len(excess))
-    short = sum((item.shortfall or 0.0) > _CLOSE for item in rest)
+    largest = max(found.broken, default=0.0)
+    short = sum(value > CLOSE for value in found.shortfall)
     return [
-        Row(f"{shape}: raised, or no decision", _without(items), len(items), most=0),
-        Row(f"{shape}: largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=_BROKEN),
-        Row(f"{shape}: passed or corrected, predicted h < 0", sum(i.below for i in items), len(kept), most=0),
-        Row(f"{shape}: not corrected, though the grid keeps all", sum(i.missed for i in rest), len(rest), most=asked),
-        Row(f"{shape}: corrected 0.1 of a range beyond the grid", far, len(excess), most=few, unit="%"),
-        Row(f"{shape}: h < 0 predicted, grid keeps h >= 0", sum(i.needless for i in rest), len(rest), most=asked),
-        Row(f"{shape}: 1 % of scale below the grid's least-violation", short, len(rest)),
+        Row(f"{shape}: raised, or no decision", found.count("undecided"), len(found.items), most=0),
+        Row(f"{shape}: largest break of a condition, in scales", largest, kept, most=BROKEN),
+        Row(f"{shape}: passed or corrected, predicted h < 0", found.count("below"), kept, most=0),
+        Row(f"{shape}: not corrected, though the grid keeps all", found.count("missed"), rest, most=asked),
+        found.too_far(shape, few),
+        Row(f"{shape}: h < 0 predicted, grid keeps h >= 0", found.count("needless"), rest, most=asked),
+        Row(f"{shape}: 1 % of scale below the grid's least-violation", short, rest),
     ]
 
 
-def _without(items: Sequence[BentAnswer]) -> int:
-    return sum(item.status.startswith("raised") or item.status == "fallback" for item in items)
-
-
-def _worst(items: Sequence[BentAnswer]) -> list[dict[str, Any]]:
-    faults: dict[str, list[tuple[float, int, str]]] = {
-        "condition broken": [(i.broken or 0.0, i.number, i.shape) for i in items if (i.broken or 0.0) > _BROKEN],
-        "no decision": [(1.0, i.number, i.shape) for i in items if _without([i])],
-        "missed": [(1.0, i.number, i.shape) for i in items if i.missed],
-        "too far": [(i.excess or 0.0, i.number, i.shape) for i in items if (i.excess or 0.0) > _FAR],
-        "h < 0 though h >= 0 attainable": [(1.0, i.number, i.shape) for i in items if i.needless],
-    }
-    return [
-        {"fault": fault, "size": size, "number": number, "shape": shape, "count": len(cases)}
-        for fault, cases in faults.items()
-        for size, number, shape in sorted(cases, reverse=True)[:3]
-    ]
+_FAULTS: Final[Mapping[str, Callable[[Judged], float | None]]] = {
+    "condition broken": lambda item: above(item.broken, BROKEN),
+    "no decision": lambda item: float(item.undecided),
+    "missed": lambda item: float(item.missed),
+    "too far": lambda item: above(item.excess, FAR),
+    "h < 0 though h >= 0 attainable": lambda item: float(item.needless),
+}

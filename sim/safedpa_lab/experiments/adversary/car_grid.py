@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
@@ -15,7 +14,20 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, SafetyFilter
 from safedpa.safety.defaults import settings_named
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.attack import (
+    BROKEN,
+    CLOSE,
+    FAR,
+    AbstractAttack,
+    Answers,
+    Judged,
+    Result,
+    Row,
+    above,
+    action_grid,
+    judged_on_grid,
+    pieces_of,
+)
 
 FOOTPRINT: Final = (0.08, 0.40, 0.12)
 """m; the segment's rear and front end and its radius."""
@@ -46,9 +58,7 @@ class CarJudge:
         margin = np.array([settings.epsilon.get(kind, default) for kind in kinds])
         self.required = (1.0 - settings.eta) * self.now + margin
         self.low, self.high = np.array(settings.action_low), np.array(settings.action_high)
-        self.grid = np.stack(
-            np.meshgrid(*(np.linspace(*ends) for ends in zip(self.low, self.high, _GRID, strict=True))), axis=-1
-        ).reshape(-1, 2)
+        self.grid = action_grid(settings.action_low, settings.action_high, _GRID)
         self._least = np.maximum(np.abs(self.now), margin)
 
     @cached_property
@@ -99,25 +109,8 @@ class CarJudge:
 
 
 _PIECE: Final = 100
-_FAR: Final = 0.1
-"""Weighted ranges beyond the grid's nearest."""
 _MOST_FAR: Final = 0.5
 """Per cent of the corrections."""
-_CLOSE: Final = 0.01
-
-
-@final
-@dataclass(frozen=True)
-class _Answer:
-    number: int
-    status: str
-    broken: float | None
-    """Passed and corrected: in scales."""
-    below: bool
-    missed: bool
-    excess: float | None
-    shortfall: float | None
-    untold: bool
 
 
 @final
@@ -129,13 +122,12 @@ class CarGrid(AbstractAttack):
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
         return [
-            (kind, seed, first, min(first + _PIECE, count))
+            (kind, *piece)
             for kind, (_, _, full, few) in _KINDS.items()
-            for count in (few if small else full,)
-            for first in range(0, count, _PIECE)
+            for piece in pieces_of(seed, few if small else full, _PIECE)
         ]
 
-    def work(self, piece: Any) -> tuple[str, list[_Answer]]:  # noqa: D102
+    def work(self, piece: Any) -> tuple[str, list[Judged]]:  # noqa: D102
         kind, seed, first, last = piece
         name, drawn, _, _ = _KINDS[kind]
         model, settings = load_model(name), settings_named("car")
@@ -146,11 +138,12 @@ class CarGrid(AbstractAttack):
         rows: list[Row] = []
         worst: list[dict[str, Any]] = []
         for kind in _KINDS:
-            items = [item for own, found in answers if own == kind for item in found]
-            notice = sorted(Counter(item.status for item in items).items())
-            rows += [Row(f"{kind}: answers {status}", count) for status, count in notice]
-            rows += _rows(kind, items)
-            worst += [{"kind": kind, **case} for case in _worst(items)]
+            found = Answers(item for own, judged in answers if own == kind for item in judged)
+            rows += [*found.statuses(f"{kind}: "), *_rows(kind, found)]
+            worst += [
+                {"kind": kind, **{key: value for key, value in case.items() if key != "shape"}}
+                for case in found.worst(_FAULTS)
+            ]
         return Result(rows, worst)
 
 
@@ -192,73 +185,46 @@ def car_question(seed: int, number: int) -> CarQuestion:
 
 def _answered(
     safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings, question: CarQuestion, number: int
-) -> _Answer:
+) -> Judged:
     barriers = car_barriers(settings, FOOTPRINT, question.obstacles, FIELD)
     verdict = safe.decide(question.state, question.nominal, model.latent, barriers=barriers)
     judge, status = CarJudge(model, settings, question), verdict.status.value
     own = judge.heights(verdict.action[None])[0]
-    kept = status in ("passed", "corrected")
-    feasible = ((judge.h - judge.required) / judge.scale >= 1e-9).all(axis=1)
+    untold = bool(judge.now.min() < -1e-12) != (status == "violated")
+    known = {"number": number, "untold": untold}
+    found, keeping = judged_on_grid(status, own, judge.h, judge.required, judge.scale, **known)
+    if status not in ("passed", "corrected"):
+        return found
     excess = None
-    if status == "corrected" and feasible.any():
-        excess = float(judge.distance(verdict.action[None])[0] - judge.distance(judge.grid[feasible]).min())
-    best = float((judge.h / judge.scale).min(axis=1).max())
-    return _Answer(
-        number,
-        status,
-        max(0.0, -float(((own - judge.required) / judge.scale).min())) if kept else None,
-        kept and bool((own / judge.scale).min() < -1e-12),
-        status in ("relaxed", "fallback") and bool(feasible.any()),
-        excess,
-        None if kept else max(0.0, best - float((own / judge.scale).min())),
-        bool(judge.now.min() < -1e-12) != (status == "violated"),
-    )
+    if status == "corrected" and keeping.any():
+        excess = float(judge.distance(verdict.action[None])[0] - judge.distance(judge.grid[keeping]).min())
+    return replace(found, below=bool((own / judge.scale).min() < -1e-12), excess=excess)
 
 
-def _rows(kind: str, items: Sequence[_Answer]) -> list[Row]:
-    kept = [item.broken for item in items if item.broken is not None]
-    excess = [item.excess for item in items if item.excess is not None]
-    rest = [item for item in items if item.broken is None]
-    short = [item.shortfall for item in rest if item.shortfall is not None]
-    relaxed = sum(item.status in ("relaxed", "fallback") for item in items)
-    far = 100.0 * sum(value > _FAR for value in excess) / max(1, len(excess))
+def _rows(kind: str, found: Answers) -> list[Row]:
+    kept, short = len(found.broken), len(found.shortfall)
+    relaxed = sum(item.status in ("relaxed", "fallback") for item in found.items)
+    far_below = sum(value > CLOSE for value in found.shortfall)
+    unreported = f"{kind}: h < 0 now, and not reported (or reported wrongly)"
     return [
-        Row(f"{kind}: largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=1e-9),
-        Row(f"{kind}: passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
-        Row(
-            f"{kind}: h < 0 now, and not reported (or reported wrongly)",
-            sum(item.untold for item in items),
-            len(items),
-            most=0,
-        ),
-        Row(f"{kind}: relaxed, though the grid keeps all", sum(item.missed for item in items), relaxed, most=0),
-        Row(f"{kind}: corrected 0.1 of a range beyond the grid", far, len(excess), most=_MOST_FAR, unit="%"),
-        Row(f"{kind}: largest excess, in ranges", max(excess, default=0.0), len(excess)),
-        Row(
-            f"{kind}: relaxed or violated: 1 % of scale below the grid",
-            sum(v > _CLOSE for v in short),
-            len(short),
-            most=0,
-        ),
-        Row(f"{kind}: largest shortfall, in scales", max(short, default=0.0), len(short)),
+        Row(f"{kind}: largest break of a condition, in scales", max(found.broken, default=0.0), kept, most=BROKEN),
+        Row(f"{kind}: passed or corrected, predicted h < 0", found.count("below"), kept, most=0),
+        Row(unreported, found.count("untold"), len(found.items), most=0),
+        Row(f"{kind}: relaxed, though the grid keeps all", found.count("missed"), relaxed, most=0),
+        found.too_far(kind, _MOST_FAR),
+        Row(f"{kind}: largest excess, in ranges", max(found.excess, default=0.0), len(found.excess)),
+        Row(f"{kind}: relaxed or violated: 1 % of scale below the grid", far_below, short, most=0),
+        Row(f"{kind}: largest shortfall, in scales", max(found.shortfall, default=0.0), short),
     ]
 
 
-def _worst(items: Sequence[_Answer]) -> list[dict[str, Any]]:
-    faults: dict[str, list[tuple[float, int]]] = {
-        "condition broken": [(i.broken or 0.0, i.number) for i in items if (i.broken or 0.0) > 1e-9],
-        "missed": [(1.0, i.number) for i in items if i.missed],
-        "too far": [(i.excess or 0.0, i.number) for i in items if (i.excess or 0.0) > _FAR],
-        "not the least-violation": [(i.shortfall or 0.0, i.number) for i in items if (i.shortfall or 0.0) > _CLOSE],
-        "h < 0 now not reported": [(1.0, i.number) for i in items if i.untold],
-    }
-    return [
-        {"fault": fault, "size": size, "number": number, "count": len(cases)}
-        for fault, cases in faults.items()
-        for size, number in sorted(cases, reverse=True)[:3]
-    ]
-
-
+_FAULTS: Final[Mapping[str, Callable[[Judged], float | None]]] = {
+    "condition broken": lambda item: above(item.broken, BROKEN),
+    "missed": lambda item: float(item.missed),
+    "too far": lambda item: above(item.excess, FAR),
+    "not the least-violation": lambda item: above(item.shortfall, CLOSE),
+    "h < 0 now not reported": lambda item: float(item.untold),
+}
 _KINDS: Final[dict[str, tuple[str, Callable[[int, int], CarQuestion], int, int]]] = {
     "car": ("car", car_question, 12_000, 120),
     "car with networks": ("car_learned", car_question, 2_000, 60),

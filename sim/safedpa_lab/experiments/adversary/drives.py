@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
-from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
+from safedpa.bus import AbstractNode, StateMessage
 from safedpa.dynamics import load_model
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row, notice_of
+from safedpa_lab.experiments.common.drives import (
+    LOADS,
+    PERIOD,
+    FunctionPolicyNode,
+    Outcome,
+    counted,
+    shipped_nodes,
+    statuses_of,
+)
 from safedpa_lab.experiments.driving.delayed_drives import DelayedDrives, Lateness, delayed_drives, margin_with_delay
 from safedpa_lab.experiments.driving.long_drives import LongDrive, LongOutcome, long_summary, run_long_drive
 from safedpa_lab.experiments.driving.reversing_drives import TOWED, ReversingDrive, run_reversing_drive
@@ -24,7 +29,7 @@ from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.pendulum.robot import PendulumRobot
-from safedpa_sim.robots.pendulum.task import task_named
+from safedpa_sim.robots.pendulum.robot import task_named
 from safedpa_sim.robots.pendulum.world import wind_towards
 
 NominalPolicy = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]
@@ -38,31 +43,13 @@ _LEG: Final = 1.0
 """s between two changes of mind."""
 
 
-@final
-@dataclass
-class HostileNode(AbstractNode):
+def _hostile_node(nominal_policy: NominalPolicy, seed: int) -> AbstractNode:
     """Publishes ``nominal_policy(state, random)`` in every tick."""
 
-    nominal_policy: NominalPolicy
-    seed: int
-    name: ClassVar[str] = "policy"
-    inputs: ClassVar[tuple[Any, ...]] = ()
-    outputs: ClassVar[tuple[Any, ...]] = (NOMINAL,)
-    share: ClassVar[float] = 0.2
-    defers_afterwards: ClassVar[bool] = False
+    def nominal_action(state: StateMessage) -> tuple[float, ...]:
+        return nominal_policy(state, np.random.default_rng([seed, 5, int(state.robot_time / _LEG)]))
 
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        del robot, inputs
-        random = np.random.default_rng([self.seed, 5, int(state.robot_time / _LEG)])
-        message = NominalMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
-            values=self.nominal_policy(state, random),
-            controller="adversary",
-        )
-        return {NOMINAL: message}
+    return FunctionPolicyNode(nominal_action, "adversary")
 
 
 def at_nearest(state: StateMessage, random: np.random.Generator) -> tuple[float, ...]:
@@ -112,9 +99,7 @@ def _along(place: tuple[float, ...], x: float, y: float, yaw: float) -> float:
     return math.cos(yaw) * (place[0] - x) + math.sin(yaw) * (place[1] - y)
 
 
-_PERIOD: Final = 0.05
-_EVERY: Final = ("none", "box", "chair", "large_chair")
-_LOADS: Final = {"forward": _EVERY, "any direction": _EVERY, "killed": _EVERY, "reversing": TOWED}
+_LOADS: Final = {"forward": LOADS, "any direction": LOADS, "killed": LOADS, "reversing": TOWED}
 _FULL: Final = (50, 20.0)
 """Drives of each kind and load, and seconds of each."""
 _SMALL: Final = (1, 3.0)
@@ -128,11 +113,13 @@ class Driven:
     kind: str
     load: str
     seed: int
-    collisions: int
-    least_h: float
-    statuses: Mapping[str, int]
+    outcome: Outcome | None
     missing: str = ""
     """Why the drive could not be made."""
+
+
+Run = Callable[[str, int, float], Outcome]
+"""Drives with a load, a seed and for so many seconds."""
 
 
 @final
@@ -153,26 +140,26 @@ class Drives(AbstractAttack):
 
     def work(self, piece: Any) -> Driven:  # noqa: D102
         kind, load, seed, seconds = piece
-        return KINDS[kind](kind, load, seed, seconds)
+        try:
+            return Driven(kind, load, seed, KINDS[kind](load, seed, seconds))
+        except ImportError as error:
+            return Driven(kind, load, seed, None, f"{kind} robot: {error}")
 
     def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         rows: list[Row] = []
+        made = [(each, each.outcome) for each in answers if each.outcome is not None]
         for kind in dict.fromkeys(driven.kind for driven in answers):
-            rows += _rows(kind, [driven for driven in answers if driven.kind == kind and not driven.missing])
+            rows += _rows(kind, [outcome for each, outcome in made if each.kind == kind])
         worst = [
-            {"fault": "collision", "kind": each.kind, "load": each.load, "seed": each.seed, "count": each.collisions}
-            for each in answers
-            if each.collisions
+            {"fault": "collision", "kind": each.kind, "load": each.load, "seed": each.seed, "count": outcome.collisions}
+            for each, outcome in made
+            if outcome.collisions
         ]
         return Result(rows, worst + [{"fault": each.missing} for each in answers if each.missing][:1])
 
 
-def _rows(kind: str, driven: Sequence[Driven]) -> list[Row]:
-    statuses: Counter[str] = Counter()
-    for each in driven:
-        statuses.update(each.statuses)
-    seen = max(1, sum(statuses.values()))
-    notice = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(statuses.items()))
+def _rows(kind: str, driven: Sequence[Outcome]) -> list[Row]:
+    notice = notice_of(statuses_of(each.statuses for each in driven))
     hit = sum(each.collisions > 0 for each in driven)
     return [
         Row(f"{kind}: drives with a collision ({notice})", hit, len(driven), most=0),
@@ -180,16 +167,11 @@ def _rows(kind: str, driven: Sequence[Driven]) -> list[Row]:
     ]
 
 
-def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Callable[[str, str, int, float], Driven]:
-    def run(kind: str, load: str, seed: int, seconds: float) -> Driven:
-        robot = CarRobot(Scene.random(seed, load), _PERIOD)
-        ticks = round(seconds / _PERIOD)
-        reported = (
-            _legs(robot, nominal_policy, seed, ticks)
-            if killed
-            else drive(robot, _nodes("car", nominal_policy, seed), ticks)
-        )
-        return _driven(kind, load, seed, robot, reported)
+def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Run:
+    def run(load: str, seed: int, seconds: float) -> Outcome:
+        robot, ticks = CarRobot(Scene.random(seed, load), PERIOD), round(seconds / PERIOD)
+        legs = _legs(robot, nominal_policy, seed, ticks)
+        return counted(robot, legs if killed else drive(robot, _nodes("car", nominal_policy, seed), ticks))
 
     return run
 
@@ -205,59 +187,36 @@ def _legs(robot: CarRobot, nominal_policy: NominalPolicy, seed: int, ticks: int)
         left -= leg
 
 
-def _point(kind: str, load: str, seed: int, seconds: float) -> Driven:
-    try:
-        from safedpa_sim.robots.point_robot import PointRobot, force_towards
+def _point(load: str, seed: int, seconds: float) -> Outcome:
+    from safedpa_sim.robots.point_robot import PointRobot, force_towards
 
-        random = np.random.default_rng([seed, 7])
-        wind = force_towards(float(random.uniform(0.0, 0.01)), float(random.uniform(0.0, 360.0)))
-        robot = PointRobot(wind, seed)
-    except ImportError as error:
-        return Driven(kind, load, seed, 0, 0.0, {}, f"point robot: {error}")
-    ticks = round(seconds / robot.period)
-    return _driven(kind, load, seed, robot, drive(robot, _nodes("point", thrusting, seed), ticks))
+    del load
+    random = np.random.default_rng([seed, 7])
+    robot = PointRobot(force_towards(float(random.uniform(0.0, 0.01)), float(random.uniform(0.0, 360.0))), seed)
+    return counted(robot, drive(robot, _nodes("point", thrusting, seed), round(seconds / robot.period)))
 
 
-def _reversing(kind: str, load: str, seed: int, seconds: float) -> Driven:
-    found = run_reversing_drive(ReversingDrive(load, seed, seconds))
-    return Driven(kind, load, seed, found.collisions, found.least_h, found.statuses)
-
-
-def _pendulum(kind: str, load: str, seed: int, seconds: float) -> Driven:
+def _pendulum(load: str, seed: int, seconds: float) -> Outcome:
+    """Its ticks are short: a quarter of the time are as many."""
+    del load
     random = np.random.default_rng([seed, 10])
     wind = wind_towards(float(random.uniform(0.0, 4.0)), float(random.uniform(0.0, 360.0)))
     robot = PendulumRobot(task_named("balance"), wind, seed)
-    ticks = round(0.25 * seconds / robot.period)  # its ticks are short: a quarter of the time are as many
-    return _driven(kind, load, seed, robot, drive(robot, _nodes("pendulum", falling, seed), ticks))
+    return counted(robot, drive(robot, _nodes("pendulum", falling, seed), round(0.25 * seconds / robot.period)))
 
 
 def _nodes(name: str, nominal_policy: NominalPolicy, seed: int) -> list[AbstractNode]:
-    model = load_model(name)
-    return [
-        AdaptationNode(model),
-        HostileNode(nominal_policy, seed),
-        SafetyFilterNode(model, settings_named(name), margin_for(model)),
-    ]
+    return shipped_nodes(load_model(name), settings_named(name), _hostile_node(nominal_policy, seed))
 
 
-def _driven(kind: str, load: str, seed: int, robot: Any, reported: Iterator[Tick]) -> Driven:
-    statuses: Counter[str] = Counter()
-    least = float("inf")
-    for tick in reported:
-        statuses[tick.verdict.status] += 1
-        least = min(least, tick.verdict.h_now)
-    return Driven(kind, load, seed, len(robot.collisions), least, dict(statuses))
-
-
-KINDS: Final[Mapping[str, Callable[[str, str, int, float], Driven]]] = {
+KINDS: Final[Mapping[str, Run]] = {
     "forward": _car(at_nearest),
     "any direction": _car(rocking),
     "killed": _car(at_nearest, killed=True),
-    "reversing": _reversing,
+    "reversing": lambda load, seed, seconds: run_reversing_drive(ReversingDrive(load, seed, seconds))[0],
     "pendulum": _pendulum,
     "point": _point,
 }
-"""By name: ``run(kind, load, seed, seconds)``."""
 
 
 _CASES: Final = (
@@ -296,10 +255,9 @@ def _late_rows(found: DelayedDrives) -> list[Row]:
     """With a known delay, more actions have to be corrected than relaxed: otherwise the condition came too late."""
     late, statuses = found.lateness, found.statuses
     who = {"model": "known to the model", "clock": "reported by the clock", "none": "known to no one"}[late.reported]
-    name, ticks = f"{1000 * late.seconds:.0f} ms, {who}", sum(statuses.values())
+    name, ticks, notice = f"{1000 * late.seconds:.0f} ms, {who}", sum(statuses.values()), notice_of(statuses)
     beyond = sum(statuses[status] for status in ("relaxed", "violated", "fallback"))
     asked = None if late.reported == "none" else 0
-    notice = ", ".join(f"{status} {100 * count / max(1, ticks):.1f} %" for status, count in sorted(statuses.items()))
     return [
         Row(f"{name}: drives with a collision ({notice})", found.collided, found.drives, most=0),
         Row(f"{name}: relaxed and worse beyond corrected", max(0, beyond - statuses["corrected"]), ticks, most=asked),
@@ -308,7 +266,6 @@ def _late_rows(found: DelayedDrives) -> list[Row]:
     ]
 
 
-_STANDING_LOADS: Final = ("none", "box", "chair", "large_chair")
 _STANDING_FULL: Final = (25, 120.0)
 """Drives of each load, and seconds of each."""
 _STANDING_SMALL: Final = (1, 4.0)
@@ -331,7 +288,7 @@ class Standing(AbstractAttack):
         count, seconds = _STANDING_SMALL if small else _STANDING_FULL
         return [
             LongDrive(load, 1000 * seed + number, seconds, until_action=_LATENESS[number % len(_LATENESS)])
-            for load in _STANDING_LOADS
+            for load in LOADS
             for number in range(count)
         ] + [LongDrive(_POINT, 1000 * seed + number, seconds, driver=_POINT) for number in range(count)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -248,10 +248,10 @@ def quadrotor() -> ControlSystem:
     def h(x: FloatArray) -> FloatArray:
         z, tilt, vz, rate = x[:, 1], x[:, 2], x[:, 4], x[:, 5]
         rows = [
-            _stop(z, -vz, 5.0),
-            _stop(5.0 - z, vz, 8.0),
-            _stop(0.5 - tilt, rate, 20.0),
-            _stop(0.5 + tilt, -rate, 20.0),
+            _room_to_stop(z, -vz, 5.0),
+            _room_to_stop(5.0 - z, vz, 8.0),
+            _room_to_stop(0.5 - tilt, rate, 20.0),
+            _room_to_stop(0.5 + tilt, -rate, 20.0),
         ]
         return np.stack(rows, axis=1)
 
@@ -323,11 +323,6 @@ def disc_of_degree_two() -> ControlSystem:
 
 def _distances(points: FloatArray, centres: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(points[:, :1] - centres[:, 0], points[:, 1:2] - centres[:, 1]))
-
-
-def _stop(room: FloatArray, speed: FloatArray, braking: float) -> FloatArray:
-    fast = np.maximum(speed, 0.0)
-    return np.asarray(room - fast**2 / (2.0 * braking) - 0.1 * fast)
 
 
 def _around(random: np.random.Generator) -> FloatArray:
@@ -419,15 +414,4 @@ def thin_disc(*, between_ticks: bool) -> ControlSystem:
 
 def _given(plain: ControlSystem, name: str, parts: list[AbstractBarrier]) -> ControlSystem:
     """The same system with other barriers, which promise that h stays positive."""
-    return ControlSystem(
-        name=name,
-        f=plain.f,
-        g=plain.g,
-        h=plain.h,
-        start=plain.start,
-        low=plain.low,
-        high=plain.high,
-        backup=plain.backup,
-        margin=plain.margin,
-        barriers=lambda: parts,
-    )
+    return replace(plain, name=name, barriers=lambda: parts, invariant=True)

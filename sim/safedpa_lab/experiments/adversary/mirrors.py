@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 from safedpa.safety import SafetyFilter, Verdict
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row, pieces_of
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
 
@@ -134,8 +134,7 @@ class Mirrors(AbstractAttack):
     sentence = "the same problems put differently, and to a filter that has answered others before"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
-        count = _SMALL if small else _FULL
-        return [(seed, first, min(first + _PIECE, count)) for first in range(0, count, _PIECE)]
+        return pieces_of(seed, _SMALL if small else _FULL, _PIECE)
 
     def work(self, piece: Any) -> list[Reflected]:  # noqa: D102
         seed, first, last = piece

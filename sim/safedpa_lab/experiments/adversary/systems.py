@@ -12,7 +12,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.attack import BROKEN, FAR, AbstractAttack, Result, Row, action_grid, notice_of
 from safedpa_lab.experiments.adversary.example_systems import (
     ControlSystem,
     adaptive_cruise,
@@ -85,8 +85,7 @@ def _broken(system: ControlSystem, random: np.random.Generator) -> NominalPolicy
 
 
 def _corners(system: ControlSystem) -> FloatArray:
-    sides = [np.array(side) for side in zip(system.low, system.high, strict=True)]
-    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
+    return action_grid(system.low, system.high, [2] * len(system.low))
 
 
 NOMINAL_POLICIES: Final[dict[str, Callable[[ControlSystem, np.random.Generator], NominalPolicy]]] = {
@@ -121,9 +120,6 @@ _FULL: Final = (40, 150)
 _SMALL: Final = (4, 60)
 _EVERY: Final = {False: 1, True: 5}
 """Periods between two evaluations of the grid; rollout barriers are slow to evaluate."""
-_BROKEN: Final = 1e-9
-_FAR: Final = 0.1
-_CLOSE: Final = 0.01
 
 
 @final
@@ -219,7 +215,7 @@ def _judge(
         return
     h = system.heights(system.after(state, grid), since=state)
     scale = np.maximum(np.maximum(np.abs(now), margin), h.max(axis=0) - h.min(axis=0))
-    feasible = ((h - required) / scale >= _BROKEN).all(axis=1)
+    feasible = ((h - required) / scale >= BROKEN).all(axis=1)
     if verdict.status.value == "corrected":
         _kept(own, required, scale, tally)
         if feasible.any() and np.isfinite(nominal).all():
@@ -228,7 +224,7 @@ def _judge(
     if np.isfinite(nominal).all():
         tally.unkept += 1
         tally.missed += int(feasible.any() and verdict.status.value != "violated")
-        tally.needless += int(bool((own / scale < -_BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
+        tally.needless += int(bool((own / scale < -BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
 
 
 def _kept(own: FloatArray, required: FloatArray, scale: FloatArray, tally: Tally) -> None:
@@ -245,8 +241,7 @@ def _far(system: ControlSystem, actions: FloatArray, nominal: FloatArray) -> Flo
 def _grid(system: ControlSystem) -> FloatArray:
     fine = system.barriers is None
     count = (401 if fine else 41) if len(system.low) == 1 else (31 if fine else 9)
-    sides = [np.linspace(low, high, count) for low, high in zip(system.low, system.high, strict=True)]
-    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
+    return action_grid(system.low, system.high, [count] * len(system.low))
 
 
 def _safe_start(system: ControlSystem, random: np.random.Generator) -> FloatArray:
@@ -257,14 +252,13 @@ def _safe_start(system: ControlSystem, random: np.random.Generator) -> FloatArra
 
 
 def _rows(system: ControlSystem, tally: Tally) -> list[Row]:
-    name, seen = system.name, sum(tally.statuses.values())
-    notice = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(tally.statuses.items()))
-    far = 100.0 * sum(value > _FAR for value in tally.excess) / max(1, len(tally.excess))
+    name, notice = system.name, notice_of(tally.statuses)
+    far = 100.0 * sum(value > FAR for value in tally.excess) / max(1, len(tally.excess))
     asked = -1e-9 if system.invariant else None
     return [
         Row(f"{name}: least h in truth ({notice})", tally.least_h, tally.episodes, least=asked),
         Row(f"{name}: episodes with h < 0", tally.crashed, tally.episodes),
-        Row(f"{name}: largest break, in scales", tally.broken, tally.kept, most=_BROKEN),
+        Row(f"{name}: largest break, in scales", tally.broken, tally.kept, most=BROKEN),
         Row(f"{name}: passed or corrected, predicted h < 0", tally.below, tally.kept, most=0),
         Row(f"{name}: relaxed, though the grid keeps all", tally.missed, tally.unkept, most=0),
         Row(f"{name}: h < 0 predicted, though the grid keeps h >= 0", tally.needless, tally.unkept, most=0),

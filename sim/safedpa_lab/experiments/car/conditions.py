@@ -20,8 +20,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings
 from safedpa_sim.closed_loop import Robot
-from safedpa_sim.robots.car.footprint import footprint
-from safedpa_sim.robots.car.loads import Load, load_named
+from safedpa_sim.robots.car.loads import Load, footprint, load_named
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.car.scene import Scene

@@ -9,19 +9,16 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car.conditions import CONFIGURATIONS, HEAVIER, PASSAGE, TOWING, Conditions
-from safedpa_lab.experiments.car.drives import check_episode_seeds
 from safedpa_lab.experiments.car.episodes import Cell, Outcome, run_cells
-from safedpa_lab.experiments.car.margin import Calibration
+from safedpa_lab.experiments.car.experiment import CarRun
 from safedpa_lab.experiments.car.methods import FAMILIES, Method, drivable_methods, family_named
 from safedpa_lab.experiments.car.report import advantages, cell_of
-from safedpa_lab.experiments.common.workers import Workers
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.common.workers import Progress, Workers
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
 from safedpa_sim.robots.car.loads import LOADS
 
 LOAD: Final = "chair"
@@ -53,14 +50,17 @@ class Sweep:
     """What the values are, with their unit as they are shown."""
     values: tuple[float, ...]
     """In SI units, or shares; the towing as its place in ``TOWING``."""
-    shown: tuple[str, ...]
-    """The values as text, for figures and tables."""
     usual: float | None
     """The value of the experiment itself; None where none of the values is."""
+    scale: float = 1.0
+    """What the values are multiplied by where they are shown."""
+    names: tuple[str, ...] = ()
+    """The values as text, where they are not shown as numbers."""
 
-    def __post_init__(self) -> None:
-        if len(self.values) != len(self.shown):
-            raise ValueError(f"{self.name}: got {len(self.values)} values and {len(self.shown)} names for them")
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The values as text, for figures and tables."""
+        return self.names or tuple(f"{self.scale * value:g}" for value in self.values)
 
     def at(self, value: float) -> Place:
         """The load and the conditions at one of the values."""
@@ -83,35 +83,28 @@ def _changed(name: str, value: float) -> Conditions:
     return Conditions(**changed)
 
 
-def _reported(values: tuple[float, ...], scale: float = 1.0) -> tuple[str, ...]:
-    return tuple(f"{scale * value:g}" for value in values)
-
-
 _PASSAGES: Final = (PASSAGE, 0.3, 0.2, 0.1, 0.05)
-_SPEEDS: Final = (0.75, 1.0, 1.25, 1.5)
-_FRICTIONS: Final = (1.0, 0.8, 0.6, 0.4)
-_NOISES: Final = (0.0, 0.01, 0.02, 0.04)
 _DELAYS: Final = (0.0, 0.05, 0.10, 0.15)
-_TOWING: Final = ("never", "to_a_third", "from_a_third", "always")
+_TOWING: Final = {"never": "never", "to_a_third": "up to 1/3", "from_a_third": "from 1/3", "always": "always"}
 
 SWEEPS: Final[Mapping[str, Sweep]] = {
     sweep.name: sweep
     for sweep in (
-        Sweep("passage", "room in a passage [m]", _PASSAGES, _reported(_PASSAGES), PASSAGE),
-        Sweep("row", "room, no way around [m]", _PASSAGES, _reported(_PASSAGES), None),
-        Sweep("load", "load / car, by mass", tuple(_MASSES), _reported(tuple(_MASSES)), LOADS[LOAD].mass_ratio),
+        Sweep("passage", "room in a passage [m]", _PASSAGES, PASSAGE),
+        Sweep("row", "room, no way around [m]", _PASSAGES, None),
+        Sweep("load", "load / car, by mass", tuple(_MASSES), LOADS[LOAD].mass_ratio),
         Sweep(
             "towing",
             f"{LOAD} hitched",
             tuple(float(TOWING.index(name)) for name in _TOWING),
-            ("never", "up to 1/3", "from 1/3", "always"),
             float(TOWING.index("always")),
+            names=tuple(_TOWING.values()),
         ),
-        Sweep("speed", "speed, x 2 m/s at most", _SPEEDS, _reported(_SPEEDS), 1.0),
-        Sweep("friction", "grip of the tyres, x 0.9", _FRICTIONS, _reported(_FRICTIONS), 1.0),
-        Sweep("noise", "noise of x and y [cm]", _NOISES, _reported(_NOISES, 100.0), 0.0),
-        Sweep("delay", "delay, known to the filter [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
-        Sweep("delay_untold", "delay, not known to the filter [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
+        Sweep("speed", "speed, x 2 m/s at most", (0.75, 1.0, 1.25, 1.5), 1.0),
+        Sweep("friction", "grip of the tyres, x 0.9", (1.0, 0.8, 0.6, 0.4), 1.0),
+        Sweep("noise", "noise of x and y [cm]", (0.0, 0.01, 0.02, 0.04), 0.0, 100.0),
+        Sweep("delay", "delay, known to the filter [ms]", _DELAYS, 0.0, 1000.0),
+        Sweep("delay_untold", "delay, not known to the filter [ms]", _DELAYS, 0.0, 1000.0),
     )
 }
 """Each from easy to hard."""
@@ -136,33 +129,16 @@ _COMPARED: Final = ("safe", "both")
 
 @final
 @dataclass(frozen=True)
-class CarCurves:
+class CarCurves(CarRun):
     """The parameters of a run. Raises InputError for an invalid one."""
 
-    models: Path
-    """Folder of the learned models; missing ones are taken from the shipped models, if the family allows it."""
-    out: Path | None = None
-    """Folder of finished episodes, so that an interrupted run continues."""
     sweeps: tuple[str, ...] = tuple(SWEEPS)
-    methods: tuple[str, ...] = ()
-    """Those of the family, when empty."""
-    family: str = "best"
-    episodes: int = 100
-    """Of each method at each value."""
     first_seed: int = 1000
     """Of the scenes: those of ``experiment car`` are below."""
-    processes: int = 2
-    drives: int = 6
-    """Recorded drives of each load that calibrate the margins, as in ``experiment car``."""
-    date: str = ""
 
     def __post_init__(self) -> None:
-        family_named(self.family)
+        super().__post_init__()
         chosen_sweeps(self.sweeps)
-        for name in ("episodes", "processes", "drives"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name}: got {getattr(self, name)}, wanted at least 1")
-        check_episode_seeds(self.first_seed, self.episodes)
 
     def drivable(self) -> tuple[list[Method], list[str]]:
         """The methods that it drives, and sentences about those left out. Raises InputError where it has none."""
@@ -171,58 +147,34 @@ class CarCurves:
 
 
 def car_curves(curves: CarCurves, report_progress: ReportProgress = silent) -> dict[str, Any]:
-    """Runs it. ``tell(done, all)`` counts episodes and recorded drives. The same curves give the same figures.
+    """Runs it; the progress counts episodes and recorded drives. The same curves give the same figures.
 
     In each sweep: a point for each value and method, and SafeDPA against each other method at each value, with Holm's
     correction over all comparisons of the sweep.
     """
     methods, missing = curves.drivable()
-    family, sweeps = FAMILIES[curves.family], chosen_sweeps(curves.sweeps)
-    calibration = Calibration(
-        tuple(methods), curves.models, family, family.settings("car"), tuple(CONFIGURATIONS), curves.drives, curves.date
-    )
+    sweeps, settings = chosen_sweeps(curves.sweeps), FAMILIES[curves.family].settings("car")
+    calibration = curves.calibration(methods, settings, tuple(CONFIGURATIONS))
     places = list(dict.fromkeys(sweep.at(value) for sweep in sweeps for value in sweep.values))
-    count = _Count(calibration.size + len(places) * len(methods) * curves.episodes, report_progress)
+    advance = Progress(calibration.size + len(places) * len(methods) * curves.episodes, report_progress).advance
+    seeds = tuple(range(curves.first_seed, curves.first_seed + curves.episodes))
     with Workers(curves.processes) as workers:
-        margins, reported = calibration.margins(workers, count.advance)
-        cells = _cells(curves, methods, places, calibration, margins)
+        margins, reported = calibration.margins(workers, advance)
+        cells = [
+            Cell(method, at.load, seeds, curves.models, settings, margins.get(method.filter_model or ""), at.conditions)
+            for at in places
+            for method in methods
+        ]
         found: dict[Place, dict[str, list[Outcome]]] = {place: {} for place in places}
-        for cell, outcomes in run_cells(cells, workers, curves.out, count.advance):
+        for cell, outcomes in run_cells(cells, workers, curves.out, advance):
             found[Place(cell.load, cell.conditions)][cell.method.name] = outcomes
     return {
         "experiment": "car-curves",
-        "family": {"name": family.name, "phrase": family.phrase},
+        **curves.head(methods, missing),
         "load": LOAD,
-        "seeds": [curves.first_seed, curves.first_seed + curves.episodes - 1],
-        "left_out": missing,
-        "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in methods},
         "margin": reported,
         "sweeps": {sweep.name: _along(sweep, methods, found) for sweep in sweeps},
     }
-
-
-def _cells(
-    curves: CarCurves,
-    methods: Sequence[Method],
-    places: Sequence[Place],
-    calibration: Calibration,
-    margins: Mapping[str, MarginCalibration],
-) -> list[Cell]:
-    """Every method in every place, each once."""
-    seeds = tuple(range(curves.first_seed, curves.first_seed + curves.episodes))
-    return [
-        Cell(
-            method,
-            place.load,
-            seeds,
-            curves.models,
-            calibration.settings,
-            margins.get(method.filter_model or ""),
-            place.conditions,
-        )
-        for place in places
-        for method in methods
-    ]
 
 
 def _along(
@@ -252,26 +204,8 @@ def _along(
     }
 
 
-@final
-class _Count:
-    """Counts finished work for the progress report."""
-
-    def __init__(self, size: int, report_progress: ReportProgress) -> None:
-        self._size, self._report, self._done = size, report_progress, 0
-
-    def advance(self, count: int) -> None:
-        """Adds finished work."""
-        self._done += count
-        self._report(self._done, self._size)
-
-
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment car-curves``."""
-    names = ("family", "methods", "episodes", "first_seed", "drives", "processes")
-    curves = CarCurves(
-        models=options["models"] or family_named(options["family"]).models,
-        **{name: options[name] for name in names},
-        **{name: options[name] for name in ("sweeps", "out") if options[name]},
-        date=time.strftime("%Y-%m-%d"),
-    )
+    models = options["models"] or family_named(options["family"]).models
+    curves = from_options(CarCurves, options, models=models, date=time.strftime("%Y-%m-%d"))
     return car_curves(curves, report_progress)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.dynamics import fingerprint
+from safedpa.records.writers.tables import atomic_path
 from safedpa.safety import FilterSettings, write_settings
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car.conditions import TICKS, Conditions, LoadOnTheWay
@@ -19,22 +20,6 @@ from safedpa_lab.experiments.car.margin import CoverageCount
 from safedpa_lab.experiments.car.methods import Method, named_model, nodes_of
 from safedpa_lab.experiments.common.workers import Workers
 from safedpa_sim.closed_loop import drive
-
-
-@dataclass(frozen=True)
-class EpisodeGroup:
-    """Episodes of one method and configuration that one process drives in turn."""
-
-    method: Method
-    load: str
-    seeds: tuple[int, ...]
-    folder: Path
-    settings: FilterSettings
-    margin: MarginCalibration | None
-    ticks: int = TICKS
-    """After which an episode ends in any case."""
-    conditions: Conditions = field(default_factory=Conditions)
-    """How hard they are."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +48,70 @@ class Outcome:
     """Tick in which the load was hitched or released while driving; None when it was not."""
 
 
-def run_group(group: EpisodeGroup) -> list[Outcome]:
-    """Drives the episodes; the same group gives the same outcomes, bit for bit."""
-    return [_outcome(group, seed) for seed in group.seeds]
+_AT_ONCE = 5
+"""Episodes that one process drives before it reports."""
 
 
-def as_rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
-    """Outcomes as plain tables for JSON."""
-    return [asdict(item) for item in outcomes]
+@dataclass(frozen=True)
+class Cell:
+    """Episodes of one method and configuration, under the same conditions."""
+
+    method: Method
+    load: str
+    seeds: tuple[int, ...]
+    folder: Path
+    settings: FilterSettings
+    margin: MarginCalibration | None
+    conditions: Conditions = field(default_factory=Conditions)
+    """How hard they are."""
+    ticks: int = TICKS
+    """After which an episode ends in any case."""
+
+    @property
+    def key(self) -> str:
+        """Changes with everything that the outcomes depend on but the program itself."""
+        models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
+        epsilon = {} if self.margin is None else self.margin.select(self.settings.margin).epsilon
+        reported: list[Any] = [
+            self.method.name,
+            self.load,
+            *models,
+            write_settings(self.settings),
+            sorted(epsilon.items()),
+        ]
+        if self.conditions != Conditions():
+            reported.append(asdict(self.conditions))
+        return hashlib.sha256(json.dumps(reported).encode()).hexdigest()[:16]
+
+    @property
+    def _filter_model(self) -> str:
+        return self.method.filter_model or self.method.model
+
+    def groups(self, seeds: Sequence[int]) -> list[Cell]:
+        """The work of so many seeds, in parts."""
+        parts = (tuple(seeds[start : start + _AT_ONCE]) for start in range(0, len(seeds), _AT_ONCE))
+        return [replace(self, seeds=part) for part in parts]
+
+    @property
+    def name(self) -> str:
+        """Of the file in which it is kept."""
+        return "-".join(word for word in (self.method.name, self.load, self.conditions.label) if word)
 
 
-def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
-    conditions = group.conditions
-    settings = conditions.settings(group.settings)
-    nodes = conditions.nodes(nodes_of(group.method, group.folder, settings, group.margin))
-    robot = conditions.robot(seed, group.load)
+def run_group(cell: Cell) -> list[Outcome]:
+    """Drives the episodes; the same cell gives the same outcomes, bit for bit."""
+    return [_outcome(cell, seed) for seed in cell.seeds]
+
+
+def _outcome(cell: Cell, seed: int) -> Outcome:
+    conditions = cell.conditions
+    settings = conditions.settings(cell.settings)
+    nodes = conditions.nodes(nodes_of(cell.method, cell.folder, settings, cell.margin))
+    robot = conditions.robot(seed, cell.load)
     load = LoadOnTheWay(conditions.towing, robot)
     statuses: Counter[str] = Counter()
-    least_h, coverage = float("inf"), CoverageCount(settings, group.margin)
-    with closing(drive(conditions.measured(robot), nodes, group.ticks)) as ticks:
+    least_h, coverage = float("inf"), CoverageCount(settings, cell.margin)
+    with closing(drive(conditions.measured(robot), nodes, cell.ticks)) as ticks:
         for tick in ticks:
             statuses[tick.verdict.status] += 1
             least_h = min(least_h, tick.verdict.h_now)
@@ -104,56 +134,6 @@ def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
         trajectory=robot.trajectory_hash,
         load_changed=load.tick,
     )
-
-
-_AT_ONCE = 5
-"""Episodes that one process drives before it reports."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Episodes of one method and configuration, under the same conditions."""
-
-    method: Method
-    load: str
-    seeds: tuple[int, ...]
-    folder: Path
-    settings: FilterSettings
-    margin: MarginCalibration | None
-    conditions: Conditions = field(default_factory=Conditions)
-
-    @property
-    def key(self) -> str:
-        """Changes with everything that the outcomes depend on but the program itself."""
-        models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
-        epsilon = {} if self.margin is None else self.margin.select(self.settings.margin).epsilon
-        reported: list[Any] = [
-            self.method.name,
-            self.load,
-            *models,
-            write_settings(self.settings),
-            sorted(epsilon.items()),
-        ]
-        if self.conditions != Conditions():
-            reported.append(asdict(self.conditions))
-        return hashlib.sha256(json.dumps(reported).encode()).hexdigest()[:16]
-
-    @property
-    def _filter_model(self) -> str:
-        return self.method.filter_model or self.method.model
-
-    def groups(self, seeds: Sequence[int]) -> list[EpisodeGroup]:
-        """The work of so many seeds, in parts."""
-        parts = [tuple(seeds[start : start + _AT_ONCE]) for start in range(0, len(seeds), _AT_ONCE)]
-        whole = EpisodeGroup(
-            self.method, self.load, (), self.folder, self.settings, self.margin, conditions=self.conditions
-        )
-        return [replace(whole, seeds=part) for part in parts]
-
-    @property
-    def name(self) -> str:
-        """Of the file in which it is kept."""
-        return "-".join(word for word in (self.method.name, self.load, self.conditions.label) if word)
 
 
 def run_cells(
@@ -201,7 +181,6 @@ def _write(cell: Cell, found: dict[int, Outcome], out: Path | None) -> None:
         return
     path = _path(cell, out)
     path.parent.mkdir(parents=True, exist_ok=True)
-    rows = as_rows([found[seed] for seed in sorted(found)])
-    unfinished = path.with_suffix(".part")
-    unfinished.write_text(json.dumps({"key": cell.key, "episodes": rows}) + "\n", encoding="utf-8")
-    unfinished.replace(path)
+    rows = [asdict(found[seed]) for seed in sorted(found)]
+    with atomic_path(path) as unfinished:
+        unfinished.write_text(json.dumps({"key": cell.key, "episodes": rows}) + "\n", encoding="utf-8")

@@ -16,14 +16,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car.conditions import CONFIGURATIONS
-from safedpa_lab.experiments.car.drives import (
-    Drive,
-    DriveOrder,
-    check_episode_seeds,
-    hitching_orders,
-    open_orders,
-    path_orders,
-)
+from safedpa_lab.experiments.car.drives import check_episode_seeds, hitching_orders, open_orders, path_orders
 from safedpa_lab.experiments.car.episodes import Cell, Outcome, run_cells
 from safedpa_lab.experiments.car.latent import latent_result
 from safedpa_lab.experiments.car.margin import Calibration, recorded, with_margins_of
@@ -45,49 +38,72 @@ from safedpa_lab.experiments.car.predictor import (
     predicted_paths,
 )
 from safedpa_lab.experiments.car.report import OWN, advantages, cell_of
-from safedpa_lab.experiments.common.workers import Workers
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.common.workers import Progress, Workers
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
 
 PARTS = ("table", "errors", "latent", "equal-margin")
 """Parts that can be run alone."""
-
 _PREDICTORS = ("car_learned", "car_simulated", "car_fix", "car_mix", "car")
 """Models whose predictions are measured, where they exist."""
 
 
 @dataclass(frozen=True)
-class CarExperiment:
-    """The parameters of a run. Raises InputError for an invalid one."""
+class CarRun:
+    """The parameters that the experiments on the car share. Raises InputError for an invalid one."""
 
     models: Path
     """Folder of the learned models; missing ones are taken from the shipped models, if the family allows it."""
     out: Path | None = None
-    """Folder of finished cells, so that an interrupted run continues."""
-    episodes: int = 100
-    equal_margin_episodes: int = 50
-    """Of the table in which all filters have SafeDPA's margin; never more than ``episodes``."""
-    first_seed: int = 0
+    """Folder of finished episodes, so that an interrupted run continues."""
+    family: str = "best"
+    """In which world the policies were trained."""
     methods: tuple[str, ...] = ()
     """All that can be driven, when empty."""
-    loads: tuple[str, ...] = tuple(CONFIGURATIONS)
-    parts: tuple[str, ...] = PARTS
-    margin: str | float = "conformal"
-    """Of every filter: each model's own ``conformal`` or ``theorem`` epsilon, or this number for all."""
-    settings: str = "car"
-    family: str = "best"
-    """In which world the policies were trained; see ``car_family``."""
+    episodes: int = 100
+    first_seed: int = 0
     processes: int = 2
     drives: int = 6
     """Recorded drives of each kind and configuration."""
-    drive_ticks: int = 400
     date: str = ""
 
     def __post_init__(self) -> None:
         family_named(self.family)
         for name in ("episodes", "equal_margin_episodes", "processes", "drives"):
-            if getattr(self, name) < 1:
+            if getattr(self, name, 1) < 1:
                 raise InputError(f"{name.replace('_', ' ')}: got {getattr(self, name)}, wanted at least 1")
         check_episode_seeds(self.first_seed, self.episodes)
+
+    def head(self, methods: Sequence[Method], missing: Sequence[str]) -> dict[str, Any]:
+        """What a result says of its parameters."""
+        family = FAMILIES[self.family]
+        return {
+            "family": {"name": family.name, "phrase": family.phrase},
+            "seeds": [self.first_seed, self.first_seed + self.episodes - 1],
+            "left_out": missing,
+            "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in methods},
+        }
+
+    def calibration(self, methods: Sequence[Method], settings: FilterSettings, loads: tuple[str, ...]) -> Calibration:
+        """What the margins of the methods rest on."""
+        family = FAMILIES[self.family]
+        return Calibration(tuple(methods), self.models, family, settings, loads, self.drives, self.date)
+
+
+@dataclass(frozen=True)
+class CarExperiment(CarRun):
+    """The parameters of a run. Raises InputError for an invalid one."""
+
+    equal_margin_episodes: int = 50
+    """Of the table in which all filters have SafeDPA's margin; never more than ``episodes``."""
+    loads: tuple[str, ...] = tuple(CONFIGURATIONS)
+    parts: tuple[str, ...] = PARTS
+    margin: str | float = "conformal"
+    """Of every filter: each model's own ``conformal`` or ``theorem`` epsilon, or this number for all."""
+    settings: str = "car"
+    drive_ticks: int = 400
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.drive_ticks < 120:
             raise InputError(f"drive ticks: got {self.drive_ticks}, wanted at least 120: a history and one second")
         for names, known in ((self.loads, CONFIGURATIONS), (self.parts, PARTS)):
@@ -111,11 +127,6 @@ class CarExperiment:
             )
         return present, missing
 
-    def check(self) -> None:
-        """Raises InputError for models or settings with which it cannot be run."""
-        self.drivable()
-        _ = self.filter_settings
-
 
 def car_experiment(experiment: CarExperiment, report_progress: ReportProgress = silent) -> dict[str, Any]:
     """Runs it; the progress counts episodes and recorded drives. The same experiment gives the same figures."""
@@ -124,40 +135,24 @@ def car_experiment(experiment: CarExperiment, report_progress: ReportProgress = 
 
 class _Run:
     def __init__(self, experiment: CarExperiment, report_progress: ReportProgress) -> None:
-        self._experiment = experiment
-        self._family = FAMILIES[experiment.family]
-        self._settings = experiment.filter_settings
+        self._experiment, self._settings = experiment, experiment.filter_settings
         self._methods, self._missing = experiment.drivable()
-        self._calibration = Calibration(
-            tuple(self._methods),
-            experiment.models,
-            self._family,
-            self._settings,
-            experiment.loads,
-            experiment.drives,
-            experiment.date,
-        )
+        self._calibration = experiment.calibration(self._methods, self._settings, experiment.loads)
         self._equal = [method for method in self._methods if method.filter_model]
         if METHODS[OWN] not in self._equal or "equal-margin" not in experiment.parts:
             self._equal = []
-        self._report, self._done = report_progress, 0
-        self._all = self._work()
+        self._equal_episodes = min(experiment.equal_margin_episodes, experiment.episodes)
+        self._advance = Progress(self._work(), report_progress).advance
 
     def result(self) -> dict[str, Any]:
         experiment = self._experiment
-        result: dict[str, Any] = {
-            "experiment": "car",
-            "family": {"name": self._family.name, "phrase": self._family.phrase},
-            "seeds": [experiment.first_seed, experiment.first_seed + experiment.episodes - 1],
-            "left_out": self._missing,
-            "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in self._methods},
-        }
+        result = {"experiment": "car", **experiment.head(self._methods, self._missing)}
         with Workers(experiment.processes) as workers:
             if "table" in experiment.parts or self._equal:
                 margins, result["margin"] = self._calibration.margins(workers, self._advance)
                 result |= self._tables(workers, margins)
             if {"errors", "latent"} & set(experiment.parts):
-                result.update(self._measured(workers))
+                result |= self._measured(workers)
         return result
 
     def _tables(self, workers: Workers, margins: dict[str, MarginCalibration]) -> dict[str, Any]:
@@ -196,42 +191,33 @@ class _Run:
         shown = [cell_of(cell.method, cell.load, outcomes) for cell, outcomes in driven]
         return {"cells": shown, "advantages": advantages(places)}
 
-    @property
-    def _equal_episodes(self) -> int:
-        return min(self._experiment.equal_margin_episodes, self._experiment.episodes)
-
     def _measured(self, workers: Workers) -> dict[str, Any]:
-        experiment = self._experiment
-        each, ticks = experiment.drives, experiment.drive_ticks
+        experiment, family = self._experiment, FAMILIES[self._experiment.family]
+        each, ticks, loads = experiment.drives, experiment.drive_ticks, experiment.loads
         models = {
             name: named_model(name, experiment.models)
             for name in _PREDICTORS
-            if model_path(name, experiment.models, ships=self._family.ships) is not None
-            and not self._family.refuses(named_model(name, experiment.models).base)
+            if model_path(name, experiment.models, ships=family.ships) is not None
+            and not family.refuses(named_model(name, experiment.models).base)
         }
-        heldout = self._recorded(workers, open_orders(experiment.loads, each, ticks, "errors"))
+        heldout = recorded(workers, open_orders(loads, each, ticks, "errors"), self._advance)
         scale = increment_scale(list(models.values()), heldout)
         result: dict[str, Any] = {"increment_scale": scale.tolist()}
         if "errors" in experiment.parts:
             errors = {name: errors_of_model(model, heldout, scale) for name, model in models.items()}
-            shown = self._recorded(workers, path_orders(experiment.loads, FIRST_STEPS + PREDICTED_STEPS))
-            result.update(errors=errors, ratios=_ratios(errors), paths=predicted_paths(models, shown))
+            both = {"car_simulated", "car_learned"} <= set(errors)
+            ratios = error_ratios(errors, "car_simulated", "car_learned") if both else None
+            shown = recorded(workers, path_orders(loads, FIRST_STEPS + PREDICTED_STEPS), self._advance)
+            result.update(errors=errors, ratios=ratios, paths=predicted_paths(models, shown))
         if "latent" in experiment.parts:
-            fitting = self._recorded(workers, open_orders(experiment.loads, each, ticks, "latent"))
-            hitching = self._recorded(workers, hitching_orders(experiment.loads, each, ticks))
+            fitting = recorded(workers, open_orders(loads, each, ticks, "latent"), self._advance)
+            hitching = recorded(workers, hitching_orders(loads, each, ticks), self._advance)
             result["latent"] = {
                 name: latent_result(model, fitting, heldout, hitching, scale)
                 for name, model in models.items()
                 if model.latent_names
             }
         return result
-
-    def _recorded(self, workers: Workers, orders: Sequence[DriveOrder]) -> list[Drive]:
-        return recorded(workers, orders, self._advance)
-
-    def _advance(self, count: int) -> None:
-        self._done += count
-        self._report(self._done, self._all)
 
     def _work(self) -> int:
         experiment = self._experiment
@@ -248,25 +234,11 @@ class _Run:
         return calibrated + sum(parts[part] for part in experiment.parts) + both
 
 
-def _ratios(errors: dict[str, Any]) -> dict[str, Any] | None:
-    """Untuned over tuned, where there are both."""
-    if not {"car_simulated", "car_learned"} <= set(errors):
-        return None
-    return error_ratios(errors, "car_simulated", "car_learned")
-
-
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment car``."""
-    names = ("family", "episodes", "first_seed", "methods", "settings", "processes", "drives", "drive_ticks", "out")
-    experiment = CarExperiment(
-        models=options["models"] or family_named(options["family"]).models,
-        equal_margin_episodes=options["equal_margin_episodes"],
-        **{name: options[name] for name in names},
-        **{name: options[name] for name in ("loads", "parts") if options[name]},
-        margin=_margin(options["margin"]),
-        date=time.strftime("%Y-%m-%d"),
-    )
-    return car_experiment(experiment, report_progress)
+    models = options["models"] or family_named(options["family"]).models
+    known = {"models": models, "margin": _margin(options["margin"]), "date": time.strftime("%Y-%m-%d")}
+    return car_experiment(from_options(CarExperiment, options, **known), report_progress)
 
 
 def _margin(text: str) -> str | float:

@@ -15,7 +15,17 @@ from safedpa_lab.experiments.car.latent import WITHIN
 from safedpa_lab.experiments.car.methods import METHODS
 from safedpa_lab.experiments.car.predictor import FIRST_STEPS
 from safedpa_lab.experiments.car.report import MEASURES, MODEL_TITLES, OWN, SIGNIFICANT
-from safedpa_lab.experiments.common.figures import BLACK, GREY, LOADS, METHOD_COLOURS, MODELS, bare, figure, heading
+from safedpa_lab.experiments.common.figures import (
+    BLACK,
+    GREY,
+    LOADS,
+    METHOD_COLOURS,
+    MODELS,
+    bare,
+    figure,
+    heading,
+    legend,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,6 +52,8 @@ def write_figures(result: dict[str, Any], out: Path) -> list[Path]:
     return written
 
 
+TITLE: Final[dict[str, Any]] = {"fontsize": 10, "fontweight": "bold"}
+"""Of a panel."""
 _TABLE_NAMES = {"success": "reached", "safe": "no contact", "both": "both"}
 
 
@@ -59,7 +71,7 @@ def table_figure(result: dict[str, Any], path: Path) -> None:
                 _table_panel(axes, [cells.get((name, load)) for name in methods], measure)
                 axes.set_yticks(range(len(methods)), [METHODS[name].title for name in methods])
                 if row == 0:
-                    axes.set_title(CONFIGURATIONS[load], fontsize=10, fontweight="bold")
+                    axes.set_title(CONFIGURATIONS[load], **TITLE)
             panels[row][0].set_ylabel(_TABLE_NAMES[measure], fontsize=9, fontweight="bold")
         panels[0][0].invert_yaxis()
         episodes = result["cells"][0]["episodes"]
@@ -95,8 +107,7 @@ def paths_figure(result: dict[str, Any], path: Path) -> None:
         for axes, row in zip(panels, rows, strict=True):
             _paths_panel(axes, row)
         panels[0].set_ylabel("m")
-        handles, labels = panels[0].get_legend_handles_labels()
-        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5, columnspacing=1.4)
+        legend(drawn, panels[0], columnspacing=1.4)
         steps = len(rows[0]["driven"]) - 1 - FIRST_STEPS
         heading(drawn, f"Predicted from the first {FIRST_STEPS} steps: the next {steps} steps ({steps * 0.05:.1f} s)")
 
@@ -113,7 +124,7 @@ def _paths_panel(axes: Axes, row: dict[str, Any]) -> None:
         axes.plot(*points[-1], marker=marker, color=colour, markersize=6, markeredgecolor="white")
     bare(axes)
     axes.set_aspect("equal")
-    axes.set_title(CONFIGURATIONS[row["load"]], fontsize=10, fontweight="bold")
+    axes.set_title(CONFIGURATIONS[row["load"]], **TITLE)
 
 
 def _paths_turned(points: FloatArray, driven: FloatArray) -> FloatArray:
@@ -136,10 +147,9 @@ def errors_figure(result: dict[str, Any], path: Path) -> None:
         panels = drawn.subplots(1, 2)
         for axes, (horizon, phrase) in zip(panels, _ERRORS_HORIZONS.items(), strict=True):
             _errors_panel(axes, errors, horizon, result.get("ratios"))
-            axes.set_title(phrase, fontsize=10, fontweight="bold")
+            axes.set_title(phrase, **TITLE)
         panels[0].set_ylabel("error over the scale of one step's change")
-        handles, labels = panels[0].get_legend_handles_labels()
-        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5)
+        legend(drawn, panels[0])
         above = "; above the bars: untuned over tuned" if result.get("ratios") else ""
         heading(drawn, f"Prediction errors on fresh drives{above}")
 
@@ -186,10 +196,9 @@ def latent_figure(result: dict[str, Any], path: Path) -> None:
         for axes, (name, rows) in zip(panels, latent.items(), strict=False):
             _latent_cloud(axes, rows)
             right = 100 * rows["accuracy"]["share"]
-            axes.set_title(f"{MODEL_TITLES[name]}: {right:.0f} % classified correctly", fontsize=10, fontweight="bold")
+            axes.set_title(f"{MODEL_TITLES[name]}: {right:.0f} % classified correctly", **TITLE)
         _latent_noticed(panels[-1], latent)
-        handles, labels = panels[0].get_legend_handles_labels()
-        drawn.legend(handles, labels, loc="outside lower left", ncols=len(labels), fontsize=8.5, markerscale=1.8)
+        legend(drawn, panels[0], "left", markerscale=1.8)
         heading(drawn, "The latent by what the car tows, and how soon it follows a change")
 
 
@@ -219,7 +228,7 @@ def _latent_noticed(axes: Axes, latent: dict[str, Any]) -> None:
     axes.text(WITHIN + 1.5, 0.03, f"k = {WITHIN}", color=GREY, fontsize=8)
     axes.set_ylim(0, 1.03)
     axes.set_xlabel("ticks after a load is hitched or let go", fontsize=8)
-    axes.set_title("share noticed by the latent", fontsize=10, fontweight="bold", color=BLACK)
+    axes.set_title("share noticed by the latent", **TITLE, color=BLACK)
     axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.12))
     axes.tick_params(labelsize=7)
     bare(axes)
@@ -244,42 +253,34 @@ def margin_figure(result: dict[str, Any], path: Path) -> None:
             axes.grid(axis="x", visible=False)
             bare(axes)
         left.set_ylim(0, 1.3 * left.get_ylim()[1])  # room for the numbers above the bars
-        left.set_title("epsilon: conformal (full), theorem (frame)", fontsize=10, fontweight="bold")
-        right.set_title("fresh steps covered by the conformal one", fontsize=10, fontweight="bold")
+        left.set_title("epsilon: conformal (full), theorem (frame)", **TITLE)
+        right.set_title("fresh steps covered by the conformal one", **TITLE)
         right.axhline(100 * result["margin"]["coverage_wanted"], color=GREY, linestyle=":", linewidth=1.2)
         right.set_ylabel("%")
-        handles, labels = left.get_legend_handles_labels()
-        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5)
+        legend(drawn, left)
         heading(drawn, "The margin of every filter, and its coverage")
 
 
 def _margin_bars(axes: Axes, name: str, rows: dict[str, Any], where: tuple[float, float], room: float) -> None:
     """Bars at an offset, so wide; a number takes ``room`` within a frame, else it is left to the table."""
-    offset, width = where
-    colour = MODELS[name][0]
+    (offset, width), colour = where, MODELS[name][0]
     at = [index + offset for index, kind in enumerate(_MARGIN_KINDS) if kind in rows]
     found = [rows[kind] for kind in _MARGIN_KINDS if kind in rows]
     bounds, values = ([row[margin]["epsilon"] for row in found] for margin in ("theorem", "conformal"))
     axes.bar(at, bounds, width=0.86 * width, color="white", edgecolor=colour, linewidth=1.2)
     axes.bar(at, values, width=0.86 * width, color=colour, label=MODEL_TITLES[name])
     for place, bound, value in zip(at, bounds, values, strict=True):
-        _margin_number(axes, place, max(bound, value))
-        if bound - value > room:
-            _margin_number(axes, place, value)
-
-
-def _margin_number(axes: Axes, place: float, number: float) -> None:
-    axes.text(place, number, f" {number:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK, rotation=90)
+        for number in (max(bound, value), *([value] if bound - value > room else [])):
+            axes.text(place, number, f" {number:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK, rotation=90)
 
 
 def _margin_coverage(axes: Axes, name: str, rows: dict[str, Any], offset: float) -> None:
     colour, _, marker = MODELS[name]
     for index, kind in enumerate(_MARGIN_KINDS):
-        if kind not in rows:
-            continue
-        row, place = rows[kind]["conformal"], index + offset
-        axes.plot([place, place], [100 * end for end in row["interval_95"]], color=colour, linewidth=2)
-        axes.plot(place, 100 * row["share"], marker, color=colour, markersize=6, markeredgecolor="white")
+        if kind in rows:
+            row, place = rows[kind]["conformal"], index + offset
+            axes.plot([place, place], [100 * end for end in row["interval_95"]], color=colour, linewidth=2)
+            axes.plot(place, 100 * row["share"], marker, color=colour, markersize=6, markeredgecolor="white")
 
 
 _COLUMNS: Final = 3
@@ -418,23 +419,16 @@ def write_recording(result: dict[str, Any], path: Path) -> None:
     with rr.RecordingStream("safedpa_car_experiment", recording_id="safedpa_car_experiment") as stream:
         stream.save(path)
         for row in result.get("paths", []):
-            _paths(stream, row)
+            folder, start = f"predictions/{row['load']}", row["driven"][FIRST_STEPS]
+            driven = rr.LineStrips2D([row["driven"]], colors=_colour(BLACK), radii=0.015)
+            stream.log(f"{folder}/driven", driven, static=True)
+            for name, found in row["predicted"].items():
+                line = rr.LineStrips2D([[start, *found["path"]]], colors=_colour(MODELS[name][0]), radii=0.01)
+                stream.log(f"{folder}/{name}", line, static=True)
         for name, rows in result.get("latent", {}).items():
             for load, points in rows["points"]["by_load"].items():
                 entity = f"latent/{name}/{load}"
                 stream.log(entity, rr.Points2D(points, colors=_colour(LOADS[load][0]), radii=0.01), static=True)
-
-
-def _paths(stream: Any, row: dict[str, Any]) -> None:
-    import rerun as rr
-
-    folder = f"predictions/{row['load']}"
-    driven = rr.LineStrips2D([row["driven"]], colors=_colour(BLACK), radii=0.015)
-    stream.log(f"{folder}/driven", driven, static=True)
-    start = row["driven"][FIRST_STEPS]
-    for name, found in row["predicted"].items():
-        line = rr.LineStrips2D([[start, *found["path"]]], colors=_colour(MODELS[name][0]), radii=0.01)
-        stream.log(f"{folder}/{name}", line, static=True)
 
 
 def _colour(text: str) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -12,7 +11,8 @@ from safedpa.arrays import BoolArray
 from safedpa_lab.experiments.car.conditions import CONFIGURATIONS, PERIOD
 from safedpa_lab.experiments.car.episodes import Outcome
 from safedpa_lab.experiments.car.methods import METHODS, Method
-from safedpa_lab.experiments.common.statistics import holm, mcnemar_exact, wilson_interval
+from safedpa_lab.experiments.common.drives import statuses_of
+from safedpa_lab.experiments.common.statistics import holm, mcnemar_exact, share_95
 from safedpa_lab.experiments.report import markdown_table
 
 MEASURES = {"success": "success", "safe": "safety", "both": "both"}
@@ -32,9 +32,6 @@ Adaptation, ICRA 2024. It counts a success even after contacts, and has no large
 def cell_of(method: Method, load: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """One cell: shares with intervals, time to the goal, share of changed actions, contacts."""
     ticks = sum(item.ticks for item in outcomes)
-    statuses: Counter[str] = Counter()
-    for item in outcomes:
-        statuses.update(item.statuses)
     reached = [item.ticks * PERIOD for item in outcomes if item.success]
     return {
         "method": method.name,
@@ -47,56 +44,13 @@ def cell_of(method: Method, load: str, outcomes: Sequence[Outcome]) -> dict[str,
         "both": _share([item.success and item.safe for item in outcomes]),
         "seconds_to_goal": round(float(np.median(reached)), 3) if reached else None,
         "changed_share": round(sum(item.changed for item in outcomes) / ticks, 4),
-        "statuses": dict(sorted(statuses.items())),
+        "statuses": statuses_of(item.statuses for item in outcomes),
         "covered": _covered(outcomes),
         "least_h": min(item.least_h for item in outcomes),
         "not_reached": [item.seed for item in outcomes if not item.success],
         "not_safe": [item.seed for item in outcomes if not item.safe],
         "paper": PAPER.get(method.name, {}).get(load),
     }
-
-
-def table_markdown(cells: Sequence[dict[str, Any]]) -> str:
-    """The table in Markdown, a row a method, a column a configuration: success / safety / both in each cell."""
-    loads = [load for load in CONFIGURATIONS if any(cell["load"] == load for cell in cells)]
-    titles = [CONFIGURATIONS[load] for load in loads]
-    lines = [f"| success / safety / both | {' | '.join(titles)} |", "|---|" + "---|" * len(loads)]
-    for name in (name for name in METHODS if any(cell["method"] == name for cell in cells)):
-        found = {cell["load"]: cell for cell in cells if cell["method"] == name}
-        row = [_entry(found[load]) if load in found else "" for load in loads]
-        lines.append(f"| {METHODS[name].title} | {' | '.join(row)} |")
-    lines.append(f"| *the paper's SafeDPA* | {' | '.join(_paper_entry(load) for load in loads)} |")
-    return "\n".join([*lines, "", *_interval_lines(cells)]) + "\n"
-
-
-def _interval_lines(cells: Sequence[dict[str, Any]]) -> list[str]:
-    lines = [
-        "| method | configuration | episodes | success [95 %] | safety [95 %] | both [95 %] | s to goal | changed |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for cell in cells:
-        shares = " | ".join(share_with_interval(cell[key]) for key in MEASURES)
-        seconds = "-" if cell["seconds_to_goal"] is None else f"{cell['seconds_to_goal']:.1f}"
-        lines.append(
-            f"| {cell['title']} | {cell['configuration']} | {cell['episodes']} | {shares} | {seconds} "
-            f"| {100 * cell['changed_share']:.0f} % |"
-        )
-    return lines
-
-
-def _entry(cell: dict[str, Any]) -> str:
-    return " / ".join(f"{cell[key]['share']:.2f}" for key in MEASURES)
-
-
-def _paper_entry(load: str) -> str:
-    values = PAPER["safedpa"].get(load)
-    return "-" if values is None else f"{values['success']:.2f} / {values['safe']:.2f} / -"
-
-
-def share_with_interval(share: Mapping[str, Any]) -> str:
-    """Share and interval as shown in a table."""
-    low, high = share["interval_95"]
-    return f"{share['share']:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _covered(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
@@ -112,9 +66,8 @@ def _covered(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
 
 
 def _share(hits: Sequence[bool]) -> dict[str, Any]:
-    count = sum(hits)
-    interval = [round(end, 4) for end in wilson_interval(count, len(hits))]
-    return {"hits": count, "of": len(hits), "share": round(count / len(hits), 4), "interval_95": interval}
+    count, size = sum(hits), len(hits)
+    return {"hits": count, "of": size, "share": round(count / size, 4), "interval_95": share_95(count, size)}
 
 
 OWN: Final = "safedpa"
@@ -151,23 +104,94 @@ def _rows(place: str, outcomes: Outcomes, measures: Sequence[str]) -> Iterator[d
 
 def _flags(outcomes: Sequence[Outcome], measure: str) -> BoolArray:
     """(episodes,) whether each went well."""
-    return np.array([_went_well(item, measure) for item in outcomes], dtype=bool)
+    success, safe = np.array([[item.success, item.safe] for item in outcomes], dtype=bool).T
+    flags: dict[str, BoolArray] = {"success": success, "safe": safe, "both": success & safe}
+    return flags[measure]
 
 
-def _went_well(item: Outcome, measure: str) -> bool:
-    return {"success": item.success, "safe": item.safe, "both": item.success and item.safe}[measure]
+def markdown_of(result: dict[str, Any]) -> str:
+    """The tables of a result: success and safety, prediction errors, latents, margins, as far as they were run."""
+    first, last = result["seeds"]
+    policies = f"Policies: {result['family']['phrase']}. " if "family" in result else ""
+    blocks = [f"{policies}Seeds of the episodes: {first} to {last}."]
+    if "cells" in result:
+        blocks += [table_markdown(result["cells"]), *_advantages_by_measure(result.get("advantages", ()))]
+    if "equal_margin" in result:
+        equal = result["equal_margin"]
+        kinds = ", ".join(f"{kind} {epsilon:.3f}" for kind, epsilon in equal["epsilon"].items())
+        blocks.append(f"## With SafeDPA's own margin for every filter\n\nIn m, of the speed in m/s: {kinds}.")
+        blocks += [table_markdown(equal["cells"]), *_advantages_by_measure(equal["advantages"])]
+    if "errors" in result:
+        blocks += _errors_markdown(result["errors"], result.get("ratios"))
+    if "latent" in result:
+        blocks.append(_latent_markdown(result["latent"]))
+    if "margin" in result:
+        blocks += _margin_markdown(result["margin"])
+    return "\n\n".join([*blocks, *(f"{sentence}." for sentence in result["left_out"])]) + "\n"
 
 
-def advantage_entry(row: Mapping[str, Any]) -> str:
-    """A table cell: episodes that succeeded with SafeDPA only, with the other only, and Holm's p.
+def table_markdown(cells: Sequence[dict[str, Any]]) -> str:
+    """The table in Markdown, a row a method, a column a configuration: success / safety / both in each cell."""
+    loads = [load for load in CONFIGURATIONS if any(cell["load"] == load for cell in cells)]
+    rows = []
+    for name in (name for name in METHODS if any(cell["method"] == name for cell in cells)):
+        found = {cell["load"]: cell for cell in cells if cell["method"] == name}
+        shares = ([f"{found[load][key]['share']:.2f}" for key in MEASURES] if load in found else [] for load in loads)
+        rows.append(" | ".join([METHODS[name].title, *map(" / ".join, shares)]))
+    paper = [PAPER["safedpa"].get(load) for load in loads]
+    shown = [f"{own['success']:.2f} / {own['safe']:.2f} / -" if own else "-" for own in paper]
+    rows.append(" | ".join(["*the paper's SafeDPA*", *shown]))
+    titles = [CONFIGURATIONS[load] for load in loads]
+    intervals = markdown_table(
+        "method | configuration | episodes | success [95 %] | safety [95 %] | both [95 %] | s to goal | changed",
+        map(_intervals, cells),
+    )
+    return "\n\n".join([markdown_table(" | ".join(["success / safety / both", *titles]), rows), intervals])
+
+
+def _intervals(cell: dict[str, Any]) -> str:
+    shares = " | ".join(_with_interval(cell[key]) for key in MEASURES)
+    seconds = "-" if cell["seconds_to_goal"] is None else f"{cell['seconds_to_goal']:.1f}"
+    place = f"{cell['title']} | {cell['configuration']} | {cell['episodes']}"
+    return f"{place} | {shares} | {seconds} | {100 * cell['changed_share']:.0f} %"
+
+
+def _with_interval(share: Mapping[str, Any]) -> str:
+    low, high = share["interval_95"]
+    return f"{share['share']:.2f} [{low:.2f}, {high:.2f}]"
+
+
+_ALONE = (
+    "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over all "
+    "comparisons of this {}; bold below 0.05."
+)
+
+
+def _advantages_by_measure(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """SafeDPA against each other method, a table a measure, a column a place; nothing where there is no other."""
+    places = list(dict.fromkeys(row["place"] for row in rows))
+    titles = [CONFIGURATIONS.get(place, place) for place in places]
+    found = {(row["measure"], row["against"], row["place"]): row for row in rows}
+    tables = []
+    for measure, phrase in MEASURES.items():
+        others = {row["against"]: row["title"] for row in rows if row["measure"] == measure}
+        lines = [
+            " | ".join([title, *(_advantage(found[measure, name, place]) for place in places)])
+            for name, title in others.items()
+        ]
+        if lines:
+            tables.append(markdown_table(" | ".join([f"{phrase}: SafeDPA against", *titles]), lines))
+    return [_ALONE.format("table"), *tables] if rows else []
+
+
+def _advantage(row: Mapping[str, Any]) -> str:
+    """Episodes that succeeded with SafeDPA only, with the other only, and Holm's p.
 
     Bold where the p is below ``SIGNIFICANT``; a minus where neither ever went well alone.
     """
     more, fewer, p = row["only_safedpa"], row["only_other"], row["holm"]
-    if not more + fewer:
-        return "-"
-    reported = f"{more} : {fewer}, p = {p:.2g}"
-    return f"**{reported}**" if p < SIGNIFICANT else reported
+    reported = f"{more} : {fewer}, p = {p:.2g}" if more + fewer else "-"
+    return f"**{reported}**" if more + fewer and p < SIGNIFICANT else reported
 
 
 MODEL_TITLES = {
@@ -180,71 +204,24 @@ MODEL_TITLES = {
 """Models whose predictions are measured, in words."""
 
 
-def markdown_of(result: dict[str, Any]) -> str:
-    """The tables of a result: success and safety, prediction errors, latents, margins, as far as they were run."""
-    first, last = result["seeds"]
-    policies = f"Policies: {result['family']['phrase']}. " if "family" in result else ""
-    parts = [f"{policies}Seeds of the episodes: {first} to {last}.\n"]
-    if "cells" in result:
-        parts.append(table_markdown(result["cells"]))
-        parts += advantages_markdown(result.get("advantages", ()))
-    if "equal_margin" in result:
-        parts += _equal_margin_markdown(result["equal_margin"])
-    if "errors" in result:
-        parts.append(_errors_markdown(result))
-    if "latent" in result:
-        parts.append(_latent_markdown(result["latent"]))
-    if "margin" in result:
-        parts.append(margin_markdown(result["margin"]))
-    parts += [f"{sentence}.\n" for sentence in result["left_out"]]
-    return "\n".join(parts)
-
-
-def advantages_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """SafeDPA against each other method, a table a measure, a column a place; nothing where there is no other."""
-    if not rows:
-        return []
-    places = list(dict.fromkeys(row["place"] for row in rows))
-    titles = [CONFIGURATIONS.get(place, place) for place in places]
-    found = {(row["measure"], row["against"], row["place"]): row for row in rows}
-    blocks = [
-        "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over "
-        "all comparisons of this table; bold below 0.05.\n"
-    ]
-    for measure, phrase in MEASURES.items():
-        lines = [f"| {phrase}: SafeDPA against | {' | '.join(titles)} |", "|---|" + "---|" * len(places)]
-        for name, title in {row["against"]: row["title"] for row in rows if row["measure"] == measure}.items():
-            entries = [advantage_entry(found[measure, name, place]) for place in places]
-            lines.append(f"| {title} | {' | '.join(entries)} |")
-        blocks += ["\n".join(lines) + "\n"] if len(lines) > 2 else []
-    return blocks
-
-
-def _equal_margin_markdown(result: Mapping[str, Any]) -> list[str]:
-    kinds = ", ".join(f"{kind} {epsilon:.3f}" for kind, epsilon in result["epsilon"].items())
-    blocks = [f"## With SafeDPA's own margin for every filter\n\nIn m, of the speed in m/s: {kinds}.\n"]
-    return [*blocks, table_markdown(result["cells"]), *advantages_markdown(result["advantages"])]
-
-
-def _errors_markdown(result: dict[str, Any]) -> str:
-    loads = list(next(iter(result["errors"].values())))
+def _errors_markdown(errors: Mapping[str, Any], ratios: Mapping[str, Any] | None) -> list[str]:
+    loads = list(next(iter(errors.values())))
     titles = [CONFIGURATIONS.get(load, load) for load in loads]
     blocks = []
     for horizon, phrase in (("one_step", "one step"), ("one_second", "one second")):
-        lines = [f"| error over {phrase} | {' | '.join(titles)} |", "|---|" + "---|" * len(loads)]
-        for name, rows in result["errors"].items():
-            numbers = [f"{rows[load][horizon]['number']:.3g}" for load in loads]
-            lines.append(f"| {MODEL_TITLES[name]} | {' | '.join(numbers)} |")
-        if result.get("ratios"):
-            ratios = [f"{result['ratios'][load][horizon]:.1f}" for load in loads]
-            lines.append(f"| **untuned / tuned** | {' | '.join(ratios)} |")
-        blocks.append("\n".join(lines))
-    lines = ["| after one second | position [m] | yaw [rad] | speed [m/s] |", "|---|---|---|---|"]
-    for name, rows in result["errors"].items():
+        lines = [
+            " | ".join([MODEL_TITLES[name], *(f"{rows[load][horizon]['number']:.3g}" for load in loads)])
+            for name, rows in errors.items()
+        ]
+        if ratios:
+            lines.append(" | ".join(["**untuned / tuned**", *(f"{ratios[load][horizon]:.1f}" for load in loads)]))
+        blocks.append(markdown_table(" | ".join([f"error over {phrase}", *titles]), lines))
+    lines = []
+    for name, rows in errors.items():
         mixed = rows["mixed"]["one_second"]
         rms = mixed["root_mean_square"]
-        lines.append(f"| {MODEL_TITLES[name]} | {mixed['position']:.3f} | {rms['yaw']:.3f} | {rms['speed']:.3f} |")
-    return "\n\n".join([*blocks, "\n".join(lines)]) + "\n"
+        lines.append(f"{MODEL_TITLES[name]} | {mixed['position']:.3f} | {rms['yaw']:.3f} | {rms['speed']:.3f}")
+    return [*blocks, markdown_table("after one second | position [m] | yaw [rad] | speed [m/s]", lines)]
 
 
 def _latent_markdown(latent: dict[str, Any]) -> str:
@@ -255,12 +232,9 @@ def _latent_markdown(latent: dict[str, Any]) -> str:
             f"{MODEL_TITLES[name]} | {100 * rows['accuracy']['share']:.0f} % "
             f"| {100 * rows['hitched_or_not']['share']:.0f} % | {_ticks(latents)} | {_ticks(errors)}"
         )
-    return (
-        markdown_table(
-            "latent of | load right | hitched or not | change noticed: median ticks, within 50 | error back: the same",
-            cells,
-        )
-        + "\n"
+    return markdown_table(
+        "latent of | load right | hitched or not | change noticed: median ticks, within 50 | error back: the same",
+        cells,
     )
 
 
@@ -269,51 +243,58 @@ def _ticks(row: dict[str, Any]) -> str:
     return f"{median}, {row['within']}/{row['of']}"
 
 
-def margin_markdown(margin: Mapping[str, Any]) -> str:
+def _margin_markdown(margin: Mapping[str, Any]) -> list[str]:
     """The margin of each filter's model, and what it covered on fresh drives."""
-    lines = [
-        "| margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for name, kinds in margin["models"].items():
-        cells = [_epsilons(kinds[kind]) if kind in kinds else "-" for kind in ("obstacle", "field", "speed")]
+        found = [kinds.get(kind) for kind in ("obstacle", "field", "speed")]
+        cells = [f"{of['conformal']['epsilon']:.3f} ({of['theorem']['epsilon']:.3f})" if of else "-" for of in found]
         covered = ", ".join(f"{100 * row['conformal']['share']:.1f} %" for row in kinds.values())
-        lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(cells)} | {covered} |")
+        lines.append(" | ".join([MODEL_TITLES.get(name, name), *cells, covered]))
     loads = ", ".join(margin.get("calibrated_with", ()))
+    head = "margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives"
     reported = f"Used by every filter: {margin['used']}{f', calibrated with {loads}' if loads else ''}."
-    return "\n".join([*lines, "", reported]) + "\n"
-
-
-def _epsilons(row: dict[str, Any]) -> str:
-    return f"{row['conformal']['epsilon']:.3f} ({row['theorem']['epsilon']:.3f})"
+    return [markdown_table(head, lines), reported]
 
 
 def curves_markdown(result: Mapping[str, Any]) -> str:
     """Of each sweep the shares with their 95 % intervals, then SafeDPA against each other method; at last margins."""
     first, last = result["seeds"]
-    parts = [
+    blocks = [
         "# The car, made harder",
         f"Policies: {result['family']['phrase']}. Seeds of the scenes: {first} to {last}, the same for every method "
         f"and value. It tows a {result['load']} where the sweep is not about the load. Shares with 95 % Wilson "
         "intervals. Margins are those of the experiment, at every value.",
     ]
     for sweep in result["sweeps"].values():
-        parts += [f"## {sweep['label'][0].upper()}{sweep['label'][1:]}", _shares(sweep), *_changes(sweep)]
-        parts += _significance(sweep)
-    parts += ["## Margins", margin_markdown(result["margin"]).rstrip()]
-    parts += [f"{sentence}." for sentence in result["left_out"]]
-    return "\n\n".join(parts) + "\n"
+        blocks += [f"## {sweep['label'][0].upper()}{sweep['label'][1:]}", _shares(sweep), *_changes(sweep)]
+        if rows := sweep["advantages"]:
+            found = {(row["against"], row["measure"], row["place"]): row for row in rows}
+            lines = [
+                f"{row['title']} | {MEASURES[row['measure']]} | "
+                + " | ".join(_advantage(found[row["against"], row["measure"], value]) for value in sweep["shown"])
+                for row in rows
+                if row["place"] == sweep["shown"][0]
+            ]
+            blocks += [
+                _ALONE.format("sweep"),
+                markdown_table(" | ".join(["SafeDPA against |", *sweep["shown"]]), lines),
+            ]
+    blocks += ["## Margins", *_margin_markdown(result["margin"])]
+    return "\n\n".join([*blocks, *(f"{sentence}." for sentence in result["left_out"])]) + "\n"
 
 
 def _shares(sweep: Mapping[str, Any]) -> str:
     shown = sweep["shown"]
     found = {(point["method"], point["shown"]): point for point in sweep["points"]}
-    lines = [f"| {sweep['label']} | | {' | '.join(shown)} |", "|---|---|" + "---|" * len(shown)]
-    for name in dict.fromkeys(point["method"] for point in sweep["points"]):
-        for measure, phrase in MEASURES.items():
-            entries = [share_with_interval(found[name, value][measure]) for value in shown]
-            lines.append(f"| {found[name, shown[0]]['title']} | {phrase} | {' | '.join(entries)} |")
-    return "\n".join(lines)
+    lines = [
+        " | ".join(
+            [found[name, shown[0]]["title"], phrase, *(_with_interval(found[name, at][measure]) for at in shown)]
+        )
+        for name in dict.fromkeys(point["method"] for point in sweep["points"])
+        for measure, phrase in MEASURES.items()
+    ]
+    return markdown_table(" | ".join([f"{sweep['label']} |", *shown]), lines)
 
 
 def _changes(sweep: Mapping[str, Any]) -> list[str]:
@@ -324,20 +305,3 @@ def _changes(sweep: Mapping[str, Any]) -> list[str]:
             reported = f"{point['title']} {point['load_changed']} of {point['episodes']}"
             changed.setdefault(point["shown"], []).append(reported)
     return [f"Hitched {shown}, done in: {', '.join(phrase)}." for shown, phrase in changed.items()]
-
-
-def _significance(sweep: Mapping[str, Any]) -> list[str]:
-    rows: Sequence[Mapping[str, Any]] = sweep["advantages"]
-    if not rows:
-        return []
-    found = {(row["against"], row["measure"], row["place"]): row for row in rows}
-    shown = sweep["shown"]
-    lines = [f"| SafeDPA against | | {' | '.join(shown)} |", "|---|---|" + "---|" * len(shown)]
-    for name, measure in dict.fromkeys((row["against"], row["measure"]) for row in rows):
-        entries = [advantage_entry(found[name, measure, value]) for value in shown]
-        lines.append(f"| {found[name, measure, shown[0]]['title']} | {MEASURES[measure]} | {' | '.join(entries)} |")
-    reported = (
-        "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over "
-        "all comparisons of this sweep; bold below 0.05."
-    )
-    return [reported, "\n".join(lines)]

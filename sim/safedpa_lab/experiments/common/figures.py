@@ -90,3 +90,9 @@ def heading(drawn: Figure, title: str, under: str = "") -> None:
     if under:
         drawn.get_layout_engine().set(rect=(0, 0, 1, 0.985))  # type: ignore[union-attr, call-arg]
         drawn.supxlabel(under, x=0.01, ha="left", fontsize=8, color=GREY)
+
+
+def legend(drawn: Figure, axes: Axes, side: str = "center", **more: Any) -> None:
+    """What the lines and marks of one panel mean, in one row below all panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    drawn.legend(handles, labels, loc=f"outside lower {side}", ncols=len(labels), fontsize=8.5, **more)

@@ -28,6 +28,11 @@ def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
     return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
 
 
+def share_95(hits: int, trials: int) -> list[float]:
+    """Ends of the Wilson interval, to four digits."""
+    return [round(end, 4) for end in wilson_interval(hits, trials)]
+
+
 def clopper_pearson_interval(hits: int, trials: int) -> tuple[float, float]:
     """95 % interval of the share hits / trials that covers at least as often as it says, for any share.
 

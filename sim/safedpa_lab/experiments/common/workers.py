@@ -45,6 +45,19 @@ def _one_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
+@final
+class Progress:
+    """Counts finished parts, and reports them."""
+
+    def __init__(self, size: int, report_progress: ReportProgress) -> None:
+        self.size, self.done, self._report = size, 0, report_progress
+
+    def advance(self, count: int = 1) -> None:
+        """Adds finished parts."""
+        self.done += count
+        self._report(self.done, self.size)
+
+
 Order = TypeVar("Order")
 """A frozen dataclass of plain values; the result of its drive contains its fields."""
 Outcome = dict[str, Any]

@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.bus import Inputs, Outputs, StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import LOADS, PERIOD, Outcome, counted, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
-from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.common.statistics import share_95
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.provenance.record import write_result
@@ -25,19 +24,12 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
-LOADS = ("none", "box", "chair", "large_chair")
-_PERIOD = 0.05
-
 
 @dataclass(frozen=True)
-class _Drive:
+class TimedDrive:
     """The result of one drive."""
 
-    goals: int
-    collisions: int
-    ticks: int
-    changed: int
-    """Nominal actions that the filter did not pass on."""
+    outcome: Outcome
     milliseconds: tuple[float, ...]
     """Time of one core per nominal action, independent of the load of the machine."""
 
@@ -55,7 +47,7 @@ def controllers_experiment(
     ``on_scene`` gets how many seeds are done, how many there are, and the result so far: a long run can be ended early.
     """
     chosen = tuple(seeds)
-    drives: dict[tuple[str, str], list[_Drive]] = {(load, name): [] for load in LOADS for name in controllers}
+    drives: dict[tuple[str, str], list[TimedDrive]] = {(load, name): [] for load in LOADS for name in controllers}
     for done, seed in enumerate(chosen, start=1):
         for (load, name), retained in drives.items():
             retained.append(timed_drive(model, settings, name, load, seed, seconds))
@@ -65,14 +57,12 @@ def controllers_experiment(
 
 def timed_drive(
     model: PhysicsModel, settings: FilterSettings, controller: str, load: str, seed: int, seconds: float
-) -> _Drive:
+) -> TimedDrive:
     """One scene, driven through the real nodes in lockstep. Raises InputError for a controller that does not exist."""
     policy = _Stopwatch(model, controller)
-    nodes = [AdaptationNode(model), policy.node, SafetyFilterNode(model, settings, margin_for(model))]
-    robot = CarRobot(Scene.random(seed, load), _PERIOD)
-    statuses = [tick.verdict.status for tick in drive(robot, nodes, round(seconds / _PERIOD))]
-    changed = sum(status != "passed" for status in statuses)
-    return _Drive(robot.goals_reached, len(robot.collisions), len(statuses), changed, tuple(policy.milliseconds))
+    robot = CarRobot(Scene.random(seed, load), PERIOD)
+    ticks = drive(robot, shipped_nodes(model, settings, policy.node), round(seconds / PERIOD))
+    return TimedDrive(counted(robot, ticks), tuple(policy.milliseconds))
 
 
 class _Stopwatch:
@@ -91,21 +81,21 @@ class _Stopwatch:
         return found
 
 
-def _result(drives: dict[tuple[str, str], list[_Drive]], seeds: Sequence[int], seconds: float) -> dict[str, Any]:
+def _result(drives: dict[tuple[str, str], list[TimedDrive]], seeds: Sequence[int], seconds: float) -> dict[str, Any]:
     rows = [{"load": load, "controller": name, **_summary(retained)} for (load, name), retained in drives.items()]
     return {"experiment": "controllers", "seeds": list(seeds), "seconds": seconds, "rows": rows}
 
 
-def _summary(drives: Sequence[_Drive]) -> dict[str, Any]:
-    safe = sum(item.collisions == 0 for item in drives)
+def _summary(drives: Sequence[TimedDrive]) -> dict[str, Any]:
+    outcomes = [item.outcome for item in drives]
     spent = np.concatenate([item.milliseconds for item in drives])
     return {
         "drives": len(drives),
-        "goals": sum(item.goals for item in drives),
-        "drives_with_a_goal": sum(item.goals > 0 for item in drives),
-        "collisions": sum(item.collisions for item in drives),
-        "safe_share_95": [round(bound, 4) for bound in wilson_interval(safe, len(drives))],
-        "changed_share": round(sum(item.changed for item in drives) / sum(item.ticks for item in drives), 4),
+        "goals": sum(item.goals for item in outcomes),
+        "drives_with_a_goal": sum(item.goals > 0 for item in outcomes),
+        "collisions": sum(item.collisions for item in outcomes),
+        "safe_share_95": share_95(sum(item.collisions == 0 for item in outcomes), len(drives)),
+        "changed_share": round(sum(item.changed for item in outcomes) / sum(item.ticks for item in outcomes), 4),
         "milliseconds_p50": round(float(np.percentile(spent, 50)), 2),
         "milliseconds_p99": round(float(np.percentile(spent, 99)), 2),
     }

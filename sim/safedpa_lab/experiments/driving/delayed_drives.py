@@ -7,38 +7,40 @@ from its seed. Where the services' model has the delay, the margin is calibrated
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
-from safedpa.bus import LATENT, LatentMessage, ReceivedMessage
-from safedpa.calibration.from_drives import DriveTick, barrier_residuals
+from safedpa.calibration.from_drives import barrier_residuals
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.margins.error_clipping import ErrorClip
+from safedpa_lab.experiments.common.drives import (
+    LOADS,
+    PERIOD,
+    Outcome,
+    counted,
+    driven_with_latents,
+    shipped_nodes,
+    statuses_of,
+)
 from safedpa_lab.experiments.record import ReportProgress, silent
-from safedpa_sim.closed_loop import Tick, drive
+from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.car.scene import Scene
 
 CHANNELS = ("both", "drive", "steer")
 """Which commands arrive late."""
 _EFFECTS = {"both": "actuator_delay", "drive": "drive_delay", "steer": "steering_delay"}
-_PERIOD = 0.05
-"""s"""
 _COVERAGE = 0.99
 _CALIBRATION_SEED = 5_000_000
 """Far from the seeds of the drives that are counted."""
-_LOADS = ("none", "box", "chair", "large_chair")
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Lateness:
         drive_seconds, steer_seconds = (self.seconds if self.channel in ("both", one) else 0.0 for one in CHANNELS[1:])
         reported = self.seconds if self.reported == "clock" else 0.0
         late = DelayedCommands(drive_seconds, steer_seconds)
-        return CarRobot(Scene.random(seed, load), _PERIOD, late=late, until_action=reported)
+        return CarRobot(Scene.random(seed, load), PERIOD, late=late, until_action=reported)
 
     def model(self, name: str) -> PhysicsModel:
         """The services' model."""
@@ -103,10 +105,8 @@ def margin_with_delay(
     """
     known, settings, found = lateness.model(model), settings_named("car"), dict[str, list[Any]]()
     for index in range(drives):
-        heard: dict[int, LatentMessage] = {}
-        robot = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)])
-        states = [tick.state for tick in _driven(known, None, robot, seconds, heard)]
-        ticks = [DriveTick(state, heard.get(state.tick)) for state in states]
+        robot = lateness.robot(_CALIBRATION_SEED + index, LOADS[index % len(LOADS)])
+        _, ticks = driven_with_latents(robot, shipped_nodes(known, settings), round(seconds / PERIOD))
         for kind, heights in barrier_residuals(known, settings, ticks).items():
             found.setdefault(kind, []).append(ErrorClip.of_settings(settings).errors(kind, heights))
     joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
@@ -123,7 +123,7 @@ def delayed_drives(
     seconds: float = 12.0,
     *,
     margin: MarginCalibration | None = None,
-    loads: Sequence[str] = _LOADS,
+    loads: Sequence[str] = LOADS,
     model: str = "car",
     on_drive: ReportProgress = silent,
 ) -> DelayedDrives:
@@ -132,31 +132,18 @@ def delayed_drives(
     ``margin``: that of the model, by default the one that ships for it, or that of the settings. The same arguments
     give the same outcome, bit for bit.
     """
-    known, found = lateness.model(model), DelayedDrives(lateness)
+    known, outcomes = lateness.model(model), list[Outcome]()
     for index in range(drives):
         robot = lateness.robot(seed + index, loads[index % len(loads)])
-        for tick in _driven(known, margin, robot, seconds, {}):
-            found.statuses[tick.verdict.status] += 1
-            found.least_h = min(found.least_h, tick.verdict.h_now)
-        found.drives += 1
-        found.collided += bool(robot.collisions)
-        found.collisions += len(robot.collisions)
-        found.goals += robot.goals_reached
+        nodes = shipped_nodes(known, settings_named("car"), margin=margin)
+        outcomes.append(counted(robot, drive(robot, nodes, round(seconds / PERIOD))))
         on_drive(index + 1, drives)
-    return found
-
-
-def _driven(
-    model: PhysicsModel,
-    margin: MarginCalibration | None,
-    robot: CarRobot,
-    seconds: float,
-    heard: dict[int, LatentMessage],
-) -> Iterator[Tick]:
-    def hear(item: ReceivedMessage) -> None:
-        if item.topic is LATENT and isinstance(item.message, LatentMessage):
-            heard[item.message.tick] = item.message
-
-    chosen = margin_for(model) if margin is None else margin
-    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), chosen)]
-    return drive(robot, nodes, round(seconds / _PERIOD), hear=hear)
+    return DelayedDrives(
+        lateness,
+        drives,
+        sum(one.collisions > 0 for one in outcomes),
+        sum(one.collisions for one in outcomes),
+        sum(one.goals for one in outcomes),
+        min((one.least_h for one in outcomes), default=float("inf")),
+        Counter(statuses_of(one.statuses for one in outcomes)),
+    )

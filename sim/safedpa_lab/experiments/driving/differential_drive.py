@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa.systems.robots import robot_named
+from safedpa_lab.experiments.common.drives import counted, shipped_nodes, statuses_of
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.common.workers import each_result
@@ -50,24 +48,14 @@ def run_drive(wanted: WheelsDrive) -> dict[str, Any]:
     robot = robot_named(_ROBOT)
     model = load_model(str(robot.model))
     settings = dataclasses.replace(settings_named(_ROBOT), enabled=wanted.filtered)
-    policy = PolicyNode(model, wanted.policy)
-    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, margin_for(model))]
+    nodes = shipped_nodes(model, settings, PolicyNode(model, wanted.policy))
     simulated = StandInRobot(robot, model.period, wanted.seed, WORLDS[wanted.world])
-    statuses: Counter[str] = Counter()
-    least_h, way, microseconds = float("inf"), 0.0, []
-    for tick in drive(simulated, nodes, round(wanted.seconds / model.period)):
-        statuses[tick.verdict.status] += 1
-        least_h = min(least_h, tick.verdict.h_now)
-        way += abs(tick.state.values[3]) * model.period
-        microseconds.append(tick.verdict.microseconds)
+    ticks = list(drive(simulated, nodes, round(wanted.seconds / model.period)))
     return {
-        **dataclasses.asdict(wanted),
-        "collisions": len(simulated.collisions),
-        "goals": simulated.goals_reached,
-        "way": way,
-        "least_h": least_h,
-        "statuses": dict(statuses),
-        "microseconds": sorted(microseconds)[len(microseconds) // 2],
+        **asdict(wanted),
+        **asdict(counted(simulated, ticks)),
+        "way": sum(abs(tick.state.values[3]) * model.period for tick in ticks),
+        "microseconds": sorted(tick.verdict.microseconds for tick in ticks)[len(ticks) // 2],
     }
 
 
@@ -86,29 +74,19 @@ def wheels_experiment(
         for filtered in ((True, False) if index % _UNFILTERED == 0 else (True,))
     ]
     found = each_result(run_drive, wanted, processes, report_progress)
-    rows = [
-        {
-            "world": world,
-            "asked_of_the_world": WORLDS[world],
-            "policy": policy,
-            "filter_on": _summary([one for one in found if _is(one, world, policy) and one["filtered"]]),
-            "filter_off": _summary([one for one in found if _is(one, world, policy) and not one["filtered"]]),
-        }
-        for world in WORLDS
-        for policy in POLICIES
-    ]
+
+    def row(world: str, policy: str) -> dict[str, Any]:
+        own = [one for one in found if (one["world"], one["policy"]) == (world, policy)]
+        on, off = ([one for one in own if one["filtered"] is filtered] for filtered in (True, False))
+        asked = {"world": world, "asked_of_the_world": WORLDS[world], "policy": policy}
+        return {**asked, "filter_on": _summary(on), "filter_off": _summary(off)}
+
+    rows = [row(world, policy) for world in WORLDS for policy in POLICIES]
     return {"seeds": [seeds[0], seeds[-1]], "seconds": seconds, "date": time.strftime("%Y-%m-%d"), "rows": rows}
-
-
-def _is(one: dict[str, Any], world: str, policy: str) -> bool:
-    return bool(one["world"] == world and one["policy"] == policy)
 
 
 def _summary(drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
     hit = [one for one in drives if one["collisions"]]
-    statuses: Counter[str] = Counter()
-    for one in drives:
-        statuses.update(one["statuses"])
     return {
         "drives": len(drives),
         "drives_with_a_collision": len(hit),
@@ -119,7 +97,7 @@ def _summary(drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "metres": sum(one["way"] for one in drives),
         "least_h": min(one["least_h"] for one in drives),
         "median_microseconds": sorted(one["microseconds"] for one in drives)[len(drives) // 2],
-        "statuses": dict(sorted(statuses.items())),
+        "statuses": statuses_of(one["statuses"] for one in drives),
     }
 
 

@@ -7,18 +7,16 @@ Stands are counted twice: as the verdicts tell them, and as the positions show t
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Any
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.deadlock.detector import Stand, record_deadlock
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import PERIOD, counted, shipped_nodes
 from safedpa_lab.experiments.margins.drives import DRIVERS
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
@@ -26,7 +24,6 @@ from safedpa_sim.robots.car.scene import Scene
 
 LONG = 10.0
 """s; the longest accepted stop."""
-_PERIOD = 0.05
 _STILL = 0.02
 """m; a car that moves less is standing."""
 _CRAWL, _CRAWLED = 20.0, 1.0
@@ -71,35 +68,28 @@ def run_long_drive(long: LongDrive) -> LongOutcome:
     driver = DRIVERS[long.driver or "car"]
     model = load_model(driver.model if long.driver else long.model)
     policy = PolicyNode(model, controller=driver.controller if long.driver else long.controller)
-    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named(driver.settings), margin_for(model))]
-    robot: Any = driver.robot(long.seed) if long.driver else _car(long)
-    statuses: Counter[str] = Counter()
+    robot: Any = (
+        driver.robot(long.seed)
+        if long.driver
+        else CarRobot(Scene.random(long.seed, long.load), PERIOD, until_action=long.until_action)
+    )
     reported: list[Stand] = []
-    places = [robot.values[:2]]
     longest, since, place = 0.0, 0.0, robot.values[:2]
-    for tick in drive(robot, nodes, round(long.seconds / model.period)):
-        statuses[tick.verdict.status] += 1
+    places = [place]
+    nodes = shipped_nodes(model, settings_named(driver.settings), policy)
+    ticks = list(drive(robot, nodes, round(long.seconds / model.period)))
+    for tick in ticks:
         record_deadlock(reported, tick.verdict)
         x, y = tick.state.values[:2]
         places.append((x, y))
         if math.hypot(x - place[0], y - place[1]) > _STILL:
             since, place = tick.state.robot_time, (x, y)
         longest = max(longest, tick.state.robot_time - since)
+    outcome, least_way = counted(robot, ticks), _least_way(places, model.period)
     return LongOutcome(
-        long.load,
-        long.seed,
-        long.seconds,
-        len(robot.collisions),
-        robot.goals_reached,
-        tuple(reported),
-        longest,
-        dict(statuses),
-        _least_way(places, model.period),
-    )
-
-
-def _car(long: LongDrive) -> CarRobot:
-    return CarRobot(Scene.random(long.seed, long.load), _PERIOD, until_action=long.until_action)
+        long.load, long.seed, long.seconds, outcome.collisions, outcome.goals, tuple(reported), longest,
+        dict(outcome.statuses), least_way,
+    )  # fmt: skip
 
 
 def _least_way(places: Sequence[Sequence[float]], period: float) -> float:

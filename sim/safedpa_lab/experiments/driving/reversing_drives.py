@@ -8,25 +8,20 @@ for a moment now and then, so that the load is folded up before it is pushed. Ev
 from __future__ import annotations
 
 import math
-import time
-from collections import Counter
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from dataclasses import dataclass
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
-from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
+from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.robots.car.controllers.goal_seeker import GoalSeeker
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import PERIOD, FunctionPolicyNode, Outcome, counted, shipped_nodes
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
 TOWED = ("box", "chair", "large_chair")
-_PERIOD = 0.05
 _REVERSE = -0.6
 _STEER = 0.34
 _STYLES = ("reverse", "forwards_first", "rocking")
@@ -42,79 +37,37 @@ class ReversingDrive:
     model: str = "car"
 
 
-@dataclass(frozen=True)
-class ReversingOutcome:
-    """What became of a drive."""
+class _Adversary:
+    """``style``: ``reverse``, ``forwards_first`` or ``rocking``."""
 
-    load: str
-    seed: int
-    style: str
-    collisions: int
-    reversed_metres: float
-    """Way driven backwards, all in all: an adversary that gets nowhere proves nothing."""
-    least_h: float
-    """Smallest barrier value that was measured, m."""
-    statuses: dict[str, int]
-
-
-@final
-@dataclass
-class ReversingNode(AbstractNode):
-    """The policy's place, taken by the adversary. ``style``: ``reverse``, ``forwards_first`` or ``rocking``."""
-
-    style: str
-    seed: int
-    name: ClassVar[str] = "policy"
-    inputs: ClassVar[tuple[Any, ...]] = ()
-    outputs: ClassVar[tuple[Any, ...]] = (NOMINAL,)
-    share: ClassVar[float] = 0.2
-    lingers: ClassVar[bool] = False
-    _seeker: GoalSeeker = field(default_factory=GoalSeeker)
-    _forward_until: float = 0.0
-    _next_change: float = 0.0
-
-    def __post_init__(self) -> None:
-        self._draw = np.random.default_rng([self.seed, 2])
-        if self.style == "forwards_first":
+    def __init__(self, style: str, seed: int) -> None:
+        self._style, self._seeker = style, GoalSeeker()
+        self._draw = np.random.default_rng([seed, 2])
+        self._forward_until = self._next_change = 0.0
+        if style == "forwards_first":
             self._forward_until = self._next_change = float(self._draw.uniform(1.0, 6.0))
 
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        del robot, inputs
+    def nominal_action(self, state: StateMessage) -> tuple[float, ...]:
         now = state.robot_time
-        if self.style == "rocking" and now >= self._next_change:
+        if self._style == "rocking" and now >= self._next_change:
             self._forward_until = now + float(self._draw.uniform(0.2, 1.5))
             self._next_change = self._forward_until + float(self._draw.uniform(0.3, 3.0))
-        forward = now < self._forward_until
-        values = (
-            self._seeker.nominal_action(now, state.values, state.goal)
-            if forward
-            else (_REVERSE, _towards_nearest(state))
-        )
-        message = NominalMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=now,
-            publish_time=time.time(),
-            values=values,
-            controller=f"adversary:{self.style}",
-        )
-        return {NOMINAL: message}
+        if now < self._forward_until:
+            return self._seeker.nominal_action(now, state.values, state.goal)
+        return _REVERSE, _towards_nearest(state)
 
 
-def run_reversing_drive(reversing: ReversingDrive) -> ReversingOutcome:
-    """Drives once; the same drive gives the same outcome, bit for bit."""
-    model = load_model(reversing.model)
+def run_reversing_drive(reversing: ReversingDrive) -> tuple[Outcome, float]:
+    """Drives once; the same drive gives the same outcome, bit for bit.
+
+    Also returns the way driven backwards [m]: an adversary that gets nowhere proves nothing.
+    """
     style = _STYLES[reversing.seed % len(_STYLES)]
-    adversary = ReversingNode(style, reversing.seed)
-    nodes = [AdaptationNode(model), adversary, SafetyFilterNode(model, settings_named("car"), margin_for(model))]
-    robot = CarRobot(Scene.random(reversing.seed, reversing.load), _PERIOD)
-    statuses: Counter[str] = Counter()
-    least, back = math.inf, 0.0
-    for tick in drive(robot, nodes, round(reversing.seconds / _PERIOD)):
-        statuses[tick.verdict.status] += 1
-        least = min(least, tick.verdict.h_now)
-        back -= min(tick.state.values[3], 0.0) * _PERIOD
-    return ReversingOutcome(reversing.load, reversing.seed, style, len(robot.collisions), back, least, dict(statuses))
+    policy = FunctionPolicyNode(_Adversary(style, reversing.seed).nominal_action, f"adversary:{style}")
+    nodes = shipped_nodes(load_model(reversing.model), settings_named("car"), policy)
+    robot = CarRobot(Scene.random(reversing.seed, reversing.load), PERIOD)
+    ticks = list(drive(robot, nodes, round(reversing.seconds / PERIOD)))
+    return counted(robot, ticks), -sum(min(tick.state.values[3], 0.0) * PERIOD for tick in ticks)
 
 
 def _towards_nearest(state: StateMessage) -> float:

@@ -7,28 +7,22 @@ filter's model was not fitted to these episodes.
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from safedpa.adaptation import AdaptationNode
-from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
+from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import LOADS, PERIOD, Outcome, counted, shipped_nodes, statuses_of
 from safedpa_lab.experiments.common.seeds import seeds_of
-from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.common.statistics import share_95
 from safedpa_lab.experiments.common.workers import each_result
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
-
-LOADS = ("none", "box", "chair", "large_chair")
-_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,46 +37,12 @@ class Episode:
     settings: FilterSettings
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The result of an episode."""
-
-    load: str
-    filtered: bool
-    collisions: int
-    goals: int
-    ticks: int
-    interventions: int
-    least_h: float
-    """Smallest barrier value that was measured, m."""
-    trajectory: str
-    statuses: dict[str, int]
-
-
 def run_episode(episode: Episode) -> Outcome:
     """Drives one episode; the same episode gives the same outcome, bit for bit."""
-    model: PhysicsModel = load_model(episode.model)
     settings = dataclasses.replace(episode.settings, enabled=episode.filtered)
-    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings, margin_for(model))]
-    robot = CarRobot(Scene.random(episode.seed, episode.load), _PERIOD)
-    statuses: Counter[str] = Counter()
-    least_h = float("inf")
-    ticks = round(episode.seconds / _PERIOD)
-    for tick in drive(robot, nodes, ticks):
-        statuses[tick.verdict.status] += 1
-        least_h = min(least_h, tick.verdict.h_now)
-    changed = sum(count for status, count in statuses.items() if status not in ("passed", "disabled"))
-    return Outcome(
-        episode.load,
-        episode.filtered,
-        len(robot.collisions),
-        robot.goals_reached,
-        ticks,
-        changed,
-        least_h,
-        robot.trajectory_hash,
-        dict(statuses),
-    )
+    nodes = shipped_nodes(load_model(episode.model), settings)
+    robot = CarRobot(Scene.random(episode.seed, episode.load), PERIOD)
+    return counted(robot, drive(robot, nodes, round(episode.seconds / PERIOD)))
 
 
 def safety_experiment(
@@ -101,34 +61,27 @@ def safety_experiment(
         for seed in seeds
         for filtered in (True, False)
     ]
-    outcomes = each_result(run_episode, episodes, processes, on_episode)
-    return {"seconds": seconds, "rows": [_row(load, outcomes) for load in LOADS]}
+    outcomes: dict[tuple[str, bool], list[Outcome]] = {}
+    for one, outcome in zip(episodes, each_result(run_episode, episodes, processes, on_episode), strict=True):
+        outcomes.setdefault((one.load, one.filtered), []).append(outcome)
+    rows = [
+        {"load": load, "filter_on": _summary(outcomes[load, True]), "filter_off": _summary(outcomes[load, False])}
+        for load in LOADS
+    ]
+    return {"seconds": seconds, "rows": rows}
 
 
-def _row(load: str, outcomes: list[Outcome]) -> dict[str, Any]:
-    return {
-        "load": load,
-        "filter_on": _summary([item for item in outcomes if item.load == load and item.filtered]),
-        "filter_off": _summary([item for item in outcomes if item.load == load and not item.filtered]),
-    }
-
-
-def _summary(outcomes: list[Outcome]) -> dict[str, Any]:
+def _summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     safe = sum(item.collisions == 0 for item in outcomes)
-    statuses: Counter[str] = Counter()
-    for item in outcomes:
-        statuses.update(item.statuses)
     return {
         "episodes": len(outcomes),
         "safe_episodes": safe,
-        "safe_share_95": [round(bound, 4) for bound in wilson_interval(safe, len(outcomes))],
+        "safe_share_95": share_95(safe, len(outcomes)),
         "collisions": sum(item.collisions for item in outcomes),
         "goals": sum(item.goals for item in outcomes),
         "least_h": min(item.least_h for item in outcomes),
-        "intervention_share": round(
-            sum(item.interventions for item in outcomes) / sum(item.ticks for item in outcomes), 4
-        ),
-        "statuses": dict(sorted(statuses.items())),
+        "intervention_share": round(sum(item.changed for item in outcomes) / sum(item.ticks for item in outcomes), 4),
+        "statuses": statuses_of(item.statuses for item in outcomes),
     }
 
 

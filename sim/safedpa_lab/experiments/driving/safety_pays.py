@@ -6,30 +6,27 @@ the hidden effect. Each has a margin of its own, calibrated on the same drives a
 
 from __future__ import annotations
 
-import dataclasses
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import PhysicsModel, Setting, parse_model, write_model
 from safedpa.effects import effect
-from safedpa.policy import PolicyNode
 from safedpa.records.run import Run, Stretch
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa_lab.experiments.common.drives import PERIOD, counted, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
-from safedpa_lab.experiments.common.statistics import wilson_interval
+from safedpa_lab.experiments.common.statistics import share_95
 from safedpa_lab.experiments.common.workers import each_result
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.hidden.towing import drive_in
 from safedpa_sim.closed_loop import drive
@@ -38,8 +35,6 @@ from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
 
-PERIOD: Final = 0.05
-"""s"""
 _OPEN: Final = (-200.0, 200.0, -200.0, 200.0)
 """m; the field of the training drives."""
 
@@ -177,7 +172,7 @@ def safety_pays(experiment: SafetyPays, report_progress: ReportProgress = silent
         for hidden in experiment.hidden
         for name in MODELS
     ]
-    return {**dataclasses.asdict(experiment), "rows": rows}
+    return {**asdict(experiment), "rows": rows}
 
 
 def _models(
@@ -187,11 +182,7 @@ def _models(
     hidden = HIDDEN[name]
     runs = training_runs(hidden, _TRAINING_SEED, experiment.drives, experiment.drive_seconds)
     incomplete = incomplete_model()
-    models = {
-        "incomplete": incomplete,
-        "diagnosed": diagnose(incomplete, runs).models[-1],
-        "oracle": oracle_model(hidden),
-    }
+    models = dict(zip(MODELS, (incomplete, diagnose(incomplete, runs).models[-1], oracle_model(hidden)), strict=True))
     return {
         key: (model, calibration_from_runs(model, settings, runs, experiment.coverage, _DATE))
         for key, model in models.items()
@@ -202,23 +193,20 @@ def _run(episode: _Episode) -> dict[str, Any]:
     """Drives one episode; the same episode gives the same outcome."""
     hidden, model = HIDDEN[episode.hidden], parse_model(episode.model)
     calibration = MarginCalibration.parse(episode.calibration)
-    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), calibration)]
+    nodes = shipped_nodes(model, settings_named("car"), margin=calibration)
     robot = hidden_robot(hidden, Scene.random(episode.seed, hidden.load))
-    changed, first, least, ticks = 0, None, float("inf"), round(episode.seconds / PERIOD)
-    for number, tick in enumerate(drive(robot, nodes, ticks)):
-        changed += tick.verdict.status != "passed"
-        least = min(least, tick.verdict.h_now)
+    ticks, first = [], None
+    for tick in drive(robot, nodes, round(episode.seconds / PERIOD)):
+        ticks.append(tick)
         if first is None and robot.goals_reached:
-            first = (number + 1) * PERIOD
+            first = len(ticks) * PERIOD
+    outcome = counted(robot, ticks)
     return {
         "hidden": episode.hidden,
         "model": episode.name,
-        "seed": episode.seed,
-        "collisions": len(robot.collisions),
-        "goals": robot.goals_reached,
         "first_goal": first,
-        "changed": changed / ticks,
-        "least_h": least,
+        "changed": outcome.changed / len(ticks),
+        **asdict(outcome),
     }
 
 
@@ -233,7 +221,7 @@ def _row(
         "effects": [item.name for item in model.effects],
         "episodes": len(outcomes),
         "safe_episodes": safe,
-        "safe_share_95": [round(bound, 4) for bound in wilson_interval(safe, len(outcomes))],
+        "safe_share_95": share_95(safe, len(outcomes)),
         "collisions": sum(item["collisions"] for item in outcomes),
         "below_zero": sum(item["least_h"] < 0.0 for item in outcomes),
         "epsilon": {kind: round(value, 5) for kind, value in margin.epsilon.items()},
@@ -246,11 +234,7 @@ def _row(
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment safety-pays``."""
-    experiment = SafetyPays(
-        hidden=options["hidden"] or tuple(HIDDEN),
-        seeds=tuple(seeds_of(options)),
-        **{name: options[name] for name in ("seconds", "drives", "drive_seconds", "processes")},
-    )
+    experiment = from_options(SafetyPays, options, seeds=tuple(seeds_of(options)))
     return {"experiment": "safety-pays", **safety_pays(experiment, report_progress)}
 
 

@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from safedpa.errors import InputError
-
 _ULOG = b"ULog\x01\x12\x35\x01" + bytes(8)
 _ROS1 = b"#ROSBAG V2.0\n"
 _MCAP = b"\x89MCAP0\r\n"
@@ -165,99 +163,6 @@ class Bomb:
     name: str
     ending: str
     make: Callable[[], bytes]
-
-
-def attempt(path: Path) -> str:
-    """Hands the file to the loader that its ending asks for; returns the refusal, empty where it was taken.
-
-    Whatever else than InputError comes out is a hole, and is raised.
-    """
-    try:
-        _LOADERS[path.suffix](path)
-    except InputError as error:
-        return str(error)
-    return ""
-
-
-def _model(path: Path) -> object:
-    from safedpa.dynamics import load_model
-
-    return load_model(path)
-
-
-def _map(path: Path) -> object:
-    from safedpa.records import load_column_map
-
-    return load_column_map(str(path))
-
-
-def _run(path: Path) -> object:
-    from safedpa.records import load_run
-    from safedpa.robots.car.system import CAR
-
-    return load_run(path, CAR)
-
-
-def _bag(path: Path) -> object:
-    from safedpa.records import load_column_map, load_run
-    from safedpa.robots.car.system import CAR
-
-    return load_run(path, CAR, load_column_map("f1tenth_bag"))
-
-
-def _packed_bag(path: Path) -> object:
-    return _bag(path.rename(path.with_name("bag.mcap.zstd")))
-
-
-def _folder(path: Path) -> object:
-    folder = path.parent / "bag"
-    folder.mkdir(exist_ok=True)
-    path.rename(folder / "metadata.yaml")
-    return _bag(folder)
-
-
-def _weights(path: Path) -> object:
-    from safedpa.networks import load_weights
-
-    return load_weights(path)
-
-
-def _archive(path: Path) -> object:
-    from safedpa.limits import check_archive
-
-    check_archive(path)
-    return None
-
-
-def _message(path: Path) -> object:
-    from safedpa.bus.messages.codec import decode
-    from safedpa.bus.messages.messages import ModelMessage
-
-    return decode(ModelMessage, path.read_bytes())
-
-
-def _margin(path: Path) -> object:
-    from safedpa.safety.margins.calibration import margin_from_text
-
-    return margin_from_text(path.read_text(encoding="utf-8"))
-
-
-_LOADERS: Mapping[str, Callable[[Path], object]] = {
-    ".toml": _model,
-    ".map": _map,
-    ".csv": _run,
-    ".parquet": _run,
-    ".mcap": _run,
-    ".bag": _bag,
-    ".db3": _bag,
-    ".ulg": _bag,
-    ".zstd": _packed_bag,
-    ".yaml": _folder,
-    ".safetensors": _weights,
-    ".npz": _archive,
-    ".msgpack": _message,
-    ".json": _margin,
-}
 
 
 def _text(text: str) -> Callable[[], bytes]:

@@ -155,31 +155,6 @@ def pairs() -> Iterator[tuple[Road, Bomb]]:
                 yield road, bomb
 
 
-def sample() -> list[tuple[Road, Bomb]]:
-    """Each road once and each ending once, with bombs that are made quickly."""
-    quick = {
-        ".toml": "arrays in arrays",
-        ".map": "a key of 50 000 parts in a column map",
-        ".csv": "5000 columns",
-        ".parquet": "a description of 2 GB",
-        ".mcap": "a chunk that says 2^63 bytes",
-        ".bag": "300 definitions of 27 KB",
-        ".db3": "topics without numbers",
-        ".ulg": "a message made of itself",
-        ".zstd": "a million empty records",
-        ".yaml": "tables merged into tables",
-        ".safetensors": "arrays in the header",
-        ".json": "arrays in arrays",
-    }
-    bombs = {bomb.ending: bomb for bomb in BOMBS if quick.get(bomb.ending) == bomb.name}
-    found = []
-    turn = 0
-    for road in ROADS:
-        found.append((road, bombs[road.endings[turn % len(road.endings)]]))
-        turn += len(road.endings) > 1
-    return found
-
-
 def good_recording(folder: Path) -> Path:
     """A car that drives straight on, for the roads that want a recording next to what is hostile."""
     path = folder / "good.csv"

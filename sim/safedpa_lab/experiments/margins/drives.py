@@ -6,7 +6,6 @@ steps, exchangeable.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,25 +15,24 @@ import numpy as np
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.arrays import FloatArray
-from safedpa.bus import LATENT, LatentMessage, ReceivedMessage, StateMessage
-from safedpa.calibration.from_drives import DriveTick, barrier_residuals
+from safedpa.bus import AbstractNode
+from safedpa.calibration.from_drives import barrier_residuals
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.systems.robots import robot_named
-from safedpa_sim.closed_loop import Robot, drive
+from safedpa_lab.experiments.common.drives import LOADS, counted, driven_with_latents
+from safedpa_sim.closed_loop import Robot
 from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.robots.pendulum.robot import PendulumRobot
-from safedpa_sim.robots.pendulum.task import TASKS
+from safedpa_sim.robots.pendulum.robot import TASKS, PendulumRobot
 from safedpa_sim.robots.pendulum.world import wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 
-LOADS: Final = ("none", "box", "chair", "large_chair")
 _MOST_WIND: Final = 5.0
 """m/s"""
 _MOST_FORCE: Final = 0.008
@@ -153,29 +151,10 @@ def driven(order: DriveOrder) -> DriveResult:
     settings = replace(settings_named(driver.settings), margin=order.kind)
     robot: Any = driver.robot(order.seed)
     policy = PolicyNode(model, controller=driver.controller)
-    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, order.margin)]
-    states: list[StateMessage] = []
-    latents: dict[int, LatentMessage] = {}
-    statuses: Counter[str] = Counter()
-    now: list[float] = []
-
-    def hear(item: ReceivedMessage) -> None:
-        if item.topic is LATENT and isinstance(item.message, LatentMessage):
-            latents[item.message.tick] = item.message
-
-    ticks = round((order.seconds or driver.seconds) / (driver.period or model.period))
-    for tick in drive(robot, nodes, ticks, hear=hear):
-        states.append(tick.state)
-        statuses[tick.verdict.status] += 1
-        now.append(tick.verdict.h_now)
-    along = [DriveTick(state, latents.get(state.tick)) for state in states]
-    heights = barrier_residuals(model, settings, along)
+    nodes: list[AbstractNode] = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, order.margin)]
+    count = round((order.seconds or driver.seconds) / (driver.period or model.period))
+    ticks, along = driven_with_latents(robot, nodes, count)
+    heights, outcome = barrier_residuals(model, settings, along), counted(robot, ticks)
     return DriveResult(
-        order.seed,
-        heights,
-        robot.goals_reached,
-        len(robot.collisions),
-        len(states),
-        dict(statuses),
-        min(now),
+        order.seed, heights, outcome.goals, outcome.collisions, len(ticks), dict(outcome.statuses), outcome.least_h
     )

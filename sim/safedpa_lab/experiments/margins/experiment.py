@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,12 +27,13 @@ from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.margins.error_clipping import ErrorClip
+from safedpa_lab.experiments.common.drives import statuses_of
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import coverage_row, mean_interval
-from safedpa_lab.experiments.common.workers import Workers
+from safedpa_lab.experiments.common.workers import Progress, Workers
 from safedpa_lab.experiments.margins.drives import DRIVERS, DriveOrder, DriveResult, driven
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.experiments.report import made_by
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
+from safedpa_lab.experiments.report import interval, made_by, markdown_table, share_percent
 from safedpa_lab.theory.boundary_layer import Stay, stays_in_layer
 
 KINDS = ("conformal", "drive")
@@ -97,7 +97,7 @@ def margins_experiment(cases: MarginCases, report_progress: ReportProgress = sil
     """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
     ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
     total = len(cases.robots) * cases.total
-    count = _Count(total, report_progress)
+    count = Progress(total, report_progress)
     rows = {}
     with Workers(cases.processes) as workers:
         for name in cases.robots:
@@ -105,18 +105,7 @@ def margins_experiment(cases: MarginCases, report_progress: ReportProgress = sil
     return {"experiment": "margins", "coverage": cases.coverage, "robots": rows, "missing": total - count.done}
 
 
-@dataclass
-class _Count:
-    total: int
-    report_progress: ReportProgress
-    done: int = 0
-
-    def more(self, number: int) -> None:
-        self.done += number
-        self.report_progress(self.done, self.total)
-
-
-def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
+def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: Progress) -> dict[str, Any]:
     folder, seconds = cases.out / name, cases.seconds or DRIVERS[name].seconds
 
     def made(part: str, behind: MarginCalibration | None, kind: str, seeds: range) -> list[DriveResult]:
@@ -233,15 +222,15 @@ def _clip(name: str) -> ErrorClip:
 
 
 def _driven(
-    folder: Path, orders: Sequence[DriveOrder], workers: Workers, ends: float, count: _Count
+    folder: Path, orders: Sequence[DriveOrder], workers: Workers, ends: float, count: Progress
 ) -> list[DriveResult]:
     """The results of the orders, in order, up to where time ran out. Those that are kept of the same order are read."""
     folder.mkdir(parents=True, exist_ok=True)
     missing = [order for order in orders if not _path(folder, order).exists()]
-    count.more(len(orders) - len(missing))
+    count.advance(len(orders) - len(missing))
     for result, order in zip(workers.map(driven, _until(missing, ends)), missing, strict=False):
         _keep(_path(folder, order), result)
-        count.more(1)
+        count.advance(1)
     return [_retained(path) for path in (_path(folder, order) for order in orders) if path.exists()]
 
 
@@ -267,15 +256,8 @@ def _digest_of(margin: MarginCalibration) -> str:
 
 
 def _keep(path: Path, result: DriveResult) -> None:
-    about = {
-        "seed": result.seed,
-        "goals": result.goals,
-        "collisions": result.collisions,
-        "ticks": result.ticks,
-        "statuses": result.statuses,
-        "least_h": result.least_h,
-        "steps": {kind: len(values) for kind, values in result.heights.items()},
-    }
+    about = {name: value for name, value in vars(result).items() if name != "heights"}
+    about["steps"] = {kind: len(values) for kind, values in result.heights.items()}
     whole = path.with_name(f"new-{path.name}")
     heights = np.concatenate([*result.heights.values(), np.zeros((0, 4))])
     np.savez_compressed(whole, about=np.array(json.dumps(about)), heights=heights)
@@ -306,16 +288,13 @@ def _counted(
 
 
 def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
-    statuses: Counter[str] = Counter()
-    for item in results:
-        statuses.update(item.statuses)
     goals = np.array([60.0 * item.goals / seconds for item in results])
     return {
         "drives": len(results),
         "collisions": sum(item.collisions for item in results),
         "goals": sum(item.goals for item in results),
         "goals_a_minute": mean_interval(goals),
-        "statuses": dict(sorted(statuses.items())),
+        "statuses": statuses_of(item.statuses for item in results),
         "least_h": min(item.least_h for item in results),
     }
 
@@ -344,8 +323,8 @@ def _layers(
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment margins``."""
-    chosen = {"robots": options["robots"] or tuple(DRIVERS), "kinds": options["kinds"] or KINDS}
-    return margins_experiment(MarginCases(**{**options, **chosen}), report_progress)
+    robots = options["robots"] or tuple(DRIVERS)
+    return margins_experiment(from_options(MarginCases, options, robots=robots), report_progress)
 
 
 _NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped"}
@@ -353,66 +332,43 @@ _NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped"}
 
 def margins_page(result: dict[str, Any]) -> str:
     """Markdown tables of a result, without those of robots that are not done."""
-    lines = [f"{made_by(result)}; coverage {100 * result['coverage']:g} %; intervals: 95 %.", ""]
-    for table in (_coverage(result), _driving_table(result), _layer(result)):
-        lines += [*table, ""]
-    if result.get("missing"):
-        lines.append(f"{result['missing']} drives are missing; run the same command again to continue.")
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _coverage(result: dict[str, Any]) -> list[str]:
-    lines = [
-        "| robot | barrier | margin of a | epsilon | steps covered, % | drives covered, % | fresh drives (near) |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    coverage, driving, layers = [], [], []
     for name, kind, fresh in _fresh(result):
-        for barrier, counted in fresh["covered"].items():
-            if kind not in counted:  # nothing shipped that covers this one
-                continue
-            one = counted[kind]
-            steps = _share(one["steps"], one["steps_95"])
-            lines.append(
-                f"| {name} | {barrier} | {_NAMES[kind]} | {one['epsilon']:.4f} | {steps} "
-                f"| {_share(one['drives'], one['drives_95'])} | {counted['drives']} ({counted['drives_near']}) |"
-            )
-    return lines
-
-
-def _driving_table(result: dict[str, Any]) -> list[str]:
-    lines = [
-        "| robot | margin of a | goals a minute | collisions | least h | verdicts |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, kind, fresh in _fresh(result):
-        mean, low, high = fresh["goals_a_minute"]
+        for barrier, counts in fresh["covered"].items():
+            if kind in counts:  # else nothing shipped covers this one
+                coverage.append(_coverage(f"{name} | {barrier} | {_NAMES[kind]}", counts, counts[kind]))
         statuses = ", ".join(f"{status} {count}" for status, count in fresh["statuses"].items())
-        lines.append(
-            f"| {name} | {_NAMES[kind]} | {mean:.2f} ({low:.2f} to {high:.2f}) | {fresh['collisions']} "
-            f"| {fresh['least_h']:.4f} | {statuses} |"
-        )
-    return lines
-
-
-def _layer(result: dict[str, Any]) -> list[str]:
-    lines = [
-        "| robot | barrier | margin of a | depth of the boundary layer | stays in it | longest, s | h fell by at most "
-        "| errors of one stay | least rise promised |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, kind, fresh in _fresh(result):
+        goals = interval(fresh["goals_a_minute"], digits=2)
+        counted = f"{fresh['collisions']} | {fresh['least_h']:.4f} | {statuses}"
+        driving.append(f"{name} | {_NAMES[kind]} | {goals} | {counted}")
         for barrier, of in fresh.get("layer", {}).items():
-            lines.append(
-                f"| {name} | {barrier} | {_NAMES[kind]} | {of['depth']:.4f} | {of['stays']} "
-                f"| {of['longest_seconds']:.2f} | {of['fall']:.4f} | {of['errors']:.4f} | {of['least_rise']:.4f} |"
+            layers.append(
+                f"{name} | {barrier} | {_NAMES[kind]} | {of['depth']:.4f} | {of['stays']} "
+                f"| {of['longest_seconds']:.2f} | {of['fall']:.4f} | {of['errors']:.4f} | {of['least_rise']:.4f}"
             )
-    return lines
+    blocks = [
+        f"{made_by(result)}; coverage {100 * result['coverage']:g} %; intervals: 95 %.",
+        markdown_table(
+            "robot | barrier | margin of a | epsilon | steps covered, % | drives covered, % | fresh drives (near)",
+            coverage,
+        ),
+        markdown_table("robot | margin of a | goals a minute | collisions | least h | verdicts", driving),
+        markdown_table(
+            "robot | barrier | margin of a | depth of the boundary layer | stays in it | longest, s | h fell by at "
+            "most | errors of one stay | least rise promised",
+            layers,
+        ),
+    ]
+    if result.get("missing"):
+        blocks.append(f"{result['missing']} drives are missing; run the same command again to continue.")
+    return "\n\n".join(blocks) + "\n"
+
+
+def _coverage(names: str, counts: dict[str, Any], one: dict[str, Any]) -> str:
+    shares = " | ".join(share_percent(one[what], one[f"{what}_95"]) for what in ("steps", "drives"))
+    return f"{names} | {one['epsilon']:.4f} | {shares} | {counts['drives']} ({counts['drives_near']})"
 
 
 def _fresh(result: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
     rows = result["robots"].items()
     return [(name, kind, row[f"fresh_{kind}"]) for name, row in rows for kind in _NAMES if f"fresh_{kind}" in row]
-
-
-def _share(share: float, interval: list[float]) -> str:
-    return f"{100 * share:.2f} ({100 * interval[0]:.2f} to {100 * interval[1]:.2f})"

@@ -17,7 +17,8 @@ from safedpa_lab.experiments.common.figures import BLUE, GREY, RED, bare, figure
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.experiments.sensing.experiment import Drive, row_of, run_drive
+from safedpa_lab.experiments.report import markdown_table, page
+from safedpa_lab.experiments.sensing.experiment import COUNTED, Drive, counted_cells, row_of, run_drive
 
 CURVES: Final[Mapping[str, tuple[float, ...]]] = {
     "walking": (0.0, 0.5, 1.0, 1.5, 2.0, 3.0),
@@ -68,35 +69,22 @@ def curves_experiment(
 
 def curves_page(result: Mapping[str, Any]) -> str:
     """Markdown with a table for each curve, and the command that made it."""
-    seeds, made = result["seeds"], result.get("provenance", {})
-    lines = [
-        "# A laser among people, made harder",
-        "",
+    seeds, tables = result["seeds"], []
+    for name, (title, unit) in _TITLES.items():
+        rows = [
+            f"{unit * row['value']:g} | {row['drives']} | {counted_cells(row, 0.0)}"
+            for row in result["rows"]
+            if row["curve"] == name
+        ]
+        tables.append(markdown_table(f"{title} | drives | {COUNTED}", rows) if rows else "")
+    return page(
+        "A laser among people, made harder",
         f"Scene {result['scene']}, seeds {seeds[0]} to {seeds[-1]}, {result['seconds']:g} s each, no load. One thing "
         "at a time differs from people of 1.5 m/s, as much for whom no one sees, 0.02 m, 0.05 s and 360 degrees. A "
         "collision is the car's where it was at 0.1 m/s or more. The share is of the goals of the same drives with "
         "perfect knowledge, with its 95 %.",
-        "",
-        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
-    ]
-    for name, (title, unit) in _TITLES.items():
-        rows = [row for row in result["rows"] if row["curve"] == name]
-        if not rows:
-            continue
-        lines += ["", f"| {title} | drives | car moved into something | 95 % of it | touched while it stood |"]
-        lines[-1] += " goals a minute | of those with perfect knowledge | m a minute |"
-        lines += ["|---|---|---|---|---|---|---|---|", *(_line(row, unit) for row in rows)]
-    return "\n".join([*lines, ""])
-
-
-def _line(row: Mapping[str, Any], unit: float) -> str:
-    low, high = row["share_95"]
-    alongside = row["goals_beside_perfect_knowledge"]
-    share = "" if alongside is None else f"{alongside[0]:.2f} ({max(alongside[1], 0.0):.2f} to {alongside[2]:.2f})"
-    return (
-        f"| {unit * row['value']:g} | {row['drives']} | {row['drives_in_which_the_car_moved_into_something']} | "
-        f"{100.0 * low:.1f} to {100.0 * high:.1f} % | {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} | "
-        f"{share} | {row['metres_a_minute']:.0f} |"
+        result,
+        *tables,
     )
 
 
@@ -115,24 +103,16 @@ def draw_curves(result: Mapping[str, Any], path: Path) -> None:
             )
             low, high = 100.0 * np.array([row["share_95"] for row in rows]).T
             above, below = panels[0][column], panels[1][column]
-            above.errorbar(
-                values, share, [share - low, high - share], color=RED, marker="o", markersize=3.6, elinewidth=0.8
-            )
-            below.plot(values, [row["goals_a_minute"] for row in rows], color=BLUE, marker="o", markersize=3.6)
-            below.plot(
-                values,
-                [row["goals_a_minute_told_everything"] for row in rows],
-                color=GREY,
-                marker=".",
-                markersize=3.6,
-                linewidth=0.8,
-            )
+            ends, dots = [share - low, high - share], {"markersize": 3.6}
+            above.errorbar(values, share, ends, color=RED, marker="o", elinewidth=0.8, **dots)
+            below.plot(values, [row["goals_a_minute"] for row in rows], color=BLUE, marker="o", **dots)
+            told = [row["goals_a_minute_told_everything"] for row in rows]
+            below.plot(values, told, color=GREY, marker=".", linewidth=0.8, **dots)
             below.set_xlabel(title, fontsize=8)
             for axes, top in ((above, 105.0), (below, 1.1 * max(most, 1.0))):
                 axes.set_ylim(-0.04 * top, top)
-                axes.axvline(
-                    unit * getattr(Drive("people", 0, 1.0, 1.5), name), color=GREY, linewidth=0.8, linestyle=":"
-                )
+                usual = unit * getattr(Drive("people", 0, 1.0, 1.5), name)
+                axes.axvline(usual, color=GREY, linewidth=0.8, linestyle=":")
                 axes.tick_params(labelsize=7.5)
                 bare(axes)
         panels[0][0].set_ylabel("drives in which the car\nmoved into something [%]", fontsize=8)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import pi
+from math import inf, pi
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,13 @@ from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import PERIOD, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.report import interval, markdown_table, page, percent
 from safedpa_lab.experiments.sensing.nodes import (
     CollisionMonitor,
     NoFilter,
@@ -49,7 +50,6 @@ more time; the F1TENTH course's brake; no one. The last four hear the same scans
 LOADS = ("none", *TOWED)
 POLICIES = ("way_seeker", "goal_seeker")
 """One that gets the same surroundings as the filter, and one that ignores them."""
-_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -85,18 +85,14 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
     }
     settings = PerceptionSettings(coming=wanted.coming)
     if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
-        looks = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
-        return [AdaptationNode(model), *looks, policy, peers[wanted.guard]()]
+        eyes = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
+        return [AdaptationNode(model), *eyes, policy, peers[wanted.guard]()]
     reported: dict[str, Callable[[], AbstractNode]] = {
         "reported": lambda: ReportsEverything(scene, people),
         "reported-but-hiding": lambda: ReportsAllButWhoHides(scene, people, settings),
     }
-    return [
-        AdaptationNode(model),
-        reported[wanted.guard]() if wanted.guard in reported else PerceptionNode(settings),
-        policy,
-        SafetyFilterNode(model, settings_named("car"), margin_for(model)),
-    ]
+    looks = [reported[wanted.guard]() if wanted.guard in reported else PerceptionNode(settings)]
+    return shipped_nodes(model, settings_named("car"), *looks, policy)
 
 
 def run_drive(wanted: Drive) -> dict[str, Any]:
@@ -107,13 +103,13 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
     way, microseconds, nominal_way, retained = 0.0, [], 0.0, 0.0
-    for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
+    for tick in drive(robot, nodes, round(wanted.seconds / PERIOD)):
         if tick.verdict.nominal:
             nominal_way += abs(tick.verdict.nominal[0])
             retained += min(
                 max(tick.verdict.action[0] * np.sign(tick.verdict.nominal[0]), 0.0), abs(tick.verdict.nominal[0])
             )
-        way += abs(tick.state.values[3]) * _PERIOD
+        way += abs(tick.state.values[3]) * PERIOD
         microseconds.append(tick.verdict.microseconds)
     moving = [hit for hit in robot.collisions if hit.speed >= IS_STATIONARY]
     return {
@@ -155,29 +151,16 @@ def sensing_experiment(
         for load in loads
     ]
     found = driven(run_drive, wanted, processes, on_drive, record)
-    return _result(seeds, seconds, coming, kinds, loads, policy, found)
-
-
-def _result(
-    seeds: Sequence[int],
-    seconds: float,
-    coming: float,
-    kinds: Sequence[tuple[str, str]],
-    loads: Sequence[str],
-    policy: str,
-    found: Sequence[dict[str, Any]],
-) -> dict[str, Any]:
     by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
-    rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
+    by_load = []
+    for (scene, guard), drives in by_kind.items():
+        for load in loads:
+            goals = [one["goals"] for one in drives if one["load"] == load]
+            row = {"scene": scene, "guard": guard, "load": load, "drives": len(goals)}
+            by_load.append({**row, "goals_a_minute": 60.0 * sum(goals) / (seconds * len(goals))})
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
-    by_load = [_of_load(kind, load, drives, seconds) for kind, drives in by_kind.items() for load in loads]
+    rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
     return {**chosen, "rows": rows, "by_load": by_load}
-
-
-def _of_load(kind: tuple[str, str], load: str, drives: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
-    own = [one for one in drives if one["load"] == load]
-    goals = 60.0 * sum(one["goals"] for one in own) / (seconds * len(own))
-    return {"scene": kind[0], "guard": kind[1], "load": load, "drives": len(own), "goals_a_minute": goals}
 
 
 def row_of(
@@ -237,59 +220,50 @@ _GUARDS = {
 }
 
 
-def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> str:
+def page_of(result: Mapping[str, Any]) -> str:
     """Markdown with a table of all rows, and the command that made it."""
-    seeds, made = result["seeds"], result.get("provenance", {})
-    lines = [
-        f"# {title}",
-        "",
+    seeds, rows = result["seeds"], result["rows"]
+    elsewhere = sum(row["of_them_it_did_not_drive_towards"] for row in rows)
+    hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in rows for what in row["which"]]
+    towards = "car or load did not drive towards it, at less than 0.1 m/s: it came to them"
+    return page(
+        "Drives with a laser",
         f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, "
         f"controller {result.get('policy', 'goal_seeker')}. "
         "A collision is the car's where it was at 0.1 m/s or more.",
-        "",
-        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
-        "",
-        "| scene | behind | drives | car moved into something | 95 % of it | touched while it stood | goals a minute "
-        "| of those with perfect knowledge | m a minute |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [_line(row) for row in result["rows"]]
-    elsewhere = sum(row["of_them_it_did_not_drive_towards"] for row in result["rows"])
-    hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
-    lines += _by_load(result.get("by_load", ()), result["loads"])
-    return "\n".join([*lines, *(["", f"Into what ({_elsewhere(elsewhere)}):", "", *hit] if hit else []), ""])
+        result,
+        markdown_table(f"scene | behind | drives | {COUNTED}", (_line(row) for row in rows)),
+        *_by_load(result.get("by_load", ()), result["loads"]),
+        *((f"Into what (in {elsewhere} of these {towards}):", "\n".join(hit)) if hit else ()),
+    )
 
 
-def _elsewhere(contacts: int) -> str:
-    return f"in {contacts} of these car or load did not drive towards it, at less than 0.1 m/s: it came to them"
+COUNTED = (
+    "car moved into something | 95 % of it | touched while it stood | goals a minute | of those with perfect knowledge "
+    "| m a minute"
+)
+"""Head of the columns of ``counted_cells``."""
 
 
-def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> list[str]:
+def counted_cells(row: Mapping[str, Any], least: float = -inf) -> str:
+    """Contacts, goals and way of a row as cells; ``least`` clips the interval of the ratio of goals."""
+    alongside = row["goals_beside_perfect_knowledge"]
+    return (
+        f"{row['drives_in_which_the_car_moved_into_something']} | {percent(row['share_95'])} "
+        f"| {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} "
+        f"| {'' if alongside is None else interval(alongside, digits=2, least=least)} | {row['metres_a_minute']:.0f}"
+    )
+
+
+def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> tuple[str, ...]:
     """A table of the goals with each load, where there are several."""
     if len(loads) < 2 or not found:
-        return []
+        return ()
     goals = {(one["scene"], one["guard"], one["load"]): f"{one['goals_a_minute']:.1f}" for one in found}
     kinds = dict.fromkeys((one["scene"], one["guard"]) for one in found)
-    rows = [
-        f"| {kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)} |" for kind in kinds
-    ]
-    head = f"| scene | behind | {' | '.join(loads)} |"
-    return ["", "Goals a minute by load:", "", head, "|---|---|" + "---|" * len(loads), *rows]
+    rows = (f"{kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)}" for kind in kinds)
+    return "Goals a minute by load:", markdown_table(f"scene | behind | {' | '.join(loads)}", rows)
 
 
 def _line(row: Mapping[str, Any]) -> str:
-    low, high = row["share_95"]
-    alongside = row["goals_beside_perfect_knowledge"]
-    ratio = "" if alongside is None else f"{alongside[0]:.2f} ({alongside[1]:.2f} to {alongside[2]:.2f})"
-    cells = (
-        row["scene"],
-        _GUARDS[row["guard"]],
-        f"{row['drives']}",
-        f"{row['drives_in_which_the_car_moved_into_something']}",
-        f"{100.0 * low:.1f} to {100.0 * high:.1f} %",
-        f"{row['touched_while_it_stood']}",
-        f"{row['goals_a_minute']:.1f}",
-        ratio,
-        f"{row['metres_a_minute']:.0f}",
-    )
-    return f"| {' | '.join(cells)} |"
+    return f"{row['scene']} | {_GUARDS[row['guard']]} | {row['drives']} | {counted_cells(row)}"

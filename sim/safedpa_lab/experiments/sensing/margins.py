@@ -16,7 +16,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.arrays import FloatArray
 from safedpa.calibration.from_drives import calibration_from_drives, covered_shares
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
@@ -24,14 +23,15 @@ from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.margins.error_clipping import NO_CLIP, HSample
+from safedpa_lab.experiments.common.drives import PERIOD, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import coverage_row
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.report import markdown_table, page, share_percent
 from safedpa_lab.experiments.sensing.experiment import LOADS
 from safedpa_lab.experiments.sensing.scenes import scene_and_people
 from safedpa_lab.experiments.sensing.scores import NEAR, Misjudges, Score, Scores
@@ -44,7 +44,6 @@ SCENES: Final = ("people", "rooms", "steps-out")
 """Six pillars among three people; two rooms with a door, boxes and up to six people; someone behind a box."""
 ODOMETRY: Final = 0.02
 """Share of each metre, and of each turn, by which a drive's odometry is wrong at most; as perception's ``drift``."""
-_PERIOD: Final = 0.05
 _WORST: Final = 5
 _STOOD: Final = "stood"
 """The kind that no margin is made for."""
@@ -78,13 +77,8 @@ def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
     robot = Misjudges(car, wanted.stretch, wanted.turning)
     sensing = PerceptionSettings()
     scores = Scores(robot, people, settings, sensing)
-    nodes = [
-        AdaptationNode(model),
-        PerceptionNode(sensing),
-        PolicyNode(model, "way_seeker"),
-        SafetyFilterNode(model, settings, margin_for(model)),
-    ]
-    for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD), hear=scores.hear):
+    nodes = shipped_nodes(model, settings, PerceptionNode(sensing), PolicyNode(model, "way_seeker"))
+    for tick in drive(robot, nodes, round(wanted.seconds / PERIOD), hear=scores.hear):
         scores.after(tick)
     return {
         **asdict(wanted),
@@ -248,78 +242,57 @@ _KINDS: Final = {
     "model": "the model alone",
     "stood": "people who have stood since they were seen",
 }
-_MARGINS: Final = {"step": "step", "drive": "drive", "in force": "in force"}
 
 
 def margins_page(result: Mapping[str, Any]) -> str:
     """Markdown: the errors, what margins they make and cover, and the worst of them; and the command that made it."""
-    made, seeds = result.get("provenance", {}), result["seeds"]
+    seeds, rows = result["seeds"], result["rows"]
     used, fresh = (" to ".join(map(str, seeds[name])) for name in ("calibration", "evaluation"))
-    lines = [
-        "# Margins of laser perception",
-        "",
+    moving = "\n".join(f"- the car moved into something: {what}" for what in result["moving"])
+    return page(
+        "Margins of laser perception",
         f"Scenes {', '.join(result['scenes'])}, loads {', '.join(result['loads'])} in turn, {result['seconds']:g} s a "
         f"drive, odometry wrong by up to {100.0 * result['odometry']:g} %; seeds {used} to calibrate, {fresh} to "
         "count. Errors in m of h: above 0 where the reported scene is farther away than the true one. Steps count in "
         f"which the car moves and h of what is there is below {result['near']['obstacle']:g} m, of people "
         f"{result['near']['mover']:g} m. Coverage {100.0 * result['coverage']:g} %; intervals: 95 %.",
-        "",
-        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
-        "",
-        "| error of | steps (drives) | median | 90 % | 99 % | largest | margin of a step | of a drive "
-        "| body outside the reported one: 99 %, largest |",
-        "|---|---|---|---|---|---|---|---|---|",
-        *map(_errors, result["rows"]),
-        "",
-        "On fresh drives:",
-        "",
-        "| error of | margin of | m | steps covered, % | drives covered, % |",
-        "|---|---|---|---|---|",
-        *(line for row in result["rows"] for line in _coverage(row)),
-        "",
-        "The worst step of the drives with the largest errors; m from the true position to the reported one:",
-        "",
-        "| error of | drive | s | error | h reported | h true | m/s | seen for, s | to points | to movers "
-        "| to hidden |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-        *(line for row in result["rows"] for line in _worst_rows(row)),
-        "",
-        *(f"- the car moved into something: {what}" for what in result["moving"]),
-    ]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _errors(row: Mapping[str, Any]) -> str:
-    shares = ("0.5", "0.9", "0.99", "1")
-    found = [f"{row['quantiles'][share]:.3f}" if row["quantiles"] else "" for share in shares]
-    margins = ["" if row[name] is None else f"{row[name]:.3f}" for name in ("step", "drive")]
-    out = f"{row['out']['0.99']:.3f}, {row['out']['1']:.3f}" if row["out"] else ""
-    return (
-        " | ".join([f"| {_KINDS[row['kind']]}", f"{row['steps']} ({row['drives_near']})", *found, *margins, out]) + " |"
+        result,
+        markdown_table(
+            "error of | steps (drives) | median | 90 % | 99 % | largest | margin of a step | of a drive "
+            "| body outside the reported one: 99 %, largest",
+            map(_errors, rows),
+        ),
+        markdown_table(
+            "error of | margin of | m | steps covered, % | drives covered, %",
+            (line for row in rows for line in _coverage(row)),
+            above="On fresh drives:",
+        ),
+        markdown_table(
+            "error of | drive | s | error | h reported | h true | m/s | seen for, s | to points | to movers "
+            "| to hidden",
+            (_worst_row(row["kind"], one) for row in rows for one in row["worst"]),
+            above="The worst step of the drives with the largest errors; m from the true position to the reported one:",
+        ),
+        moving,
     )
 
 
-def _coverage(row: Mapping[str, Any]) -> list[str]:
-    lines = []
+def _errors(row: Mapping[str, Any]) -> str:
+    found = [f"{row['quantiles'][share]:.3f}" if row["quantiles"] else "" for share in ("0.5", "0.9", "0.99", "1")]
+    margins = ["" if row[name] is None else f"{row[name]:.3f}" for name in ("step", "drive")]
+    out = f"{row['out']['0.99']:.3f}, {row['out']['1']:.3f}" if row["out"] else ""
+    return " | ".join([_KINDS[row["kind"]], f"{row['steps']} ({row['drives_near']})", *found, *margins, out])
+
+
+def _coverage(row: Mapping[str, Any]) -> Iterator[str]:
     for name, one in row["fresh"].items():
-        shares = [_share(one[what], one[f"{what}_95"]) for what in ("steps", "drives")]
-        lines.append(f"| {_KINDS[row['kind']]} | {_MARGINS[name]} | {one['epsilon']:.3f} | {' | '.join(shares)} |")
-    return lines
+        shares = " | ".join(share_percent(one[what], one[f"{what}_95"]) for what in ("steps", "drives"))
+        yield f"{_KINDS[row['kind']]} | {name} | {one['epsilon']:.3f} | {shares}"
 
 
-def _worst_rows(row: Mapping[str, Any]) -> list[str]:
-    lines = []
-    for one in row["worst"]:
-        apart = " | ".join(
-            f"{one['apart'][name]:.2f}" if name in one["apart"] else "" for name in ("points", "movers", "hidden")
-        )
-        numbers = " | ".join(f"{one[name]:.3f}" for name in ("error", "hoped", "true"))
-        lines.append(
-            f"| {_KINDS[row['kind']]} | {one['drive']} | {one['time']:g} | {numbers} | {one['speed']:.2f} | "
-            f"{one['seen_for']:.2f} | {apart} |"
-        )
-    return lines
-
-
-def _share(share: float, interval: Sequence[float]) -> str:
-    return f"{100.0 * share:.2f} ({100.0 * interval[0]:.2f} to {100.0 * interval[1]:.2f})"
+def _worst_row(kind: str, one: Mapping[str, Any]) -> str:
+    away = one["apart"]
+    apart = " | ".join(f"{away[name]:.2f}" if name in away else "" for name in ("points", "movers", "hidden"))
+    numbers = [f"{one[name]:.3f}" for name in ("error", "hoped", "true")]
+    numbers += [f"{one[name]:.2f}" for name in ("speed", "seen_for")]
+    return f"{_KINDS[kind]} | {one['drive']} | {one['time']:g} | {' | '.join(numbers)} | {apart}"

@@ -29,6 +29,7 @@ from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval
 from safedpa_lab.experiments.common.workers import each_result
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.report import markdown_table, page, percent
 from safedpa_lab.experiments.sensing.nodes import NoFilter, ReportsEverything
 from safedpa_sim.closed_loop import drive_together
 from safedpa_sim.robots.car.robot import CarRobot
@@ -261,43 +262,33 @@ _GUARDS = {
 }
 
 
-def page_of(result: Mapping[str, Any], title: str = "Several cars on one field") -> str:
+def page_of(result: Mapping[str, Any]) -> str:
     """Markdown with a table of all rows, and the command that made it."""
-    seeds, made = result["seeds"], result.get("provenance", {})
-    lines = [
-        f"# {title}",
-        "",
+    seeds, rows = result["seeds"], result["rows"]
+    hit = [f"- {row['robots']} cars, {row['guard']}: {what}" for row in rows for what in row["which"]]
+    return page(
+        "Several cars on one field",
         f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, 8 m by 8 "
         f"m with six pillars; reckoned with for all that moves: {result['fastest']:g} m/s. A contact of two cars "
         "counts once; a car moves at 0.1 m/s or more. Stuck: neither of two cars within 1.5 m of each other got 0.2 m "
         "farther in the last 8 s.",
-        "",
-        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
-        "",
-        "| cars | behind | drives | with a contact in which a car moved | 95 % of it | such contacts, of them with a "
-        "standing car | contacts of standing cars | moved into pillar or wall | goals a minute and car | cars without "
-        "a goal | share of time standing | pairs stuck, of them face to face |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [_line(row) for row in result["rows"]]
-    hit = [f"- {row['robots']} cars, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
-    return "\n".join([*lines, *(["", "Which:", "", *hit] if hit else []), ""])
+        result,
+        markdown_table(
+            "cars | behind | drives | with a contact in which a car moved | 95 % of it | such contacts, of them with a "
+            "standing car | contacts of standing cars | moved into pillar or wall | goals a minute and car | cars "
+            "without a goal | share of time standing | pairs stuck, of them face to face",
+            (_line(row) for row in rows),
+        ),
+        *(("Which:", "\n".join(hit)) if hit else ()),
+    )
 
 
 def _line(row: Mapping[str, Any]) -> str:
-    low, high = row["share_95"]
-    cells = (
-        f"{row['robots']}",
-        _GUARDS[row["guard"]],
-        f"{row['drives']}",
-        f"{row['drives_in_which_a_moving_car_touched_another']}",
-        f"{100.0 * low:.1f} to {100.0 * high:.1f} %",
-        f"{row['contacts_in_which_a_car_moved']}, {row['of_them_with_a_standing_car']}",
-        f"{row['contacts_of_standing_cars']}",
-        f"{row['moved_into_what_is_at_rest']}",
-        f"{row['goals_a_minute_and_robot']:.1f}",
-        f"{row['robots_without_a_goal']} of {row['drives'] * row['robots']}",
-        f"{row['share_of_time_standing']:.2f}",
-        f"{row['stuck_pairs']}, {row['stuck_face_to_face']}",
+    return (
+        f"{row['robots']} | {_GUARDS[row['guard']]} | {row['drives']} "
+        f"| {row['drives_in_which_a_moving_car_touched_another']} | {percent(row['share_95'])} "
+        f"| {row['contacts_in_which_a_car_moved']}, {row['of_them_with_a_standing_car']} "
+        f"| {row['contacts_of_standing_cars']} | {row['moved_into_what_is_at_rest']} "
+        f"| {row['goals_a_minute_and_robot']:.1f} | {row['robots_without_a_goal']} of {row['drives'] * row['robots']} "
+        f"| {row['share_of_time_standing']:.2f} | {row['stuck_pairs']}, {row['stuck_face_to_face']}"
     )
-    return f"| {' | '.join(cells)} |"

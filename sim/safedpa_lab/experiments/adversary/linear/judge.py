@@ -14,6 +14,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
+from safedpa_lab.experiments.adversary.attack import BROKEN, Judged
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem
 
 _ROUNDED = 16.0 * float(np.finfo(np.float64).eps)
@@ -168,39 +169,10 @@ def _least_distance(G: FloatArray, b: FloatArray) -> FloatArray | None:
     return np.asarray(np.linalg.lstsq(G[active], b[active], rcond=None)[0])
 
 
-BROKEN = 1e-9
-"""Share of its scale by which a condition is broken beyond rounding."""
 FAR = 1e-6
 """Weighted ranges by which a correction is further from the nominal action than it had to be."""
 _SIGN = 1e-12
 """Share of its scale within which h has no sign: the filter and the judge add in different orders."""
-
-
-@final
-@dataclass(frozen=True)
-class Judged:
-    """What was wrong with one answer; None where a question does not arise."""
-
-    status: str
-    out_of_bounds: bool
-    altered: bool
-    """Passed, but not the nominal action bit for bit."""
-    broken: float | None
-    """Passed or corrected: by how much the worst condition is broken, in its scale; 0 when all are kept."""
-    below: bool
-    """Passed or corrected, and some predicted h is below 0."""
-    untold: bool
-    """Some h is below 0 now, and the status is not violated; or the other way round."""
-    excess: float | None
-    """Corrected: weighted distance from the nominal action beyond the least; None where the reference has none."""
-    missed: bool
-    """Relaxed or fallback, though an action satisfies every condition with room."""
-    shortfall: float | None
-    """Relaxed, violated or fallback: least scaled h left, against the best attainable, of the rows that the
-    actions move; 0 where the conditions of all these are kept."""
-    needless: bool
-    """Relaxed or fallback predicts h < 0, where an action with all h >= 0 exists."""
-    reason: str = ""
 
 
 def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
@@ -222,7 +194,6 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
         missed=missed,
         shortfall=shortfall,
         needless=needless,
-        reason=verdict.reason,
     )
 
 

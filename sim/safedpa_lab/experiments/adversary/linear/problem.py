@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -84,13 +84,6 @@ class LinearProblem:
             nominal=self.nominal * actions,
             witness=None if self.witness is None else self.witness * actions,
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything of it, for JSON."""
-        return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in ((name, getattr(self, name)) for name in self.__dataclass_fields__)
-        }
 
     def _barrier(self, index: int) -> FunctionBarrier:
         p, q = self.P[index], float(self.q[index])
