@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
-from safedpa.extras import missing, need
+from safedpa.extras import need
 from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
 from safedpa_services.command_line.options import PATH, recordings_option
 from safedpa_services.command_line.up import default_options, make_plan
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.certificate_store import CertificateStore
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
+    from safedpa_services.supervisor.run_monitor import RunMonitor
 
 
 @click.command()
@@ -87,7 +88,7 @@ def command(file: Path, **options: Any) -> None:
         stop.listen_to_signals()
         plan = replace(base_plan, sensor_inputs=isinstance(robot_file, RobotFile) and bool(robot_file.scans))
         gateway = plan.gateway(file, with_policy=with_policy) if uses_ros else None
-        services = _services(plan, policy=not with_policy)
+        services = [child for child in plan.services() if child.name != "policy" or not with_policy]
         if gateway is None:
             role = "" if plan.certificates is None else f" with the certificate of role {role_of_robot(plan.name)}"
             where = plan.listen or plan.endpoint
@@ -123,12 +124,6 @@ def _drive_options(robot_file: ServedRobot, options: dict[str, Any]) -> dict[str
     }
 
 
-def _services(plan: Plan, *, policy: bool) -> list[Child]:
-    if missing("workbench"):
-        plan = replace(plan, workbench_port=0)
-    return [child for child in plan.services() if policy or child.name != "policy"]
-
-
 def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: Any) -> None:
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
@@ -141,31 +136,29 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
         report_progress(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
     if plan.certificates is not None:
         arguments = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.certificates.folder}"
-        report_progress(
-            f"status: safedpa status --watch {arguments}", facts={"certificates": str(plan.certificates.folder)}
-        )
+        facts = {"certificates": str(plan.certificates.folder)}
+        report_progress(f"status: safedpa status --watch {arguments}", facts=facts)
     finish()  # print the JSON document now: the command runs until Ctrl-C
     if plan.certificates is not None:
         services[0].start()  # the router, which the supervisor itself needs to join
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = RunMonitor(bus, plan.name)
-        code = Supervisor(list(services), gateway, watch, stop, _DriveReporter(watch), lambda: stop.hurried).run()
+        code = Supervisor(list(services), gateway, watch, stop, _drive_reporter(watch), lambda: stop.hurried).run()
     if code != 0 and gateway is not None:
         raise SafedpaError(f"robot: {gateway.last_text()}")
 
 
-class _DriveReporter:
-    """Reports when the robot begins to drive and when the gateway brakes it, once per change."""
+def _drive_reporter(watch: RunMonitor) -> Callable[[], None]:
+    """Returns a function that reports when the robot begins to drive and when the gateway brakes it, once a change."""
+    last = ""
 
-    def __init__(self, watch: Any) -> None:
-        self._watch, self._message = watch, ""
-
-    def __call__(self) -> None:
-        """Reports a change, if there is one."""
-        known = self._watch.health.get("robot")
+    def report() -> None:
+        nonlocal last
+        known = watch.health.get("robot")
         detail = known[0].detail if known is not None else ""
-        state = self._watch.state
-        now = "" if known is None and state is None else (detail[:40] or "drives")
-        if now != self._message:
-            self._message = now
-            report_progress(f"robot {self._watch.robot}: {detail or 'the filter drives'}")
+        now = "" if known is None and watch.state is None else (detail[:40] or "drives")
+        if now != last:
+            last = now
+            report_progress(f"robot {watch.robot}: {detail or 'the filter drives'}")
+
+    return report

@@ -135,11 +135,8 @@ class Child:
         if self._died is None:
             self._died = now
             lived = now - self._started
-            self._pause = (
-                0.0
-                if lived > _HEALTHY_SECONDS
-                else min(max(2.0 * self._pause, _FIRST_PAUSE_SECONDS), _LONGEST_PAUSE_SECONDS)
-            )
+            longer = min(max(2.0 * self._pause, _FIRST_PAUSE_SECONDS), _LONGEST_PAUSE_SECONDS)
+            self._pause = 0.0 if lived > _HEALTHY_SECONDS else longer
         if now - self._died < self._pause:
             return False
         self.restarts += 1

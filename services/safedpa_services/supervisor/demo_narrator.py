@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from math import hypot
+from math import dist
 from queue import SimpleQueue
 from statistics import fmean
 from typing import Any, Final
@@ -50,11 +50,7 @@ class UnreportedStop:
     def look(self, state: StateMessage, *, has_reason: bool) -> None:
         """Takes a state; ``has_reason``: whether a reason for standing is reported now."""
         position = state.values[:2]
-        if (
-            has_reason
-            or not self._position
-            or hypot(position[0] - self._position[0], position[1] - self._position[1]) > _STATIONARY_METRES
-        ):
+        if has_reason or not self._position or dist(position, self._position) > _STATIONARY_METRES:
             self._position, self._since = position, state.robot_time
         self.longest = max(self.longest, state.robot_time - self._since)
 
@@ -130,9 +126,7 @@ class DemoNarrator:
         if self._accepting and self.summary.taken is None and self._now >= self._next_attempt:
             self._next_attempt, effect = self._now + _RETRY_SECONDS, self._accepting
             self._in_background(lambda: self._accept(effect))
-        elif (
-            not self.accepts and self._last_sentence and self.summary.taken is None and self._now >= self._next_attempt
-        ):
+        elif self._last_sentence and self.summary.taken is None and self._now >= self._next_attempt:
             self._next_attempt = self._now + _RETRY_SECONDS
             self._in_background(self._report_answer)
         while not self._lines.empty():
@@ -140,7 +134,7 @@ class DemoNarrator:
 
     def _add_distance(self, position: tuple[float, ...]) -> None:
         if self.summary.taken is not None and self._position:
-            self.summary.way_after += hypot(position[0] - self._position[0], position[1] - self._position[1])
+            self.summary.way_after += dist(position, self._position)
         self._position = position
 
     def _on_finding(self, finding: FindingMessage) -> None:
@@ -151,9 +145,8 @@ class DemoNarrator:
             self._measure(finding)
         elif finding.model != self._model:
             self.summary.taken = finding.robot_time
-            self.report_progress(
-                f"model {finding.model[:8]} is in force instead of {self._model[:8]}, in all services at one tick"
-            )
+            models = f"model {finding.model[:8]} is in force instead of {self._model[:8]}"
+            self.report_progress(f"{models}, in all services at one tick")
             self._in_background(self._keep_model)
         else:
             self._search(finding)
@@ -224,11 +217,8 @@ class DemoNarrator:
             self._lines.put(f"--yes: accepting {effect}, which promises {100 * promised:.0f} % less error")
             self._accepting = effect
         else:
-            why = (
-                f"cannot be distinguished from {', '.join(group)} yet"
-                if group
-                else f"promises {100 * promised:.0f} % less error"
-            )
+            promise = f"promises {100 * promised:.0f} % less error"
+            why = f"cannot be distinguished from {', '.join(group)} yet" if group else promise
             self._lines.put(f"{effect} {why}: waiting for one more search, with twice the data")
 
     def _report_answer(self) -> None:

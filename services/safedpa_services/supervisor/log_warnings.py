@@ -65,10 +65,8 @@ class LogWarnings:
             "service": child.name,
             "pid": child.pid,
         }
-        with (
-            contextlib.suppress(OSError),
-            self._own_log.open("a", encoding="utf-8") as log,
-        ):  # a log that cannot be written must not end the run
+        # a log that cannot be written must not end the run
+        with contextlib.suppress(OSError), self._own_log.open("a", encoding="utf-8") as log:
             log.write(json.dumps(event) + "\n")
         return event
 

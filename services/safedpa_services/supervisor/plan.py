@@ -102,32 +102,22 @@ class Plan:
         controller = ("--controller", self.controller) if self.controller else ()
         unfiltered = () if self.filtered else ("--off",)
         margin = ("--settings", self.settings, *(("--margin", self.margin) if self.margin else ()))
+        orders = ("--orders", str(self.folder / "orders.json"))
+        child, scheduling = self._child, self._scheduling
+        file = ("--perception", self.perception) if self.perception else ()
+        senses = (*file, "--orders", str(self.folder / "senses.json"))
+        versions, saved = self.folder / "models", self.folder / "dashboard.rrd"
         children = [
-            self._child("adaptation", "safedpa_services.adaptation", *model, *self._scheduling),
-            self._child("policy", "safedpa_services.policy", *model, *controller, *self._scheduling),
-            self._child(
-                "safety_filter",
-                "safedpa_services.safety_filter",
-                *(*model, *margin, *unfiltered, "--orders", str(self.folder / "orders.json"), *self._scheduling),
-            ),
-            self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
+            child("adaptation", *model, *scheduling),
+            *([child("perception", *senses, *scheduling)] if self.sensor_inputs else []),
+            child("policy", *model, *controller, *scheduling),
+            child("safety_filter", *model, *margin, *unfiltered, *orders, *scheduling),
+            child("recorder", "--out", str(self.recording)),
         ]
-        if self.sensor_inputs:
-            file = ("--perception", self.perception) if self.perception else ()
-            orders = ("--orders", str(self.folder / "senses.json"))
-            children.insert(
-                1, self._child("perception", "safedpa_services.perception", *file, *orders, *self._scheduling)
-            )
         if self.diagnosis:
-            versions = ("--versions", str(self.folder / "models"))
-            children.append(
-                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *versions, essential=False)
-            )
+            children.append(child("diagnosis", *model, *margin, "--versions", str(versions), essential=False))
         if self.dashboard:
-            saved = ("--save", str(self.folder / "dashboard.rrd"))
-            children.append(
-                self._child("dashboard", "safedpa_services.dashboard", *model, "--settings", self.settings, *saved)
-            )
+            children.append(child("dashboard", *model, "--settings", self.settings, "--save", str(saved)))
         if self.workbench_port:
             children.append(self._workbench())
         return children if self.certificates is None else [self._router(self.certificates), *children]
@@ -142,7 +132,7 @@ class Plan:
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
         where = ("--folder", str(self.folder))
-        child = self._child("workbench", "safedpa_services.workbench", *page, *where, essential=False, heartbeat=False)
+        child = self._child("workbench", *page, *where, essential=False, heartbeat=False)
         child.environment = {_TOKEN_VARIABLE: self.page_token}
         return child
 
@@ -167,7 +157,7 @@ class Plan:
 
         :param with_policy: whether the gateway forwards the nominal actions of the robot's own policy
         """
-        child = self._child("robot", "safedpa_services.ros_gateway", str(file))
+        child = self._child("robot", str(file), module="safedpa_services.ros_gateway")
         if self.certificates is not None and self.certificates.credentials and with_policy:
             child.extra_credentials = {"--policy-card": self.certificates.credentials[_POLICY]}
         return child
@@ -181,11 +171,14 @@ class Plan:
         options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
         name = f"robot {self.names[index]}" if index else "robot"
-        child = self._child(name, "safedpa_sim.robots", *options, heartbeat=not index)
+        child = self._child(name, *options, heartbeat=not index, module="safedpa_sim.robots")
         child.waits = True
         return child
 
-    def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
+    def _child(
+        self, name: str, *arguments: str, essential: bool = True, heartbeat: bool = True, module: str = ""
+    ) -> Child:
+        """Returns a process, by default the service of its name."""
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]
         credentials = None
         if self.certificates is not None:
@@ -193,6 +186,7 @@ class Plan:
             identity, credentials = self.certificates.options_of(role)
             bus += identity
         log = self.folder / f"{name.replace(' ', '-')}.log"
+        module = module or f"safedpa_services.{name}"
         return Child(name, module, (*arguments, *bus), log, essential, heartbeat, credentials=credentials)
 
     @staticmethod

@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -15,7 +16,7 @@ from safedpa_services.supervisor.log_warnings import LogWarnings
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    pass
 
 
 _REDRAW_SECONDS = 0.25
@@ -47,12 +48,12 @@ def screen(
     from safedpa_services.supervisor.view import render_view
     from safedpa_services.terminal import SanitizedRenderable, terminal
 
-    workbench = _Page(page)
-    console = terminal(stderr=True)
+    addresses, console = _addresses(watch, page), terminal(stderr=True)
     if not console.is_terminal:
+        say = partial(console.print, soft_wrap=True)
         for hint in hints:
-            console.print(hint, soft_wrap=True)
-        yield _Announcement(watch, workbench, console, LogWarnings((robot, *services), folder, _printer(console)))
+            say(hint)
+        yield _announcement(addresses, LogWarnings((robot, *services), folder, say), say)
         return
     warnings = LogWarnings((robot, *services), folder)
     drawn = 0.0
@@ -63,50 +64,43 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                view = render_view(
-                    watch, services, robot, [*_live_view(watch), *workbench.lines(), *hints], warnings.newest
-                )
+                view = render_view(watch, services, robot, [*addresses(), *hints], warnings.newest)
                 live.update(SanitizedRenderable(view), refresh=True)
 
         yield redraw
 
 
-def _printer(console: Console) -> Callable[[str], None]:
-    return lambda line: console.print(line, soft_wrap=True, markup=False, highlight=False)
+def _announcement(
+    addresses: Callable[[], list[str]], warnings: LogWarnings, say: Callable[[str], None]
+) -> Callable[[], None]:
+    """Returns a function that prints each address once, and warnings as they arrive."""
+    reported: set[str] = set()
 
-
-class _Announcement:
-    """Prints each address once, as soon as it accepts connections, and warnings as they arrive."""
-
-    def __init__(self, watch: RunMonitor, page: _Page, console: Console, warnings: LogWarnings) -> None:
-        self._watch, self._page, self._console, self._warnings = watch, page, console, warnings
-        self._reported: set[str] = set()
-
-    def __call__(self) -> None:
-        self._warnings.look()
-        for line in [*_live_view(self._watch), *self._page.lines()]:
+    def announce() -> None:
+        warnings.look()
+        for line in addresses():
             kind = line.split(" ", maxsplit=1)[0]
-            if kind not in self._reported:
-                self._reported.add(kind)
-                self._console.print(line, soft_wrap=True)
+            if kind not in reported:
+                reported.add(kind)
+                say(line)
+
+    return announce
 
 
-class _Page:
-    """An address on this machine that is shown once it accepts connections."""
+def _addresses(watch: RunMonitor, page: str) -> Callable[[], list[str]]:
+    """Returns a function that returns a line for dashboard and workbench, once they accept connections."""
+    page_answers, next_look = False, 0.0
 
-    def __init__(self, address: str) -> None:
-        self._address = address
-        self._answers = False
-        self._next_look = 0.0
+    def lines() -> list[str]:
+        nonlocal page_answers, next_look
+        if page and not page_answers and time.monotonic() >= next_look:
+            next_look = time.monotonic() + _REDRAW_SECONDS
+            page_answers = answers(page)
+        known = watch.health.get("dashboard")  # its health message has the address
+        live_view = [f"live view {known[0].detail}"] if known is not None and known[0].detail else []
+        return [*live_view, *([f"workbench {page}"] if page_answers else [])]
 
-    def lines(self) -> list[str]:
-        """Returns a line with the address; nothing while it accepts no connections."""
-        if not self._address:
-            return []
-        if not self._answers and time.monotonic() >= self._next_look:
-            self._next_look = time.monotonic() + _REDRAW_SECONDS
-            self._answers = answers(self._address)
-        return [f"workbench {self._address}"] if self._answers else []
+    return lines
 
 
 def answers(address: str) -> bool:
@@ -117,9 +111,3 @@ def answers(address: str) -> bool:
     except OSError:
         return False
     return True
-
-
-def _live_view(watch: RunMonitor) -> list[str]:
-    """Returns the dashboard's address once its health message contains it."""
-    known = watch.health.get("dashboard")
-    return [f"live view {known[0].detail}"] if known is not None and known[0].detail else []

@@ -98,17 +98,9 @@ def _row(watch: RunMonitor, child: Child) -> tuple[str | Text, ...]:
         state = Text("silent", style="red")
     else:
         state = Text(known[0].state, style="red" if known[0].state == "failing" else "green")
+    first, restarts = (child.name, state, str(child.pid)), str(child.restarts)
     if known is None:
-        return (child.name, state, str(child.pid), "", "", "", "", str(child.restarts), "")
+        return (*first, "", "", "", "", restarts, "")
     message = known[0]
-    return (
-        child.name,
-        state,
-        str(child.pid),
-        str(message.steps),
-        str(message.stale),
-        str(message.refused),
-        f"{message.step_microseconds:.0f} us",
-        str(child.restarts),
-        Text(message.detail[:60]),
-    )
+    counts = (str(message.steps), str(message.stale), str(message.refused))
+    return (*first, *counts, f"{message.step_microseconds:.0f} us", restarts, Text(message.detail[:60]))

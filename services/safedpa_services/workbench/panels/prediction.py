@@ -132,7 +132,7 @@ def path_figure(session: Session, excerpt: Excerpt, theme: ColourTheme) -> dict[
     names = session.comparison.windows.system.state_names
     x, y = (names.index(name) for name in POSITION)
     thin = excerpt.full_path[:: max(1, len(excerpt.full_path) // 800)]
-    unnamed = {"hoverinfo": "skip", "hovertemplate": None}
+    unnamed: dict[str, Any] = {"hoverinfo": "skip", "hovertemplate": None}
     data = [_trace(thin[:, 0], thin[:, 1], theme.dim, 1.0, "whole run", **unnamed)]
     data.append(_trace(excerpt.measured[:, x], excerpt.measured[:, y], theme.measured, 3.5, "measured"))
     for number, (label, _, states) in enumerate(excerpt.predicted):
