@@ -9,13 +9,11 @@ from safedpa.errors import InputError
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.world import MujocoPoint
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import ETA, PointFilter
+from safedpa_sim.point.filtering import ETA, PointFilter, SimulatedPointModel
 from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, draw_goals, draw_layouts
 from safedpa_sim.point.observation import entries_seen, goal_seen, hazard_lidar, policy_seen
-from safedpa_sim.point.point_model import SimulatedPointModel
 from safedpa_sim.point.route_planner import BERTH, RoutePlanner, teacher_actions
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.simulation import PointSimulation, centre_state
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, control_of
 
 

@@ -27,7 +27,7 @@ from safedpa_sim.robots import (
     footprint,
     load_named,
 )
-from safedpa_sim.robots.car.footprint import towed_reach
+from safedpa_sim.robots.car.loads import towed_reach
 
 LOAD_NAMES = ("none", *LOADS)
 

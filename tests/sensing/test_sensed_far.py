@@ -26,8 +26,7 @@ from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.prediction.delay_estimator import Transition
 from safedpa.safety.settings import FilterSettings
-from safedpa_sim.robots.car.footprint import footprint, towed_reach
-from safedpa_sim.robots.car.loads import LOADS, load_named
+from safedpa_sim.robots.car.loads import LOADS, footprint, load_named, towed_reach
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld

@@ -23,8 +23,7 @@ from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.sensing.nodes import NoFilter
 from safedpa_sim.closed_loop import drive, drive_together
-from safedpa_sim.robots.car.footprint import footprint, towed_reach
-from safedpa_sim.robots.car.loads import LOADS, load_named
+from safedpa_sim.robots.car.loads import LOADS, footprint, load_named, towed_reach
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.shared_field import SharedField

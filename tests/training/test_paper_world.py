@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy.learned import LearnedPolicy
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.robots.car.footprint import footprint
+from safedpa_sim.robots.car.loads import footprint
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.training import stages
@@ -26,7 +26,7 @@ from safedpa_sim.training.environments.car_scenes import draw_scenes
 from safedpa_sim.training.environments.car_task import DrivingTask, evaluate
 from safedpa_sim.training.optimisation import Checkpoint
 from safedpa_sim.training.phases.phase_1b import train_policy
-from safedpa_sim.training.stages import stages_of
+from safedpa_sim.training.pipeline import stages_of
 
 BODY = np.array(footprint(None), dtype=np.float32)
 

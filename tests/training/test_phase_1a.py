@@ -16,8 +16,8 @@ from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.data.transitions import draw_transitions
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import export_model, normalise_latent
-from safedpa_sim.training.networks.explained_variance import affine_floor
 from safedpa_sim.training.networks.modules import HistoryNetwork, affine_networks
+from safedpa_sim.training.networks.prediction_errors import affine_floor
 from safedpa_sim.training.phases import phase_1a
 from safedpa_sim.training.phases.phase_1a import train_affine
 

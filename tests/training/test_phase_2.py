@@ -9,10 +9,10 @@ import torch
 from safedpa.networks import HistoryEncoder
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.data.drives import random_drives
-from safedpa_sim.training.data.sequences import concatenate, history_rows, transition_sequence
+from safedpa_sim.training.data.transitions import concatenate, history_rows, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import HistoryNetwork, affine_networks, history_network
-from safedpa_sim.training.networks.rollout import latents_along
+from safedpa_sim.training.networks.prediction_errors import latents_along
 from safedpa_sim.training.phases.phase_1a import train_affine
 from safedpa_sim.training.phases.phase_2 import train_history_encoder
 

@@ -11,7 +11,7 @@ from safedpa.robots.car.system import CAR
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.data.recorded_runs import HORIZON, PERIOD, drives_of, load_tuning_runs, record_circles, split
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.phases.grounded_simulator import ground_simulator, grounded_configuration
+from safedpa_sim.training.phases.phase_3 import ground_simulator, grounded_configuration
 
 HISTORY = 36
 

@@ -132,8 +132,7 @@ def _result(
     options: dict[str, Any],
     report_progress: Callable[[str, int, int, str], None],
 ) -> dict[str, Any]:
-    from safedpa_sim.training.pipeline import run_pipeline, tune_on_runs
-    from safedpa_sim.training.stages import stages_of
+    from safedpa_sim.training.pipeline import run_pipeline, stages_of, tune_on_runs
 
     if options["tune"]:
         chosen = (options["weights"], list(runs), options["columns"], out, options["what"])

@@ -25,7 +25,7 @@ from safedpa_lab.faults.episode import (
 )
 from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.world import DISK_BYTES, ROBOT, World, WorldSettings
-from safedpa_sim.robots.trace import TracedPeriod, read_trace
+from safedpa_sim.robots.run_summary import TracedPeriod, read_trace
 
 DEFAULT_SEED = 9
 """A scene in which the car is seldom slower than a fault wants it for more than a few seconds."""

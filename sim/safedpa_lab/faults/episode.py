@@ -8,7 +8,7 @@ from pathlib import Path
 
 from safedpa.bus import STATE, VERDICT, VerdictMessage
 from safedpa.records import read_messages
-from safedpa_sim.robots.trace import TracedPeriod
+from safedpa_sim.robots.run_summary import TracedPeriod
 
 Stamp = tuple[int, int]
 

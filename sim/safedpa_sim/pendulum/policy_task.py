@@ -35,7 +35,7 @@ from safedpa_sim.pendulum.task import (
 )
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.drives import random_drives as random_drives_around
-from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
+from safedpa_sim.training.data.transitions import TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.policy_task import EVALUATION_SEED, PeriodResult
 from safedpa_sim.training.networks.modules import AffineNetworks

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from safedpa.errors import InputError
 from safedpa.networks import Weights, dense_stack
 from safedpa.networks.layers import layers_of
+from safedpa_sim.point.filtering import to_task_action
 from safedpa_sim.point.observation import entries_seen
-from safedpa_sim.point.point_model import to_task_action
 
 _LARGEST = 10.0
 """Scaled observations are clipped to this value."""

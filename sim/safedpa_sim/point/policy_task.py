@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import Float32Array
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import PointFilter
+from safedpa_sim.point.filtering import ACTION_SCALE, PointFilter, SimulatedPointModel, to_task_action
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.point_model import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner, teacher_actions
+from safedpa_sim.point.simulation import centre_state
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data import drives

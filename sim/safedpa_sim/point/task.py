@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from safedpa.arrays import BoolArray, FloatArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, draw_layouts
-from safedpa_sim.point.observation import hazard_lidar
-from safedpa_sim.point.sensor_state import sensed
+from safedpa_sim.point.observation import hazard_lidar, sensed
 from safedpa_sim.point.simulation import PointSimulation
 
 EPISODE_STEPS: Final = 1000

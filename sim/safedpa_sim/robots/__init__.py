@@ -6,19 +6,17 @@
 """
 
 from safedpa_sim.robots.car.contacts import Collision
-from safedpa_sim.robots.car.footprint import footprint
-from safedpa_sim.robots.car.loads import LOADS, Load, load_named
+from safedpa_sim.robots.car.loads import LOADS, Load, footprint, load_named
 from safedpa_sim.robots.car.robot import BRAKE, CarRobot
 from safedpa_sim.robots.car.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.car.shared_field import CarContact, SharedField
 from safedpa_sim.robots.car.world import CarWorld
 from safedpa_sim.robots.changes import CHANGES, PlannedChange
 from safedpa_sim.robots.guard import ActionGuard
-from safedpa_sim.robots.pendulum.robot import PendulumRobot, Violation
-from safedpa_sim.robots.pendulum.task import TASKS, PendulumTask, task_named
+from safedpa_sim.robots.pendulum.robot import TASKS, PendulumRobot, PendulumTask, Violation, task_named
 from safedpa_sim.robots.pendulum.world import PendulumWorld, wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
-from safedpa_sim.robots.trace import TracedPeriod, TraceWriter, read_trace
+from safedpa_sim.robots.run_summary import TracedPeriod, TraceWriter, read_trace
 
 __all__ = [
     "BRAKE",

@@ -23,10 +23,9 @@ from safedpa_sim.robots.car.loads import LOADS
 from safedpa_sim.robots.changes import CHANGES
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
-from safedpa_sim.robots.pendulum.task import TASKS
+from safedpa_sim.robots.pendulum.robot import TASKS
 from safedpa_sim.robots.robot_factory import make_robot
-from safedpa_sim.robots.run_summary import check_writable, summarise_run, write_summary
-from safedpa_sim.robots.trace import TraceWriter
+from safedpa_sim.robots.run_summary import TraceWriter, check_writable, summarise_run, write_summary
 
 
 def robot_parser() -> argparse.ArgumentParser:

@@ -7,8 +7,7 @@ from math import cos, hypot, sin
 from typing import Protocol
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_sim.robots.car.footprint import footprint
-from safedpa_sim.robots.car.loads import LOADS, Load
+from safedpa_sim.robots.car.loads import LOADS, Load, footprint
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
 

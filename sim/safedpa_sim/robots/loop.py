@@ -16,7 +16,7 @@ from safedpa.bus.messages.messages import ActionMessage, HealthMessage, SetupMes
 from safedpa.bus.messages.service_info import SETUP_SECONDS, software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
-from safedpa_sim.robots.trace import TracedPeriod, TraceWriter
+from safedpa_sim.robots.run_summary import TracedPeriod, TraceWriter
 
 _REPEAT_SECONDS = 0.1
 _PATIENCE_SECONDS = 60.0

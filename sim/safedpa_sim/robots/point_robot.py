@@ -13,8 +13,8 @@ import numpy as np
 from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.point.body import CONTROL_SECONDS
-from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state, controls_of
 from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.simulation import LARGEST_TURN, centre_state, controls_of
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot

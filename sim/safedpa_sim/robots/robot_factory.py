@@ -13,8 +13,7 @@ from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, THROTTLE_CAR
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.changes import PlannedChange
-from safedpa_sim.robots.pendulum.robot import PendulumRobot
-from safedpa_sim.robots.pendulum.task import task_named
+from safedpa_sim.robots.pendulum.robot import PendulumRobot, task_named
 from safedpa_sim.robots.pendulum.world import PendulumParameters, wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.robot import SimulatedRobot

@@ -31,7 +31,7 @@ from safedpa_lab.faults.episode import (
 )
 from safedpa_lab.faults.experiment import all_faults, faults_named, markdown_of, small_faults
 from safedpa_lab.faults.fault import Fault
-from safedpa_sim.robots.trace import TracedPeriod
+from safedpa_sim.robots.run_summary import TracedPeriod
 
 PERIOD = 0.05
 

@@ -33,8 +33,7 @@ from safedpa_lab.tuning.residual_networks import (
 )
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.data.recorded_runs import TuningDrive, drives_of, record_circles, split
-from safedpa_sim.training.phases.grounded_simulator import ground_simulator
-from safedpa_sim.training.phases.phase_3 import tune
+from safedpa_sim.training.phases.phase_3 import ground_simulator, tune
 
 
 def key_of(module: str, *settings: Any) -> str:
@@ -172,9 +171,7 @@ class TunedModels:
             fitted = max(1, round(0.8 * len(self._circles)))
             return write_model(ground_simulator(self.configuration, self._circles[:fitted]).model)
 
-        return parse_model(
-            self.retained.text("corrected", self._key("safedpa_sim.training.phases.grounded_simulator"), make)
-        )
+        return parse_model(self.retained.text("corrected", self._key("safedpa_sim.training.phases.phase_3"), make))
 
     @cached_property
     def _circles(self) -> tuple[Run, ...]:

@@ -13,8 +13,7 @@ from safedpa.errors import InputError
 from safedpa.reversing import distance_reversed
 from safedpa_sim.robots.car.actuators import ThrottleMotor
 from safedpa_sim.robots.car.contacts import Collision
-from safedpa_sim.robots.car.footprint import footprint, towed_reach
-from safedpa_sim.robots.car.loads import Load
+from safedpa_sim.robots.car.loads import Load, footprint, towed_reach
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.car.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.car.world import CarWorld

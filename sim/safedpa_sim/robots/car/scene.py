@@ -9,8 +9,7 @@ from math import atan2, cos, hypot, pi, sin
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa_sim.robots.car.footprint import footprint
-from safedpa_sim.robots.car.loads import Load, load_named
+from safedpa_sim.robots.car.loads import Load, footprint, load_named
 
 GOAL_RADIUS = 0.3
 """m from the rear axle's centre to the goal at which it counts as reached."""

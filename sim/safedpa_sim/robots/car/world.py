@@ -12,9 +12,8 @@ from pymunk._chipmunk_cffi import lib
 
 from safedpa_sim.ground_forces import DrivePeriod, GroundForces, runner_force
 from safedpa_sim.robots.car.actuators import SteeringActuator, drive_of
-from safedpa_sim.robots.car.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
+from safedpa_sim.robots.car.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter, OtherBody
 from safedpa_sim.robots.car.loads import Load
-from safedpa_sim.robots.car.other_body import OtherBody
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 
 _angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition

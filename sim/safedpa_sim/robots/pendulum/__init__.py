@@ -1,1 +1,1 @@
-"""The simulated pendulum: ``world`` is the physics, ``task`` the scenario, ``robot`` the robot that services see."""
+"""The simulated pendulum: ``world`` is the physics, ``robot`` the robot that services see, with its tasks."""

@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from safedpa.networks import Weights
-from safedpa_sim.training.data.sequences import TransitionSequence, history_rows, transition_sequence
+from safedpa_sim.training.data.transitions import TransitionSequence, history_rows, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork
 

@@ -43,7 +43,7 @@ def body_of(robot: str, paths: Sequence[str], usual: Sequence[float]) -> Body | 
 
 
 def _point_body(paths: list[str], usual: list[float]) -> Body:
-    from safedpa_sim.point.body_steps import after_one_period
+    from safedpa_sim.point.simulation import after_one_period
 
     def column(environment: Tensor, path: str, otherwise: float) -> Any:
         values = environment[:, paths.index(path)].double() if path in paths else environment.new_full((1,), otherwise)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import AnyFloatArray, BoolArray, Float32Array
-from safedpa_sim.robots.car.footprint import footprint
-from safedpa_sim.robots.car.loads import LOADS
+from safedpa_sim.robots.car.loads import LOADS, footprint
 
 MOST_OBSTACLES = 6
 FOOTPRINTS = tuple(footprint(load) for load in (None, *LOADS.values()))

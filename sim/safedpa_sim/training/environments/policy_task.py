@@ -14,7 +14,7 @@ from safedpa.arrays import BoolArray, Float32Array
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.data.sequences import TransitionSequence
+from safedpa_sim.training.data.transitions import TransitionSequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks
 

@@ -1,5 +1,5 @@
 """The networks during training; read ``modules`` first.
 
-``modules`` holds mu, f, g and phi as torch modules. ``rollout`` computes their prediction errors over one and many
-steps, ``explained_variance`` the share of the variance that they explain.
+``modules`` holds mu, f, g and phi as torch modules. ``prediction_errors`` computes their errors over one and many
+steps, and the share of the variance that they explain.
 """

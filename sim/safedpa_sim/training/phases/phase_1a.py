@@ -17,8 +17,8 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import export_weights, normalise_latent
-from safedpa_sim.training.networks.explained_variance import affine_floor, evaluate
 from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes
+from safedpa_sim.training.networks.prediction_errors import affine_floor, evaluate
 from safedpa_sim.training.optimisation import Checkpoint, cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
 

@@ -23,12 +23,11 @@ from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.drives import policy_drives, random_drives
-from safedpa_sim.training.data.sequences import TransitionSequence, concatenate
+from safedpa_sim.training.data.transitions import TransitionSequence, concatenate
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.policy_task import TASKS, BatchedEnvironment, task_of
-from safedpa_sim.training.networks.explained_variance import explained
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
-from safedpa_sim.training.networks.rollout import ALONG, along, latents_along
+from safedpa_sim.training.networks.prediction_errors import ALONG, along, explained, latents_along
 from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
 

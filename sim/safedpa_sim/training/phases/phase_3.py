@@ -1,8 +1,10 @@
 """Phase 3: f, g and phi, tuned on little data from the real robot.
 
-Networks that are tuned only on drives without load forget the effect of loads. Therefore the recorded data first
-correct the simulator (``grounded_simulator``), and simulated drives with loads and wind are mixed with the recorded
-ones. The loss uses z = phi(history), so that z also encodes the state of motor and steering:
+Networks that are tuned only on drives without load forget the effect of loads, because nothing in these drives
+preserves it. A physics model does not forget: its effects compose. Therefore the recorded data first correct the
+simulator: its parameters are refitted, and effects are added until the diagnosis finds nothing missing. Simulated
+drives with loads and wind are then mixed with the recorded ones. The loss uses z = phi(history), so that z also encodes
+the state of motor and steering:
 
     one-step error + error of short rollouts in which phi sees the predictions + anchor |phi - mu(e)|^2
 
@@ -24,6 +26,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.report_schema import Report
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
@@ -38,7 +44,7 @@ from safedpa_sim.training.data.recorded_runs import (
     record_circles,
     split,
 )
-from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
+from safedpa_sim.training.data.transitions import TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import (
     AffineNetworks,
@@ -47,9 +53,15 @@ from safedpa_sim.training.networks.modules import (
     history_network,
     tensors_of,
 )
-from safedpa_sim.training.networks.rollout import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
+from safedpa_sim.training.networks.prediction_errors import (
+    ALONG,
+    along,
+    errors,
+    latents_along,
+    one_step_loss,
+    rollout_loss,
+)
 from safedpa_sim.training.optimisation import cosine_rate, training_device
-from safedpa_sim.training.phases.grounded_simulator import ground_simulator, grounded_configuration
 from safedpa_sim.training.progress import ReportProgress, silent
 
 Tensor = torch.Tensor
@@ -332,3 +344,77 @@ def _rate(done: float, highest: float, last: float) -> float:
     if done < _WARM_UP:
         return highest * (done + 1e-3) / _WARM_UP
     return cosine_rate(highest, last, done - _WARM_UP, 1.0 - _WARM_UP)
+
+
+_ROWS = 6000
+
+
+@final
+@dataclass(frozen=True)
+class GroundedSimulator:
+    """The corrected simulator and the diagnosis report behind it."""
+
+    model: PhysicsModel
+    report: Report
+
+    def summary(self) -> dict[str, Any]:
+        """Returns verdict, added effects in order, held-out error after each, and parameters for the record."""
+        return {
+            "verdict": self.report.verdict,
+            "effects": list(self.report.added),
+            "heldout_error": [stage.heldout_error for stage in self.report.stages],
+            "parameters": {path: value.value for path, value in self.report.parameters.items()},
+        }
+
+
+def ground_simulator(
+    configuration: Configuration, runs: Sequence[Run], report_progress: ReportProgress = silent
+) -> GroundedSimulator:
+    """Refits the parameters of the simulator's base to the runs and adds the effects that the diagnosis finds.
+
+    Effects that the training randomises, such as a towed load, are in the model from the start with neutral values, so
+    that the diagnosis does not search for them: the runs are recorded without them. Raises InputError when the
+    diagnosis reaches no verdict on the runs.
+    """
+    report = diagnose(
+        _to_be_corrected(configuration),
+        _first(runs, _ROWS),
+        report_progress=lambda done, every, notice: report_progress(
+            "3", done, every, f"diagnosis of the simulator; {notice}"
+        ),
+    )
+    too_few = report.verdict == "undecided" and report.unexplained is not None and not report.added
+    if too_few or (report.verdict == "unexplained" and not report.added):
+        why = report.unexplained.expression if report.unexplained else "nothing helps"
+        raise InputError(
+            f"tuning: the runs are not informative enough to correct the simulator ({why}); record a more varied drive"
+        )
+    found = report.models[-1]
+    return GroundedSimulator(
+        found.with_settings({path: Setting(it.value) for path, it in found.settings.items()}), report
+    )
+
+
+def grounded_configuration(configuration: Configuration, grounded: GroundedSimulator) -> Configuration:
+    """Returns the configuration with the corrected simulator."""
+    return replace(configuration, simulator=grounded.model)
+
+
+def _to_be_corrected(configuration: Configuration) -> PhysicsModel:
+    model = configuration.simulator
+    for name in dict.fromkeys(path.split(".")[0] for path in configuration.environment):
+        if name != "base" and name not in {item.name for item in model.effects}:
+            model = model.with_effect(effect(model.system.name, name), {})
+    base = {path: it for path, it in model.settings.items() if path.startswith("base.")}
+    return model.with_settings({path: Setting(it.value, free=True) for path, it in base.items()})
+
+
+def _first(runs: Sequence[Run], rows: int) -> list[Run]:
+    """Returns the first runs that together have ``rows`` rows; ten times as many only make the diagnosis slower."""
+    retained, total = [], 0
+    for run in runs:
+        retained.append(run)
+        total += sum(len(part) for part in run.stretches)
+        if total >= rows:
+            break
+    return retained

@@ -17,17 +17,15 @@ import torch
 
 from safedpa.networks import Description, Weights
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.body_steps import LARGEST_TURN, controls_of, put_state
 from safedpa_sim.point.layout import FIELD, GOAL_RADIUS
-from safedpa_sim.point.sensor_state import ENTRIES, GROUPS, SENSED_FRAME, sensed, without_goal
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.observation import ENTRIES, GROUPS, SENSED_FRAME, sensed, without_goal
+from safedpa_sim.point.simulation import LARGEST_TURN, PointSimulation, controls_of, put_state
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.data.sequences import TransitionSequence, concatenate, transition_sequence
-from safedpa_sim.training.data.transitions import Transitions
+from safedpa_sim.training.data.transitions import Transitions, TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import normalise_latent
-from safedpa_sim.training.networks.explained_variance import evaluate, explained
 from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
+from safedpa_sim.training.networks.prediction_errors import evaluate, explained
 from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
 
