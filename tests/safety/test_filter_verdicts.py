@@ -182,7 +182,7 @@ def test_infeasible_situation_is_visible_and_brakes() -> None:
 
 def test_infeasible_double_integrator_brakes_fully() -> None:
     """The same with a user's own model: full braking, -1 m/s2 and no more, whatever action was requested."""
-    dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,))
+    dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), epsilon=0.0)
     f, g = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2], [dt]])
     safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - x[1] ** 2 / 2.0)], settings)
     for nominal in (1.0, 0.0, -0.9):
@@ -327,3 +327,18 @@ def test_time_comes_from_the_clock_given() -> None:
         "h_now": 5.0, "h_next": 4.5, "margin": 0.0, "solver": "not needed", "microseconds": verdict.microseconds,
         "nominal": [0.5], "known": True,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("nominal", [0.0, 5.0])
+def test_a_barrier_of_ones_own_without_a_margin_says_so_until_a_margin_is_set(nominal: float) -> None:
+    def verdict(epsilon: object, call: object = None) -> str:
+        chosen = {} if epsilon is None else {"epsilon": epsilon}
+        own = FilterSettings(action_low=(-1.0,), action_high=(1.0,), **chosen)
+        safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 1.2 - x[0], kind="cliff")], own)
+        return safe.decide([0.5], [nominal], epsilon=call).reason
+
+    assert "No margin is set for barriers of kind cliff" in verdict(None)
+    assert "No margin is set for barriers of kind cliff" in verdict({"obstacle": 0.1})
+    for chosen in (0.0, 0.01, {"cliff": 0.0}, {"default": 0.0}):
+        assert "No margin" not in verdict(chosen)
+    assert "No margin" not in verdict(None, {"cliff": 0.0})

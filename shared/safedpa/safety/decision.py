@@ -383,6 +383,8 @@ class Decision:
         taken = np.array(action)
         taken.setflags(write=False)
         constraints = self._constraints
+        if constraints is not None and self._tools.margins.remark:
+            reason = f"{reason} {self._tools.margins.remark}".strip()
         return Verdict.of(
             {
                 "action": taken,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite
 from numbers import Real
-from typing import Any, final
+from typing import Any, Final, final
 
 from safedpa.errors import did_you_mean
 from safedpa.safety.barriers.base import AbstractBarrierSet
@@ -13,6 +13,12 @@ from safedpa.safety.checks.compatibility import known_kinds
 from safedpa.safety.solver.sqp import DecisionError
 
 __all__ = ["ActiveMargins"]
+
+
+_UNSET: Final = (
+    "No margin is set for barriers of kind {kinds}: any error of the model counts in full "
+    "(calibrate_margin measures one; epsilon=0 accepts this)."
+)
 
 
 @final
@@ -29,6 +35,8 @@ class ActiveMargins:
         self._last: tuple[list[float], float] | None = None
         self._kinds = {*known_kinds(), "default", *settings}
         """Kinds for which a margin may be requested: these, and all that any decision has had."""
+        self.remark = ""
+        """A sentence about barriers of the last decision without a margin; empty if there is none."""
 
     def resolve(self, barriers: AbstractBarrierSet, requested: Any) -> tuple[list[float], float]:
         """Returns epsilon (m,) and the largest of them.
@@ -46,6 +54,9 @@ class ActiveMargins:
                 self._margins = None
                 self._margins, self._requested = self._validated({**self._settings, **requested}), dict(requested)
             epsilon = self._epsilon(barriers, self._margins)
+            # A margin of 0 that was set is a decision; one that was never set is a gap.
+            unset = () if "default" in self._margins else sorted({*barriers.kinds} - {*self._margins})
+            self.remark = _UNSET.format(kinds=", ".join(unset)) if unset else ""
             self._last_kinds, self._last = barriers.kinds, (epsilon, max(epsilon))
         return self._last
 
