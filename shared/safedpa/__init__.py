@@ -11,8 +11,7 @@ Example:
     ('viscous_friction',)
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False  # not typing's: importing it would take most of the time of importing this package
 
 if TYPE_CHECKING:
     from safedpa.api.calibrating import CalibratedMargins, calibrate
@@ -121,12 +120,14 @@ _HOMES = {
 _HOME = {name: f"safedpa.{module}" for module, names in _HOMES.items() for name in names.split()}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Imports a name when it is first used."""
+    import importlib
+
     if name == "__version__":
         from importlib.metadata import version
 
-        found: Any = version("safedpa")
+        found: object = version("safedpa")
     elif name in _HOME:
         found = getattr(importlib.import_module(_HOME[name]), name)
     else:

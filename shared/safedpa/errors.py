@@ -42,11 +42,26 @@ _LIKE: Final = 12
 
 
 class SafedpaError(Exception):
-    """Base class of all errors that this project raises on purpose."""
+    """Base class of all errors that this project raises on purpose; the message says what to do.
+
+    Example:
+
+        >>> issubclass(safedpa.InputError, safedpa.SafedpaError)
+        True
+    """
 
 
 class InputError(SafedpaError):
-    """Invalid input from a user or a file; the command line prints one line and exits with code 2."""
+    """Invalid input from a user or a file; the command line prints one line and exits with code 2.
+
+    Example:
+
+        >>> try:
+        ...     safedpa.load_model("penduluum")
+        ... except safedpa.InputError as error:
+        ...     print(error)
+        penduluum: ...did you mean 'pendulum'?...
+    """
 
 
 class ModelFileError(InputError):

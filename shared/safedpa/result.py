@@ -42,7 +42,14 @@ def one_line(kind: str, facts: Mapping[str, object]) -> str:
 
 @final
 class Plot:
-    """A drawn figure: a notebook shows it, ``save`` writes it, ``figure`` is the figure of matplotlib."""
+    """A drawn figure: a notebook shows it, ``save`` writes it, ``figure`` is the figure of matplotlib.
+
+    Example:
+
+        >>> plot = safedpa.read_log("log.csv", "pendulum").plot()
+        >>> plot, plot.save("log.png").name
+        (Plot(title=Run), 'log.png')
+    """
 
     def __init__(self, figure: Figure, title: str) -> None:
         self.figure, self.title = figure, title
@@ -148,7 +155,16 @@ class AbstractPlottedResult(AbstractResult):
 
 @final
 class Rows(AbstractResult, Sequence[Row], Generic[Row]):
-    """A sequence of data classes or dictionaries that is shown as a table, such as the candidates of a diagnosis."""
+    """A sequence of data classes or dictionaries that is shown as a table, such as the candidates of a diagnosis.
+
+    Its table has a column for each field; those of nested tables are named as in ``per_state.speed``.
+
+    Example:
+
+        >>> runs = safedpa.compare("frictionless.toml", "log.csv").runs
+        >>> len(runs), runs[0].name, runs.to_dataframe()["rows"].tolist()
+        (1, 'log', [600])
+    """
 
     def __init__(self, title: str, rows: Sequence[Row]) -> None:
         self.title, self._rows = title, tuple(rows)

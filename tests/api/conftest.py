@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def user_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with log.csv, degrees.csv, frictionless.toml, friction.toml, drone.py, drive.mcap."""
+    """A folder with log.csv, degrees.csv, frictionless.toml, friction.toml, drone.py, incomplete.py, drive.mcap."""
     folder = tmp_path_factory.mktemp("user")
     (folder / "frictionless.toml").write_text(FRICTIONLESS)
     (folder / "friction.toml").write_text(FRICTION.format(0.1))
@@ -41,6 +41,8 @@ def user_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savetxt(folder / "degrees.csv", table, delimiter=",", header="time,theta_deg,rate,torque", comments="")
     for name in ("drone.py", "drone.toml"):
         shutil.copy(ROOT / "docs" / "examples" / "drone" / name, folder)
+    drone = (folder / "drone.py").read_text(encoding="utf-8")
+    (folder / "incomplete.py").write_text(drone.replace("def stand_in(", "def stand_in(*_): ...\n\n    def unused("))
     shutil.copy(ROOT / "tests" / "replay" / "golden" / "car_box.mcap", folder / "drive.mcap")
     return folder
 

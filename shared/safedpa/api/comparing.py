@@ -148,7 +148,7 @@ def compare(
 
     Example:
 
-        >>> safedpa.compare("pendulum", "log.csv", horizon=0.5).runs[0].windows
+        >>> safedpa.compare("frictionless.toml", "log.csv", horizon=0.5).runs[0].windows
         295
     """
     need("diagnosis", what="compare()")

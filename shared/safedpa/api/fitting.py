@@ -144,7 +144,7 @@ def refit(
 
     Example:
 
-        >>> again = safedpa.refit("pendulum_with_friction.toml", "log.csv", free="viscous_friction")
+        >>> again = safedpa.refit("friction.toml", "log.csv", free="viscous_friction")
         >>> round(again.parameters["viscous_friction.coefficient"].value, 1)
         0.2
     """
@@ -180,7 +180,7 @@ def remove(
 
     Example:
 
-        >>> without = safedpa.remove("pendulum_with_friction.toml", "viscous_friction", "log.csv")
+        >>> without = safedpa.remove("friction.toml", "viscous_friction", "log.csv")
         >>> without.model.effects, without.after > without.before
         ((), True)
     """

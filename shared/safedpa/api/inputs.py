@@ -36,7 +36,8 @@ def read_log(log: str | Path, model: Model | System, columns: Columns = None) ->
 
     Example:
 
-        >>> run = safedpa.read_log("degrees.csv", "pendulum", {"t": "time", "angle": {"from": "theta", "unit": "deg"}})
+        >>> names = {"t": "time", "angle": {"from": "theta_deg", "unit": "deg"}}
+        >>> run = safedpa.read_log("degrees.csv", "pendulum", names)
         >>> run.system.state_names, run.states.shape
         (('angle', 'rate'), (600, 2))
     """

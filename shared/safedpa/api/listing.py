@@ -36,7 +36,7 @@ class ProposedColumns(AbstractResult):
 
         >>> proposal = safedpa.columns("degrees.csv", "pendulum")
         >>> proposal.column_map.columns["angle"].source
-        'theta'
+        'theta_deg'
         >>> run = safedpa.read_log("degrees.csv", "pendulum", proposal)
     """
 
@@ -82,7 +82,7 @@ class EffectTable(AbstractResult):
 
         >>> table = safedpa.list_effects("pendulum")
         >>> [effect.name for effect in table.by_robot["pendulum"]][:2]
-        ['torque_delay', 'torque_gain']
+        ['torque_gain', 'torque_delay']
     """
 
     by_robot: dict[str, tuple[AbstractEffect, ...]]
@@ -115,9 +115,9 @@ class RobotCheck(AbstractResult):
 
     Example:
 
-        >>> checked = safedpa.check("my_robot.py")
-        >>> checked.passed, [finding.part for finding in checked.parts["hover"]][:2]
-        (True, ['system', 'model'])
+        >>> checked = safedpa.check("incomplete.py")
+        >>> checked.passed, [(part.part, part.verdict) for part in checked.parts["drone"]][-1]
+        (False, ('stand_in', 'wrong'))
     """
 
     parts: dict[str, tuple[PartFinding, ...]]
@@ -157,13 +157,13 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
     Example:
 
         >>> print(safedpa.columns("degrees.csv", "pendulum"))
-        # Columns of the log: time, theta, rate, torque
+        # Columns of the log: time, theta_deg, rate, torque
         format = 1
         robot = "pendulum"
         <BLANKLINE>
         [columns]
         t = { from = "time" }
-        angle = { from = "theta" }
+        angle = { from = "theta_deg", unit = "deg" }
         rate = { from = "rate" }
         torque = { from = "torque" }
         <BLANKLINE>
@@ -213,7 +213,7 @@ def check(file: str | Path, *, seed: int = 0) -> RobotCheck:
 
     Example:
 
-        >>> safedpa.check("my_robot.py").passed
+        >>> safedpa.check("drone.py").passed
         True
     """
     names = [name for name in load_user_file(Path(file)) if name in known_robots()]

@@ -37,7 +37,7 @@ class DataCheck(AbstractPlottedResult):
     Example:
 
         >>> check = safedpa.check_data("frictionless.toml", "log.csv")
-        >>> "viscous_friction" in [size.effect for size in check.sizes if size.shown]
+        >>> "wind" in [size.effect for size in check.sizes if size.shown]
         True
     """
 

@@ -31,7 +31,7 @@ class PredictedRun(AbstractPlottedResult):
 
     Example:
 
-        >>> predicted = safedpa.predict("pendulum", "log.csv", 0.5)
+        >>> predicted = safedpa.predict("frictionless.toml", "log.csv", 0.5)
         >>> list(predicted.to_dataframe().columns), predicted.starts
         (['start_t', 't', 'angle', 'rate'], 60)
     """
@@ -93,8 +93,8 @@ def predict(
 
     Example:
 
-        >>> safedpa.predict("pendulum", "log.csv", 0.5).table["angle"].shape
-        (595,)
+        >>> safedpa.predict("frictionless.toml", "log.csv", 0.5).table["angle"].shape
+        (599,)
     """
     need("diagnosis", what="predict()")
     if out is not None:

@@ -6,10 +6,10 @@ library explains.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from safedpa.comparison.summary import as_plain
 from safedpa.dynamics import PhysicsModel
 from safedpa.result import one_line
 
@@ -291,27 +291,10 @@ class Report:
 
 def as_document(report: Report) -> dict[str, Any]:
     """Returns the document of report.json; values that are not finite become null."""
-    plain: dict[str, Any] = {"format": 1}
     # An explicit list: the file format is a contract, and ``models`` and private fields are not part of it.
-    for name in (
+    names = (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
         "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
         "conditions", "coverage",
-    ):  # fmt: skip
-        plain[name] = _plain(getattr(report, name))
-    return plain
-
-
-def _plain(value: Any) -> Any:
-    """Converts data classes, tuples and NumPy scalars to JSON types."""
-    if hasattr(value, "__dataclass_fields__"):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, bool) or not hasattr(value, "__float__"):
-        return value
-    # Duck typing covers NumPy scalars; JSON has no infinity or NaN.
-    number = int(value) if hasattr(value, "__index__") else float(value)
-    return number if math.isfinite(number) else None
+    )  # fmt: skip
+    return {"format": 1, **{name: as_plain(getattr(report, name)) for name in names}}

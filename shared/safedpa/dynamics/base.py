@@ -10,19 +10,9 @@ from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
+from safedpa.result import one_line
 from safedpa.systems import System
 from safedpa.systems.robots import robots
-
-__all__ = [
-    "REGISTERED",
-    "AbstractBase",
-    "Derivative",
-    "add_base",
-    "bases_of",
-    "euler",
-    "robots_with_bases",
-    "runge_kutta",
-]
 
 
 class AbstractBase(ABC):
@@ -41,6 +31,9 @@ class AbstractBase(ABC):
     constructor by name."""
     recordable: ClassVar[bool] = True
     """Whether the equations do the same arithmetic for all values, without a branch, so that they can be recorded."""
+
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, {"kind": self.kind, "robot": self.system.name})
 
     @abstractmethod
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:

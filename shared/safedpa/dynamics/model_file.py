@@ -26,9 +26,6 @@ from safedpa.errors import InputError, ModelFileError
 from safedpa.limits import finite_number, limit, parse_toml, refuse_unknown, text_of_file_or_shipped, too_much
 from safedpa.networks import load_weights, save_weights
 
-__all__ = ["FORMAT", "fingerprint", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
-
-
 FORMAT = 1
 """Version of the file format."""
 _TOP = ("format", "robot", "period", "base", "networks", "effects")
@@ -41,6 +38,11 @@ def load_model(source: str | Path) -> PhysicsModel:
     """Returns the model in a file, or a shipped one by its name (``car`` or ``car.toml``).
 
     Raises ModelFileError naming the file and the key.
+
+    Example:
+
+        >>> safedpa.load_model("car").system.state_names
+        ('x', 'y', 'yaw', 'speed')
     """
     path, text = text_of_file_or_shipped(source, shipped_models(), "a model file", ModelFileError)
     try:
@@ -96,9 +98,16 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
     return PhysicsModel(base, effects, settings, period)
 
 
-def save_model(model: PhysicsModel, path: Path) -> None:
-    """Writes a model to a file, and a learned model's weights next to it."""
-    name = ""
+def save_model(model: PhysicsModel, path: str | Path) -> None:
+    """Writes a model to a TOML file, and a learned model's weights next to it.
+
+    Example:
+
+        >>> safedpa.save_model(safedpa.load_model("friction.toml"), "copy.toml")
+        >>> safedpa.load_model("copy.toml").effects
+        (ViscousFriction(robot=pendulum, name=viscous_friction, parameters=coefficient),)
+    """
+    path, name = Path(path), ""
     if isinstance(model.base, LearnedBase):
         name = path.with_suffix(".safetensors").name
         save_weights(model.base.weights, path.with_name(name))

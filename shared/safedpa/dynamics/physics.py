@@ -34,8 +34,7 @@ from safedpa.effects.effects_with_law import plain
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
-
-__all__ = ["PhysicsModel", "Setting"]
+from safedpa.result import one_line
 
 _Values = Mapping[str, Named]
 """Parameter values by owner ("base" or an effect's name) and name."""
@@ -56,6 +55,14 @@ class PhysicsModel(AbstractDynamics):
 
     Raises ModelFileError when an effect does not fit the robot or its actions or is listed twice, or when a parameter
     is missing, unknown or out of bounds.
+
+    Example:
+
+        >>> model = safedpa.load_model("friction.toml")
+        >>> model
+        PhysicsModel(robot=pendulum, base=rigid_pendulum, period=0.05 s, effects=viscous_friction, free=nothing)
+        >>> model.step(np.array([0.1, 0.0]), np.array([0.5])).round(3).tolist()
+        [0.102, 0.074]
     """
 
     def __init__(
@@ -85,6 +92,13 @@ class PhysicsModel(AbstractDynamics):
         self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
         self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
+
+    def __repr__(self) -> str:
+        facts = {"robot": self.system.name, "base": self.base.kind, "period": f"{self.period:g} s"}
+        effects = ", ".join(item.name for item in self.effects) or "none"
+        return one_line(
+            "PhysicsModel", {**facts, "effects": effects, "free": ", ".join(self.latent_names) or "nothing"}
+        )
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:

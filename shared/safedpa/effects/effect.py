@@ -112,13 +112,13 @@ class AbstractEffect(ABC):
     mirrored: ClassVar[tuple[str, ...]] = ()
     """Parameters whose sign changes when left and right are swapped (an offset of the steering)."""
 
-
-class CommandEffect(AbstractEffect):
-    """An effect between the action that was sent and the action that the mechanics feel."""
-
     def __repr__(self) -> str:
         names = ", ".join(parameter.name for parameter in self.parameters)
         return one_line(type(self).__name__, {"robot": self.robot, "name": self.name, "parameters": names})
+
+
+class CommandEffect(AbstractEffect):
+    """An effect between the action that was sent and the action that the mechanics feel."""
 
     def initial_memory(self, action: Named) -> Any:
         """Returns the memory after ``action`` has been held for a long time; None for an effect without memory."""

@@ -27,10 +27,18 @@ class RawRows:
     t: NDArray[np.float64]
     states: NDArray[np.float64]
     actions: NDArray[np.float64]
+    segment: NDArray[np.intp] | None = None
+    """Segment of each row, between which a clock was set, (rows,); None: a segment ends where t goes back."""
 
     def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> RawRows:
         """Some of the rows."""
-        return RawRows(self.t[index], self.states[index], self.actions[index])
+        segment = None if self.segment is None else self.segment[index]
+        return RawRows(self.t[index], self.states[index], self.actions[index], segment)
+
+    def breaks(self) -> NDArray[np.bool_]:
+        """Rows that begin a segment, but the first one, (rows,)."""
+        steps = np.diff(self.t) < 0.0 if self.segment is None else np.diff(self.segment) != 0
+        return np.append(False, steps)[: len(self.t)]
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ class Run(AbstractPlottedResult):
         >>> t = np.arange(0.0, 5.0, 0.05)
         >>> run = safedpa.Run.from_arrays(t, np.stack([np.sin(t), np.cos(t)], axis=1), np.cos(t)[:, None], "pendulum")
         >>> run
-        Run(name=arrays, robot=pendulum, rows=100, duration=4.95 s, period=0.05 s, stretches=1, findings=0)
+        Run(name=arrays, robot=pendulum, rows=100, duration=4.95 s, period=0.05 s, stretches=1, findings=1)
     """
 
     name: str
@@ -108,8 +116,8 @@ class Run(AbstractPlottedResult):
 
             >>> import pandas
             >>> frame = pandas.read_csv("log.csv").rename(columns={"t": "time"})
-            >>> safedpa.Run.from_dataframe(frame, "pendulum", {"t": "time"}).period
-            0.05
+            >>> safedpa.Run.from_dataframe(frame, "pendulum", {"t": "time"}).states.shape
+            (600, 2)
         """
         made: Run = _in_memory().run_of_frame(frame, system, columns, name)
         return made

@@ -17,7 +17,13 @@ __all__ = ["margin_for", "settings_named"]
 
 
 def settings_named(source: str) -> FilterSettings:
-    """Reads settings from a file, or returns those of the robot of that name. Raises InputError naming file and key."""
+    """Reads settings from a file, or returns those of the robot of that name. Raises InputError naming file and key.
+
+    Example:
+
+        >>> safedpa.settings_named("car").action_high
+        (2.0, 0.34)
+    """
     # A user's robots may be declared in files that the environment names; without them their names are unknown.
     load_user_files()
     declared = source in robots() and not Path(source).exists() and source not in _shipped("named_settings")

@@ -22,6 +22,7 @@ import numpy as np
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.errors import InputError
+from safedpa.result import one_line
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import BarrierSetCache
 from safedpa.safety.checks.compatibility import (
@@ -64,6 +65,17 @@ class SafetyFilter:
     Raises InputError for settings of another system, for bounds that the model's actions cannot take, for an empty list
     of barriers, for barriers of other states, for a margin that belongs to none of them, and for a backup of another
     size.
+
+    Example: a mass before a wall at 1 m, 20 Hz, that may accelerate by 1 m/s2.
+
+        >>> def affine(x):
+        ...     return np.array([x[0] + 0.05 * x[1], x[1]]), np.array([[0.00125], [0.05]])
+        >>> room = safedpa.FunctionBarrier(lambda x: 1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6, kind="wall")
+        >>> settings = safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.1, epsilon=0.002)
+        >>> safe = safedpa.SafetyFilter(affine, [room], settings)
+        >>> verdict = safe.decide([0.5, 0.8], nominal=[1.0])
+        >>> verdict.status.value, verdict.action.round(1).tolist()
+        ('corrected', [-0.6])
     """
 
     def __init__(
@@ -115,6 +127,18 @@ class SafetyFilter:
             # A user's clock may raise or return text; only the monotonic clock of the standard library is used as it
             # is.
             clock=clock if clock is time.perf_counter else FiniteClock(clock),
+        )
+
+    def __repr__(self) -> str:
+        settings, scene = self.settings, [name for barrier in self._barriers for name in barrier.names]
+        return one_line(
+            "SafetyFilter",
+            {
+                "system": settings.system or "of one's own",
+                "actions": len(settings.action_low),
+                "eta": settings.eta,
+                "barriers": ", ".join(scene) or "given with each decision",
+            },
         )
 
     @classmethod

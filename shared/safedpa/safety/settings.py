@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from safedpa.barrier_setting import BarrierSetting
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import finite_number, parse_toml, text_of_file
+from safedpa.result import one_line
 from safedpa.systems.robots import robot_named, robots
 from safedpa.systems.system import System
 
@@ -36,39 +37,54 @@ _BOUNDS = ("action_low", "action_high")
 class FilterSettings:
     """The settings of the filter, checked at construction; the bounds of the actions are required.
 
+    ``action_low`` and ``action_high`` (actions,): hard actuator bounds, in the units of the actions.
+
+    ``system``: the name of the system of these settings; a filter refuses every other one. Empty: the user's own
+    system, of which only the action bounds are known.
+
+    ``enabled``: whether the filter changes actions; else it only keeps them within the bounds.
+
+    ``eta``: 1 per step, in (0, 1]: the share of h that one step may use up; h falls with a time constant of
+    period / eta.
+
+    ``epsilon``: margin by kind of barrier, in the unit of h, >= 0; ``default`` applies to other kinds, else 0. One
+    number applies to all kinds.
+
+    ``margin``: which margin of a calibration the filter uses: ``conformal`` (for a step), ``drive``, ``theorem``, or
+    this number.
+
+    ``weights`` (actions,) > 0: cost of changing an action over its whole range; empty: all 1.
+
+    ``backup_action`` (actions,): action if no decision can be computed; empty: 0, clipped to the bounds.
+
+    ``relinearisations``: how often the program is linearised again at its solution, if the model is not affine in the
+    action.
+
+    ``plausible_nominal``: a nominal action further outside the bounds than this multiple of the range is refused.
+
+    ``barriers``: parameters of the robot's barriers by name (``AbstractRobot.barrier_settings``); others have their
+    default. In a file they are keys next to the others.
+
     ``for_robot`` takes the bounds of a known robot. Raises InputError naming the key, what was got and what was wanted.
 
-    >>> FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.3).resting_action
-    array([0.])
+    Example:
+
+        >>> safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.3).resting_action
+        array([0.])
     """
 
     system: str = ""
-    """Name of the system of these settings: a filter refuses every other one. Empty: the user's own system, of which
-    only the action bounds are known."""
-
     enabled: bool = True
     eta: float = 0.2
-    """1 per step, in (0, 1]: the share of h that one step may use up; h falls with a time constant of period / eta."""
     epsilon: Mapping[str, float] = field(default_factory=lambda: {"obstacle": 0.01, "field": 0.01, "speed": 0.01})
-    """Margin by kind of barrier, in the unit of h, >= 0; ``default`` applies to other kinds, else 0."""
     margin: str | float = "conformal"
-    """Which margin of a calibration the filter uses: ``conformal`` (for a step), ``drive``, ``theorem``, or this
-    number."""
     action_low: tuple[float, ...]
-    """(actions,) lower actuator bounds, in the units of the actions; hard constraints."""
     action_high: tuple[float, ...]
-    """(actions,) upper actuator bounds, likewise."""
     weights: tuple[float, ...] = ()
-    """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
-    """(actions,) action if no decision can be computed; empty: 0, clipped to the bounds."""
     relinearisations: int = 3
-    """How often the program is linearised again at its solution, if the model is not affine in the action."""
     plausible_nominal: float = 10.0
-    """A nominal action further outside the bounds than this multiple of the range is refused."""
     barriers: Mapping[str, float] = field(default_factory=dict)
-    """Parameters of the robot's barriers by name (``AbstractRobot.barrier_settings``); others have their default. In a
-    file they are keys next to the others."""
 
     @classmethod
     def for_robot(cls, robot: str | System, **changes: Any) -> FilterSettings:
@@ -77,8 +93,10 @@ class FilterSettings:
         The remaining fields keep the general defaults; ``settings_named`` reads the settings that ship for a robot.
         Raises InputError for an unknown name.
 
-        >>> FilterSettings.for_robot("pendulum", eta=0.3).system
-        'pendulum'
+        Example:
+
+            >>> safedpa.FilterSettings.for_robot("pendulum", eta=0.3).system
+            'pendulum'
         """
         system = robot_named(robot).system if isinstance(robot, str) else robot
         known = robots()[system.name].of_system(system) if system.name in robots() else None
@@ -124,6 +142,13 @@ class FilterSettings:
         for low, value, high in zip(self.action_low, self.backup_action, self.action_high, strict=False):
             if not low <= value <= high:
                 raise InputError(f"backup_action: got {value}, wanted {low} to {high}")
+
+    def __repr__(self) -> str:
+        # Only what differs from the defaults, and always the bounds: the whole would be longer than a line.
+        usual = FilterSettings(system=self.system, action_low=self.action_low, action_high=self.action_high)
+        shown = ("system", *_BOUNDS)
+        changed = [item.name for item in fields(self) if getattr(self, item.name) != getattr(usual, item.name)]
+        return one_line("FilterSettings", {name: getattr(self, name) for name in (*shown, *changed)})
 
     def barrier(self, name: str) -> float:
         """A parameter of the barriers. Raises InputError if the robot of these settings has none of that name."""

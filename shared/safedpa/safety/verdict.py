@@ -14,7 +14,13 @@ __all__ = ["Status", "Verdict", "resting_verdict"]
 
 @final
 class Status(Enum):
-    """How the action was chosen; each status has a sentence and a defined action."""
+    """How the action was chosen; each status has a ``sentence`` and a defined action.
+
+    Example:
+
+        >>> safedpa.Status.fallback.sentence
+        'No decision could be computed; the backup action is taken.'
+    """
 
     passed = "passed"
     corrected = "corrected"
@@ -44,7 +50,22 @@ _SENTENCES = {
 @final
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """One decision of the filter. Every number in it is finite, whatever the inputs were."""
+    """One decision of the filter: the ``action`` (actions,) for the robot, its ``status``, and the ``reason``.
+
+    ``slack``, ``h_now``, ``h_next`` and ``margin`` are in the unit of h; ``known`` says whether h could be computed.
+    ``active`` names the barriers that bind, ``nominal`` is the nominal action (actions,) or None, ``solver`` the state
+    of the QP solver, ``microseconds`` the duration. Every number in it is finite, whatever the inputs were.
+
+    Example:
+
+        >>> settings = safedpa.FilterSettings.for_robot("pendulum")
+        >>> corridor = safedpa.CorridorBarrier(-0.3, 0.3, 0.25)
+        >>> model = safedpa.load_model("pendulum")
+        >>> safe = safedpa.SafetyFilter.for_model(model, settings, [corridor])
+        >>> verdict = safe.decide([0.0, 0.0], [0.5], model.latent)
+        >>> verdict.status.value, verdict.intervened, verdict.action.tolist()
+        ('passed', False, [0.5])
+    """
 
     action: NDArray[np.float64]
     """(actions,) the action for the robot; always within the actuator limits; read-only."""

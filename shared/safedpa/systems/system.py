@@ -10,12 +10,20 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["System", "Variable"]
+from safedpa.result import one_line
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One named quantity with its unit, the range in which it is plausible, and whether it is an angle."""
+    """One quantity: ``name``, ``unit``, ``low`` and ``high`` of its plausible range, and whether it is an ``angle``.
+
+    Raises InputError for a range that is empty.
+
+    Example:
+
+        >>> safedpa.Variable("speed", "m/s", -1.0, 5.0)
+        Variable(name='speed', unit='m/s', low=-1.0, high=5.0, angle=False)
+    """
 
     name: str
     unit: str
@@ -24,17 +32,27 @@ class Variable:
     angle: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class System:
-    """State and action of one kind of robot.
+    """State and action of one kind of robot: its ``name``, the variables of ``state`` and of ``action``, in order.
 
     Bounds of the state are the range outside which a measurement is rejected as implausible; bounds of the action are
     what the actuator accepts.
+
+    Example:
+
+        >>> height, thrust = safedpa.Variable("height", "m", 0.0, 9.0), safedpa.Variable("thrust", "N", 0.0, 20.0)
+        >>> safedpa.System("rocket", (height,), (thrust,))
+        System(name=rocket, state=height, action=thrust)
     """
 
     name: str
     state: tuple[Variable, ...]
     action: tuple[Variable, ...]
+
+    def __repr__(self) -> str:
+        names = {"state": ", ".join(self.state_names), "action": ", ".join(self.action_names)}
+        return one_line("System", {"name": self.name, **names})
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

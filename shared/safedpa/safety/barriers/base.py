@@ -16,6 +16,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.equations.chain_rule import chain_rule
 from safedpa.errors import InputError
+from safedpa.result import one_line
 from safedpa.safety.barriers.cache import BarrierValueCache
 from safedpa.safety.validation import checked_output
 
@@ -26,7 +27,22 @@ _GRADIENT: Final = "gradient of h"
 
 
 class AbstractBarrier(ABC):
-    """m functions h_i(x) >= 0 of the state x (states,), in a unit of the barrier's choice."""
+    """m functions h_i(x) >= 0 of the state x (states,), in a unit of the barrier's choice.
+
+    A subclass has ``kind``, ``names`` and the two methods ``h`` and ``h_and_grad``; for a single function,
+    ``FunctionBarrier`` needs no class.
+
+    Example:
+
+        >>> class Wall(safedpa.AbstractBarrier):
+        ...     kind, names = "wall", ("wall",)
+        ...     def h(self, state):
+        ...         return 1.0 - state[:1]
+        ...     def h_and_grad(self, state):
+        ...         return self.h(state), np.array([[-1.0, 0.0]])
+        >>> Wall().h(np.array([0.25, 0.0]))
+        array([0.75])
+    """
 
     kind: str
     """Selects the margin: ``obstacle``, ``field``, ``speed`` or a name that the user chooses."""
@@ -45,6 +61,9 @@ class AbstractBarrier(ABC):
     def at_once_rows(self) -> tuple[bool, ...]:
         """(m,) ``at_once`` of each row."""
         return self.at_once if isinstance(self.at_once, tuple) else (self.at_once,) * len(self.names)
+
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, {"kind": self.kind, "names": ", ".join(self.names)})
 
     @abstractmethod
     def h(self, state: FloatArray) -> FloatArray:

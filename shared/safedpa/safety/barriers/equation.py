@@ -32,6 +32,19 @@ class AbstractEquationBarrier(AbstractBarrier):
     Items are for example obstacles; numbers that all items have in common, such as the robot's body, are ``shared``.
     The equation is recorded once with tracing numbers, so it must not branch on a number (use ``operations.where``).
     The recording is evaluated for floats and arrays, and differentiated; no gradient is written by hand.
+
+    Example: any number of discs (x, y, radius) in the plane.
+
+        >>> class Discs(safedpa.AbstractEquationBarrier):
+        ...     kind, numbers = "obstacle", 3
+        ...     def __init__(self, discs):
+        ...         self.each, self.names = tuple(discs), tuple(f"disc {i}" for i in range(len(discs)))
+        ...     @staticmethod
+        ...     def equation(given, operations):
+        ...         x, y, radius = given.each
+        ...         return [operations.sqrt((given.state[0] - x) ** 2 + (given.state[1] - y) ** 2) - radius]
+        >>> Discs([(3.0, 4.0, 1.0), (0.0, 2.0, 0.5)]).h(np.array([0.0, 0.0]))
+        array([4. , 1.5])
     """
 
     shared: tuple[float, ...] = ()

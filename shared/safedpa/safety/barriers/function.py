@@ -39,6 +39,12 @@ class FunctionBarrier(AbstractBarrier):
     of size 1. ``names`` has one name for each value of h (default: one); ``reads`` are the states that h is written
     for. The functions get arrays that they cannot write into. Raises InputError for an object that is no function, and
     at evaluation for a wrong shape or a result that is not real.
+
+    Example: the distance from a disc of 0.5 m at the origin.
+
+        >>> disc = safedpa.FunctionBarrier(lambda x: np.hypot(x[0], x[1]) - 0.5, names=["disc"], kind="obstacle")
+        >>> disc, disc.h(np.array([3.0, 4.0]))
+        (FunctionBarrier(kind=obstacle, names=disc), array([4.5]))
     """
 
     def __init__(

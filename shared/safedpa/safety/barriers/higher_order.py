@@ -45,6 +45,12 @@ class HigherOrderBarrier(AbstractBarrier):
     ... in 1 / time, in the derivatives' unit of time, well below 1 / period; the last may be a function of psi_{r-2}
     (m,). ``gradient(x)`` of psi_{r-1} is (states,) or (m, states), if known. The error of sampling in ticks belongs
     into epsilon. Raises InputError if their numbers do not fit, or a rate is not positive.
+
+    Example: a mass before a wall at 1 m, whose acceleration is the action; psi = dh/dt + 2 h.
+
+        >>> wall = safedpa.HigherOrderBarrier([lambda x: 1.0 - x[0], lambda x: -x[1]], rates=[2.0], names=["wall"])
+        >>> wall.h(np.array([0.5, 0.25]))
+        array([0.75])
     """
 
     def __init__(

@@ -25,6 +25,11 @@ class SpeedBarrier(AbstractEquationBarrier):
 
     Without ``index`` it is a car's speed, and the barrier reads a car's states; with one, any entry of any state.
     Raises InputError unless low < high, both finite.
+
+    Example:
+
+        >>> safedpa.SpeedBarrier(-0.5, 2.0).h(np.array([0.0, 0.0, 0.0, 1.5]))
+        array([0.5, 2. ])
     """
 
     kind = "speed"
@@ -64,6 +69,11 @@ class CorridorBarrier(AbstractEquationBarrier):
     Raises InputError unless low < high and time > 0, all finite.
     Source: the affine barrier of Cheng, Orosz, Murray, Burdick, End-to-End Safe Reinforcement Learning through Barrier
     Functions, AAAI 2019 (pendulum), with both edges free.
+
+    Example:
+
+        >>> safedpa.CorridorBarrier(-0.3, 0.3, 0.25).h(np.array([0.1, 0.4]))
+        array([0.5, 0.1])
     """
 
     kind = "corridor"

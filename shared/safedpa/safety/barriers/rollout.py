@@ -58,6 +58,15 @@ class RolloutBarrier(AbstractBarrier):
 
     Raises InputError for a horizon below 1, a model with actuator memory, an h of other states than the model's, and at
     evaluation for a wrong shape.
+
+    Example: a mass that brakes before a wall at 1 m.
+
+        >>> def step(x, a):
+        ...     return np.array([x[0] + 0.05 * x[1], x[1] + 0.05 * a[0]])
+        >>> def brake(x):
+        ...     return np.clip(-x[1:] / 0.05, -1.0, 1.0)
+        >>> safedpa.RolloutBarrier(step, brake, lambda x: 1.0 - x[0], horizon=40).h(np.array([0.0, 1.0])).round(3)
+        array([0.475])
     """
 
     def __init__(

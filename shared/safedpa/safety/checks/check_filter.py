@@ -76,6 +76,13 @@ def check_filter(
 
     A report without issues is no proof, since only these states were probed. Raises InputError for states of a wrong
     shape, or without barriers.
+
+    Example:
+
+        >>> model, settings = safedpa.load_model("pendulum"), safedpa.settings_named("pendulum")
+        >>> safe = safedpa.SafetyFilter.for_model(model, settings, [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)])
+        >>> print(safedpa.check_filter(safe, [[0.0, 0.0], [0.1, 0.0]], latent=model.latent, can_stop=False))
+        No issue at ... states.
     """
     if not isinstance(safe, SafetyFilter):
         raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter")

@@ -9,6 +9,9 @@ from typing import Any, final, overload
 __all__ = ["FilterIssue", "FilterReport", "collect", "format_vector"]
 
 
+from safedpa.result import one_line
+
+
 @final
 @dataclass(frozen=True)
 class FilterIssue:
@@ -29,11 +32,25 @@ class FilterIssue:
 
 @final
 class FilterReport(Sequence[FilterIssue]):
-    """All issues; empty, and so false, if none was found."""
+    """All issues; empty, and so false, if none was found. ``print(report)`` lists them.
+
+    ``states`` is the number of states that were probed. See ``check_filter``.
+
+    Example:
+
+        >>> model, settings = safedpa.load_model("pendulum"), safedpa.FilterSettings.for_robot("pendulum", epsilon=0.0)
+        >>> safe = safedpa.SafetyFilter.for_model(model, settings, [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)])
+        >>> report = safedpa.check_filter(safe, [0.0, 0.0], latent=model.latent, can_stop=False)
+        >>> sorted(report.subjects)
+        ['margin']
+    """
 
     def __init__(self, issues: Sequence[FilterIssue], states: int) -> None:
         self.issues, self.states = tuple(issues), states
         """``states``: number of states that were probed."""
+
+    def __repr__(self) -> str:
+        return one_line("FilterReport", {"states": self.states, "issues": ", ".join(sorted(self.subjects)) or "none"})
 
     @property
     def subjects(self) -> set[str]:

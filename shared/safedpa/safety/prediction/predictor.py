@@ -80,6 +80,9 @@ class Prediction:
     signature, and at evaluation for a wrong shape.
     """
 
+    def __repr__(self) -> str:
+        return f"Prediction(system={'of functions' if self.system is None else self.system.name})"
+
     def __init__(self, affine: Callable[..., Any], step: Callable[..., Any] | None = None) -> None:
         self._affine, self._step = affine, step
         self._affine_counts, self._affine_keywords = _accepted_arguments("affine", affine, 2)
