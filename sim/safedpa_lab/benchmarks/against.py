@@ -22,11 +22,7 @@ from typing import Any, Final
 from safedpa.errors import InputError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
 
-FIGURES: Final = {
-    "sense to act, p50": "us",
-    "sense to act, p99": "us",
-    "start to the first action": "s",
-}
+FIGURES: Final = {"sense to act, p50": "us", "sense to act, p99": "us", "start to the first action": "s"}
 """What one drive gives, with units."""
 _ROOMS: Final = ("shared", "services", "sim")
 _COVERAGE: Final = 0.95
@@ -151,13 +147,7 @@ def _message_by(folder: Path, arguments: Sequence[str], where: Path, compiled: P
     notice = f"{folder}: safedpa {' '.join(arguments[:2])}"
     try:
         done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=where,
-            env=environment,
-            timeout=longest_seconds,
+            command, capture_output=True, text=True, check=False, cwd=where, env=environment, timeout=longest_seconds
         )
     except subprocess.TimeoutExpired as error:
         raise SafedpaError(f"{notice} did not end within {error.timeout:.0f} s") from error

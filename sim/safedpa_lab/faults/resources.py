@@ -24,12 +24,7 @@ _FILLER, _BLOCK = "filler", bytes(4096)
 _HOUR = 3600
 _CLOCK = "clock"
 """File by which the library learns how late it is."""
-_JUMPS = (
-    ("robot", _HOUR),
-    ("safety_filter", -_HOUR),
-    ("safety_filter", _HOUR),
-    ("router", _HOUR),
-)
+_JUMPS = (("robot", _HOUR), ("safety_filter", -_HOUR), ("safety_filter", _HOUR), ("router", _HOUR))
 
 
 def disks() -> list[Fault]:

@@ -66,11 +66,7 @@ def _about(random: np.random.Generator) -> float:
     return 1.0 + float(random.uniform(-_JITTER, _JITTER))
 
 
-LAWS: Final[dict[str, Callable[[int, int], Case]]] = {
-    "patches": _patches,
-    "sags": _sags,
-    "speed_gains": _speed_gains,
-}
+LAWS: Final[dict[str, Callable[[int, int], Case]]] = {"patches": _patches, "sags": _sags, "speed_gains": _speed_gains}
 """By name of the suite: the case with a number and a seed."""
 
 

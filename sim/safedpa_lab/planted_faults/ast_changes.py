@@ -12,12 +12,7 @@ _UNITS = {1000, 1e-3, 1e6, 1e-6, 1e9, 1e-9, 3.6, 60, 3600, 180, 100, 0.01, 9.81}
 _PATIENCE = re.compile(r"patience|timeout|seconds|wait|deadline|grace|ticks|periods|_age|interval", re.IGNORECASE)
 _DURABLE = re.compile(r"sync|flush|durab|replac|renam")
 _ENDING = re.compile(r"kill|terminat|stop|signal|cancel")
-_TURNED: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.Gt,
-    ast.Gt: ast.Lt,
-    ast.LtE: ast.GtE,
-    ast.GtE: ast.LtE,
-}
+_TURNED: dict[type[ast.cmpop], type[ast.cmpop]] = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE}
 
 
 def turned(node: ast.AST) -> Iterator[ast.AST]:

@@ -17,8 +17,8 @@ from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
-from safedpa_sim.point.simulation import LARGEST_TURN
 from safedpa_sim.point.filtering import ACTION_SCALE, TASK_TURN, PointPrediction
+from safedpa_sim.point.simulation import LARGEST_TURN
 
 
 def weights_named(name: str, folder: Path = Path()) -> Weights:

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import BoolArray, FloatArray
 from safedpa.errors import InputError
+from safedpa.networks import Weights
 from safedpa.robots.point.goal_seeker import goal_seeking_action
 from safedpa_lab.point.baseline_set import baseline_named, seeds_of
 from safedpa_lab.point.beliefs import LearnedBelief, weights_named
 from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.methods import METHODS, PENALISED, SEEKER, Method
 from safedpa_lab.point.shield import Shield, shield_of
-from safedpa_sim.point.simulation import centre_state
-from safedpa_sim.point.filtering import around_hazards
+from safedpa_sim.point.filtering import AbstractPointModel, around_hazards, to_task_action
 from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.filtering import AbstractPointModel, to_task_action
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.simulation import centre_state
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
 
@@ -212,7 +212,7 @@ def driver_of(method: Method, task: PointTask, wheel: Wheel) -> Driver:
     elif method.policy == SEEKER:
         nominal = _seeking(task, LearnedBelief(weights_named("learned", wheel.models)))
     else:
-        nominal = _learned(task, method.policy, wheel.models)
+        nominal = learned_policy(task, weights_named(method.policy, wheel.models))
     if not method.filter:
         return ShieldedDriver(task, shield_of("none", task, adapts=adapts, folder=wheel.models), nominal)
     if method.filter not in wheel.margins:
@@ -263,12 +263,13 @@ def _seed(method: Method, wheel: Wheel) -> int:
     return next(iter(seeds_of(method.baseline, wheel.baselines)), 0)
 
 
-def _learned(task: PointTask, name: str, models: Path) -> NominalPolicy:
+def learned_policy(task: PointTask, weights: Weights) -> NominalPolicy:
+    """The actions (robots, 2) of the networks' policy for latents (robots, latents)."""
     from safedpa_sim.point.latent_policy import LatentPolicy
 
-    learned, ways = LatentPolicy(weights_named(name, models)), RoutePlanner(task.count)
+    learned, ways = LatentPolicy(weights), RoutePlanner(task.count)
 
-    def nominal_action(latent: FloatArray) -> FloatArray:
+    def nominal_action(latent: FloatArray) -> NDArray[np.floating[Any]]:
         place, layout = task.simulation.pose[:2].T, task.layout
         turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
         return learned.act(policy_seen(task, latent, turn))

@@ -19,8 +19,8 @@ from safedpa_lab.point.free_model import FreeModel
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.networks.prediction_errors import explained
 from safedpa_sim.training.networks.modules import ENVIRONMENT, VECTORS, Dense, tensors_of
+from safedpa_sim.training.networks.prediction_errors import explained
 from safedpa_sim.training.progress import ReportProgress, silent
 
 Tensor = torch.Tensor

@@ -21,10 +21,10 @@ from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.plan import INPUTS
-from safedpa_sim.point.simulation import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.simulation import actions_of, centre_state
 from safedpa_sim.point.task import GOAL_REWARD, PointTask
 
 OBSERVATION_SCALE: Final = np.array(
@@ -100,7 +100,7 @@ class Inputs:
         """The same with the latents that were seen last."""
         task = self._task
         if self._histories is None:
-            return (task.observation() / OBSERVATION_SCALE).astype(np.float32)
+            return np.asarray(task.observation() / OBSERVATION_SCALE, dtype=np.float32)
         latent = self._histories.latent
         if self._way is None or self._kind == "latent":
             yaw = task.simulation.pose[2, :, np.newaxis]

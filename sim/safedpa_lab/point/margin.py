@@ -27,10 +27,9 @@ from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of, windy_ta
 from safedpa_lab.point.methods import Method
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.simulation import LARGEST_TURN, centre_state
-from safedpa_sim.point.filtering import minimum_barrier
-from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel
+from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel, minimum_barrier
 from safedpa_sim.point.policy_task import LARGEST_FORCE
+from safedpa_sim.point.simulation import LARGEST_TURN, centre_state
 from safedpa_sim.point.task import PointTask
 
 _HELD: Final = 25

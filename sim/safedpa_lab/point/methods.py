@@ -27,11 +27,7 @@ FILTERS: Final = {
 PENALISED: Final = ("rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
 """RMA-P's grid: what a step in a hazard takes off the reward in training."""
 SEEKER: Final = "seeker"
-REPORTED: Final = {
-    "lidar": "lidar",
-    "latent": "lidar, z",
-    "equal": "z, way, hazards",
-}
+REPORTED: Final = {"lidar": "lidar", "latent": "lidar, z", "equal": "z, way, hazards"}
 
 
 @final

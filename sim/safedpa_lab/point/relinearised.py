@@ -29,14 +29,21 @@ from safedpa.arrays import FloatArray, IndexArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa_lab.point.beliefs import PROBES, from_task_action, motion_of, weights_named
+from safedpa_lab.point.drivers import learned_policy
 from safedpa_lab.point.free_model import FreeModel, load_free
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.simulation import LARGEST_TURN, after_one_period, centre_state
-from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, around_hazards, minimum_barrier
-from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.filtering import ACTION_SCALE, PointPrediction, SimulatedPointModel, to_task_action
-from safedpa_sim.point.route_planner import RoutePlanner
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.filtering import (
+    ACTION_SCALE,
+    ETA,
+    FilteredActions,
+    PointFilter,
+    PointPrediction,
+    SimulatedPointModel,
+    around_hazards,
+    minimum_barrier,
+    to_task_action,
+)
+from safedpa_sim.point.simulation import LARGEST_TURN, PointSimulation, after_one_period, centre_state
 from safedpa_sim.point.task import PointTask
 
 _STOCK: Final = 1.0 / POINT_BODY.force_limit
@@ -301,19 +308,15 @@ def nominal_policy_of(name: str, thrust: str, task: PointTask, folder: Path, see
     twentieth of the clean one's: the map is one to one up to the full push, and every command beyond it pushes no
     harder. A disturbance knows nothing of that: 95 of 100 stock ones saturate.
     """
-    from safedpa_sim.point.latent_policy import LatentPolicy
-
     weights = weights_named("learned", folder)
     latent = LearnedNetworks(weights).encode(task.simulation.force.T / task.simulation.body.mass)
-    learned, ways = LatentPolicy(weights), RoutePlanner(task.count)
+    learned = learned_policy(task, weights)
     alike = ACTION_SCALE / COMMANDS[thrust]
     random, drawn, period = np.random.default_rng([seed, 71]), np.zeros((task.count, 2)), 0
 
     def nominal_action() -> FloatArray:
         nonlocal drawn, period
-        place, layout = task.simulation.pose[:2].T, task.layout
-        turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
-        own = from_task_action(np.asarray(learned.act(policy_seen(task, latent, turn)), dtype=np.float64)) * alike
+        own = from_task_action(np.asarray(learned(latent), dtype=np.float64)) * alike
         if period % _HELD == 0:
             drawn = random.uniform(-1.0, 1.0, (task.count, 2))
         disturbed = name == "disturbed" and period // _HELD % 2 == 1

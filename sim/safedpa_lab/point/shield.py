@@ -23,18 +23,18 @@ from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.baseline_set import SHIPPED
 from safedpa_lab.point.beliefs import PROBES, LearnedBelief, from_task_action, motion_of, scale_of, weights_named
-from safedpa_sim.point.simulation import centre_state, put_state
-from safedpa_sim.point.filtering import FilteredActions, PointFilter
 from safedpa_sim.point.filtering import (
     ACTION_SCALE,
     AbstractPointModel,
+    FilteredActions,
+    PointFilter,
     PointPrediction,
     SimulatedPointModel,
     to_task_action,
 )
-from safedpa_sim.point.policy_task import EPSILON as TRAINING_EPSILON
 from safedpa_sim.point.observation import SENSED_FRAME, decode_state, decoding_jacobian, sensed, without_goal
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.policy_task import EPSILON as TRAINING_EPSILON
+from safedpa_sim.point.simulation import PointSimulation, centre_state, put_state
 from safedpa_sim.point.task import PointTask
 
 _FILE: Final = "point_17.safetensors"

@@ -60,11 +60,7 @@ def tune_as_written(
     predictor = NetworkPredictor(weights)
     generator = torch.Generator().manual_seed(tuning.seed)
     seen = predictor.seen(sequence_of(predictor.networks, drives))
-    fitted = [
-        *predictor.networks.f.parameters(),
-        *predictor.networks.g.parameters(),
-        *predictor.encoder.parameters(),
-    ]
+    fitted = [*predictor.networks.f.parameters(), *predictor.networks.g.parameters(), *predictor.encoder.parameters()]
     optimiser = torch.optim.Adam(fitted, tuning.learning_rate)
     segments, ahead = tuning.batch // ALONG, (ALONG - 1) * STRIDE + 1
     for done in range(tuning.updates):

@@ -1,6 +1,6 @@
 """Networks that learn the residual of corrected physics from the same few drives without load.
 
-The base is the training simulator, corrected by a diagnosis of the recorded drives (``grounded_simulator``), in the
+The base is the training simulator, corrected by a diagnosis of the recorded drives (``ground_simulator``), in the
 neutral environment. Small networks F + G u of the features and of z = phi(residuals of the last k transitions) learn
 its residual, on the recorded drives and on simulated drives with swinging loads and wind. Loss, in units of the untuned
 networks' scale:

@@ -25,6 +25,12 @@ from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["EXPERIMENTS"]
 
+_SUITES = (
+    "ordinary", "fifth", "two", "three", "hard", "none", "none_hard", "pendulum", "towing", "patches", "sags",
+    "speed_gains", "bad", "wheels", "wheels_none", "all",
+)  # fmt: skip
+"""Of hidden effects; the list of all experiments is read without the optional packages that a suite needs."""
+
 EXPERIMENTS = (
     Experiment(
         name="bad-data",
@@ -104,31 +110,7 @@ EXPERIMENTS = (
         parameters=(
             integer("--cases", 48, "per suite", least=1),
             integer("--seed", 0, "seed of strengths, drives and noise", least=0),
-            repeated(
-                "--suite",
-                "suites",
-                "repeatable; default: all",
-                type=SuggestingChoice(
-                    (
-                        "ordinary",
-                        "fifth",
-                        "two",
-                        "three",
-                        "hard",
-                        "none",
-                        "none_hard",
-                        "pendulum",
-                        "towing",
-                        "patches",
-                        "sags",
-                        "speed_gains",
-                        "bad",
-                        "wheels",
-                        "wheels_none",
-                        "all",
-                    )
-                ),
-            ),
+            repeated("--suite", "suites", "repeatable; default: all", type=SuggestingChoice(_SUITES)),
             integer("--processes", 2, "with one thread each", least=1),
             path(
                 "--out",
@@ -205,12 +187,7 @@ EXPERIMENTS = (
     of the evaluation log at a speed and throttle for which the other logs hold less than a second of driving.""",
         run=f"{__name__}.real_logs:run",
         parameters=(
-            path(
-                "--data",
-                "folder with the recordings: see docs/real-logs.md",
-                metavar="DIR",
-                required=True,
-            ),
+            path("--data", "folder with the recordings: see docs/real-logs.md", metavar="DIR", required=True),
             Parameter(
                 "--part", type=SuggestingChoice(("car", "pendulum", "balls", "all")), default="all", show_default=True
             ),

@@ -49,10 +49,7 @@ class LongLogs:
 
 
 def write_long_logs(
-    logs: LongLogs,
-    folder: Path,
-    kinds: tuple[str, ...] = ("csv",),
-    report_progress: ReportProgress = silent,
+    logs: LongLogs, folder: Path, kinds: tuple[str, ...] = ("csv",), report_progress: ReportProgress = silent
 ) -> dict[str, list[Path]]:
     """Writes ``model.toml``, which knows nothing of what is hidden, and the runs in each kind of file; their paths."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -293,11 +293,7 @@ _LIMIT = 0.95
 
 
 def fleet_screen(
-    seed: int,
-    healthy: int = 24,
-    *,
-    hard: bool = False,
-    report_progress: ReportProgress = silent,
+    seed: int, healthy: int = 24, *, hard: bool = False, report_progress: ReportProgress = silent
 ) -> dict[str, Any]:
     """Errors of healthy cars, and of cars with each effect; how many of these a limit would miss.
 

@@ -115,10 +115,7 @@ def _tables(
     experiment: PendulumExperiment, epsilon: Mapping[str, float], workers: Workers, more: Callable[[], None]
 ) -> dict[str, Any]:
     """Counts by table, task and method. Methods without a filter are in the first table only."""
-    margins = {
-        "own": _of_each(epsilon),
-        "same": dict.fromkeys(_of_each(epsilon), epsilon["safedpa"]),
-    }
+    margins = {"own": _of_each(epsilon), "same": dict.fromkeys(_of_each(epsilon), epsilon["safedpa"])}
     work = [
         (
             (table, question, method.name),

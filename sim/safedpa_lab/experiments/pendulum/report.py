@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from safedpa.safety import MarginCalibration
 from safedpa_lab.experiments.pendulum.episodes import BEST_PENALTY
-from safedpa_lab.experiments.report import markdown_table
+from safedpa_lab.experiments.report import markdown_table, percent
 
 _TABLES: Final = {"own": "each filter its own margin", "same": "SafeDPA's margin for all"}
 _OUTCOMES: Final = {"safe": "safe", "success": "upright", "both": "both"}
@@ -70,7 +70,7 @@ def balancing_table(result: Mapping[str, Any], table: str) -> str:
     rows = []
     for row in result["tables"][table]["balancing"].values():
         rows.append(
-            f"{row['title']} | {_margin(row)} | {row['safe']}/{row['episodes']} | {_interval(row['interval_safe'])} "
+            f"{row['title']} | {_margin(row)} | {row['safe']}/{row['episodes']} | {percent(row['interval_safe'])} "
             f"| {100 * min(row['safety_rate']):.0f} % | {degrees(min(row['least_room'])):.1f} | {_covered(row)} "
             f"| {100 * row['relaxed']:.1f} %"
         )
@@ -88,7 +88,7 @@ def hazard_table(result: Mapping[str, Any], table: str) -> str:
         count = row["episodes"]
         rows.append(
             f"{row['title']} | {_margin(row)} | {row['success']}/{count} | {row['safe']}/{count} "
-            f"| {row['both']}/{count} | {_interval(row['interval_both'])} | {degrees(min(row['least_room'])):.1f} "
+            f"| {row['both']}/{count} | {percent(row['interval_both'])} | {degrees(min(row['least_room'])):.1f} "
             f"| {_covered(row)}"
         )
     return markdown_table(
@@ -194,10 +194,6 @@ def latent_table(result: Mapping[str, Any]) -> str:
     return markdown_table(
         "wind direction, degrees off: median (90 %) | phi | refined by f and g | best fit | best fit with noise", rows
     )
-
-
-def _interval(ends: list[float]) -> str:
-    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
 
 
 def _margin(row: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 
 from safedpa.adaptation import AdaptationNode, HistoryEstimator, LatentEstimator
 from safedpa.arrays import FloatArray
+from safedpa.bus import AbstractNode
 from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, load_model, parse_model, write_model
@@ -253,7 +254,7 @@ def _run(episode: _Episode) -> dict[str, Any]:
     model, calibration = parse_model(episode.model, episode.folder), MarginCalibration.parse(episode.calibration)
     robot = PendulumRobot(task_named("balance"), episode.wind, episode.seed, HIDDEN[episode.hidden].parameters)
     keeper = SafetyFilterNode(model, settings_named(_SETTINGS), calibration)
-    nodes = [AdaptationNode(model), PolicyNode(model, controller="random"), keeper]
+    nodes: list[AbstractNode] = [AdaptationNode(model), PolicyNode(model, controller="random"), keeper]
     ticks = list(drive(robot, nodes, episode.ticks))
     angles = np.array([tick.state.values[0] for tick in ticks])
     return {

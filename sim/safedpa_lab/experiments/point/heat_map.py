@@ -22,9 +22,8 @@ from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.beliefs import LearnedBelief, weights_named
 from safedpa_lab.point.margin import Moments, drawn_moments
 from safedpa_lab.point.shield import FIXED_DIRECTIONS
+from safedpa_sim.point.filtering import ACTION_SCALE, minimum_barrier
 from safedpa_sim.point.simulation import after_one_period
-from safedpa_sim.point.filtering import minimum_barrier
-from safedpa_sim.point.filtering import ACTION_SCALE
 
 _NAMES: Final = ("safedpa", *(f"fix_{direction}" for direction in FIXED_DIRECTIONS), "mix")
 _STEPS: Final = 200

@@ -20,7 +20,7 @@ from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import seeds_interval, wilson_interval
 from safedpa_lab.experiments.common.workers import check_record, driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
-from safedpa_lab.experiments.report import markdown_table
+from safedpa_lab.experiments.report import interval, markdown_table
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
 from safedpa_lab.point.online_learning import COUNTS, STARTS, WARMING, Learning, learned
 
@@ -215,10 +215,9 @@ def judged_table(result: Mapping[str, Any]) -> str:
     for start, behind, row in _each(result):
         before = {"nothing yet": row["judged_before"]} if row["judged_before"] else {}
         for name, judged in {**before, **{f"seed {seed}": one for seed, one in row["judged"].items()}}.items():
-            mean, low, high = judged["goals"]
             changed = f"{100 * judged['corrected']:.1f}" if behind == "filter" else ""
             rows.append(
-                f"{STARTS[start].title} | {BEHIND[behind]} | {name} | {mean:.1f} ({low:.1f} to {high:.1f}) "
+                f"{STARTS[start].title} | {BEHIND[behind]} | {name} | {interval(judged['goals'])} "
                 f"| {judged['safe']} of {judged['episodes']} | {judged['unsafe_steps']} | {changed}"
             )
     return markdown_table(

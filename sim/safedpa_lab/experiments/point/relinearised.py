@@ -23,7 +23,7 @@ from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import holm, mcnemar_exact, mean_interval, wilson_interval
 from safedpa_lab.experiments.common.workers import check_record, driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, named_folder, silent
-from safedpa_lab.experiments.report import markdown_table
+from safedpa_lab.experiments.report import interval, markdown_table
 from safedpa_lab.point.drivers import driven as drive
 from safedpa_lab.point.drivers import evenly, windy_task
 from safedpa_lab.point.free_model import save_free
@@ -62,9 +62,7 @@ def thrust_configuration(thrust: str, pairs: int | None = None) -> Configuration
 
 
 def train_networks(
-    out: Path,
-    pairs: int | None = None,
-    report_progress: training_progress.ReportProgress = training_progress.silent,
+    out: Path, pairs: int | None = None, report_progress: training_progress.ReportProgress = training_progress.silent
 ) -> None:
     """Trains ``safedpa_lab.point.relinearised.NETWORKS`` into the folder, with the same pairs for both forms."""
     out.mkdir(parents=True, exist_ok=True)
@@ -368,10 +366,9 @@ def against_table(result: Mapping[str, Any]) -> str:
     """Episodes that only one of the two drove without cost."""
     rows = []
     for row in result["against"]:
-        mean, low, high = row["goals_less"]
         rows.append(
             f"{row['thrust']} | {row['nominal']} | {_TITLES[row['filter']]} | +{row['only_it']} -{row['only_affine']} "
-            f"| {row['holm']:.1g} | {mean:.1f} ({low:.1f} to {high:.1f})"
+            f"| {row['holm']:.1g} | {interval(row['goals_less'])}"
         )
     return markdown_table("thrust | nominal action | against the affine networks | safe | p | goals more", rows)
 

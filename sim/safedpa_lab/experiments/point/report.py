@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from safedpa_lab.experiments.report import markdown_table
+from safedpa_lab.experiments.report import interval, markdown_table
 from safedpa_lab.point.methods import FILTERS
 
 
@@ -47,7 +47,7 @@ def short_table(result: Mapping[str, Any], table: str) -> str:
         margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
         safe = _share(row["safe_episodes"], row["episodes"], row["safe_episodes_interval"])
         ratio = f"{row['of_ppo'][0]:.2f}" if "of_ppo" in row else ""
-        goals = _interval(row["goals"], 1, 1)
+        goals = interval(row["goals"])
         rows.append(f"{row['title']} | {row['reported']} | {margin} | {safe} | {goals} | {ratio}")
     return markdown_table("| inputs | margin, mm | episodes without cost, % | goals | over PPO's", rows)
 
@@ -60,7 +60,7 @@ def against_table(result: Mapping[str, Any]) -> str:
             other = result["methods"][row["against"]]
             found = f"+{row['only_safedpa']} -{row['only_other']}"
             p = f"{row['mcnemar_holm']:.1g} | {row['directions_holm']:.1g}"
-            rows.append(f"{other['title']} | {other['reported']} | {found} | {p} | {_interval(row['goals'], 1, 1)}")
+            rows.append(f"{other['title']} | {other['reported']} | {found} | {p} | {interval(row['goals'])}")
     return markdown_table("SafeDPA against | inputs | safe | p | by directions | goals less", rows)
 
 
@@ -70,10 +70,10 @@ def _safety(rows: Mapping[str, Any]) -> str:
         count = row["episodes"]
         margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
         cells.append(
-            f"{row['title']} | {row['reported']} | {margin} | {_interval(row['safe_steps'], 100, 2, 100.0)} "
+            f"{row['title']} | {row['reported']} | {margin} | {interval(row['safe_steps'], 100, 2, most=100.0)} "
             f"| {_share(row['safe_episodes'], count, row['safe_episodes_interval'])} "
             f"| {100 * min(row['directions_safe_steps']):.2f} "
-            f"| {_interval(row['goals'], 1, 2)} | {_interval(row['of_ppo'], 1, 2) if 'of_ppo' in row else ''} "
+            f"| {interval(row['goals'], 1, 2)} | {interval(row['of_ppo'], 1, 2) if 'of_ppo' in row else ''} "
             f"| {_share(row['reached'], count, row['reached_interval'])}"
         )
     return markdown_table(
@@ -121,7 +121,7 @@ def _advantages(result: Mapping[str, Any]) -> str:
         outcome = {"success": "reached"}.get(row["outcome"], row["outcome"])
         rows.append(
             f"{row['question']} | {title} ({reported}) | {outcome} | {row['only_safedpa']} | {row['only_other']} "
-            f"| {row['mcnemar_holm']:.2g} | {row['directions_holm']:.2g} | {_interval(row['goals'], 1, 2)}"
+            f"| {row['mcnemar_holm']:.2g} | {row['directions_holm']:.2g} | {interval(row['goals'], 1, 2)}"
         )
     return markdown_table(
         "margins | against | outcome | only SafeDPA | only the other | p, McNemar | p, directions "
@@ -139,8 +139,8 @@ def seeds_table(result: Mapping[str, Any]) -> str:
         if (found := row.get("over_seeds")) is not None:
             seeds = ", ".join(map(str, found["training_seeds"]))
             rows.append(
-                f"{row['title']} ({row['reported']}) | {seeds} | {_interval(found['safe'], 100, 1, 100.0, 0.0)} "
-                f"| {_interval(found['goals'], 1, 2)} | {_interval(found['cost'], 1, 1, None, 0.0)}"
+                f"{row['title']} ({row['reported']}) | {seeds} | {interval(found['safe'], 100, 1, 0.0, 100.0)} "
+                f"| {interval(found['goals'], 1, 2)} | {interval(found['cost'], least=0.0)}"
             )
     return markdown_table(
         "| training seeds | episodes without cost, % | goals | cost",
@@ -155,8 +155,8 @@ def _gained(rows: Mapping[str, Any]) -> str:
         filtered = f"{100 * row['corrected']:.1f} | {100 * row['relaxed']:.1f}" if row["filter"] else " | "
         first = row["first_goal_median"]
         cells.append(
-            f"{row['title']} | {row['reported']} | {_interval(row['reward'], 1, 1)} "
-            f"| {_interval(row['cost'], 1, 1, None, 0.0)} "
+            f"{row['title']} | {row['reported']} | {interval(row['reward'])} "
+            f"| {interval(row['cost'], least=0.0)} "
             f"| {row['unsafe_steps']} | {row['least_room']:.3f} | {'never' if first is None else f'{first:.1f}'} "
             f"| {filtered} | {row['milliseconds_per_episode']:.0f} | {row['microseconds_per_decision']:.0f}"
         )
@@ -165,15 +165,6 @@ def _gained(rows: Mapping[str, Any]) -> str:
         "| not all kept, % | processor: ms an episode | us a decision",
         cells,
     )
-
-
-def _interval(
-    found: list[float], scale: float, digits: int, most: float | None = None, least: float | None = None
-) -> str:
-    mean, low, high = (scale * part for part in found)
-    low = low if least is None else max(low, least)
-    high = high if most is None else min(high, most)
-    return f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def _share(hits: int, count: int, ends: list[float]) -> str:

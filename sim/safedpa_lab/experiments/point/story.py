@@ -24,9 +24,8 @@ from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.point.beliefs import ModelBelief
 from safedpa_lab.point.shield import EPSILON, Shield
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
-from safedpa_sim.point.simulation import centre_state, controls_of
 from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.simulation import PointSimulation, centre_state, controls_of
 from safedpa_sim.point.task import PointTask
 
 _LOGGED_HELD: Final = 25
@@ -53,7 +52,7 @@ HIDDEN: Final = {
             "constant_force": {"ax": _SLOPE[0] / POINT_BODY.mass, "ay": _SLOPE[1] / POINT_BODY.mass},
             "viscous_drag": {"coefficient": POINT_BODY.slide_damping / POINT_BODY.mass},
         },
-    ),
+    )
 }
 """By name: 0.006 N towards 135 degrees, as on a sloping table, and the damping of the slides."""
 

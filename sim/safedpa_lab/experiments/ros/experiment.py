@@ -23,6 +23,7 @@ from safedpa_lab.benchmarks.latency import bare_times
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.ros.side import Loop, Node, Side, robot_file, services, side
 
 _BEFORE, _AFTER, _LONGEST = 2.5, 4.0, 60.0
@@ -292,10 +293,8 @@ def page_of(result: Mapping[str, Any]) -> str:
         "gateway, adaptation and filter.",
         "`rmw_zenoh_cpp` itself was not there: [what was not tried](../ros.md#what-it-does-not-do).",
         "",
-        "| | with the filter | without |",
-        "|---|---|---|",
     ]
-    for key, name in (
+    counted = (
         ("drives", f"drives of {result['seconds']:g} s"),
         ("drives_with_a_collision", "drives with a collision"),
         ("collisions", "collisions"),
@@ -303,18 +302,18 @@ def page_of(result: Mapping[str, Any]) -> str:
         ("metres_a_minute", "m a minute"),
         ("periods_braked_by_the_gateway", "periods in which the gateway braked by itself (50 ms)"),
         ("periods_braked_by_the_driver", "periods in which the driver did, before the first command too (20 ms)"),
-    ):
-        lines.append(f"| {name} | {_number(with_filter[key])} | {_number(without[key])} |")
+    )
+    rows = (f"{name} | {_number(with_filter[key])} | {_number(without[key])}" for key, name in counted)
+    lines.append(markdown_table("| with the filter | without", rows))
     share = 100.0 * with_filter["share_95"][1]
     lines += ["", f"At 95 %: at most {share:.1f} % of such drives collide with the filter.", "", "## Sense to act", ""]
-    lines += ["Measured by the car's own clock; in ms.", "", "| | p50 | p99 | samples |", "|---|---|---|---|"]
-    for key, name in _NAMES.items():
-        row = result["sense_to_act_ms"][key]
-        lines.append(f"| {name} | {row['p50']:.1f} | {row['p99']:.1f} | {row['samples']} |")
+    times = ((name, result["sense_to_act_ms"][key]) for key, name in _NAMES.items())
+    rows = (f"{name} | {row['p50']:.1f} | {row['p99']:.1f} | {row['samples']}" for name, row in times)
+    lines.append(markdown_table("| p50 | p99 | samples", rows, above="Measured by the car's own clock; in ms."))
     if result["faults"]:
-        lines += ["", "## Faults", "", "Each in a drive of its own, while the car drives.", ""]
-        lines += ["| fault | speed, m/s | stands after, s | m | reported | collisions |", "|---|---|---|---|---|---|"]
-        lines += [_fault(one) for one in result["faults"]]
+        head = "fault | speed, m/s | stands after, s | m | reported | collisions"
+        above = "Each in a drive of its own, while the car drives."
+        lines += ["", "## Faults", "", markdown_table(head, map(_fault, result["faults"]), above=above)]
     return "\n".join(lines) + "\n"
 
 
@@ -326,4 +325,4 @@ def _fault(one: Mapping[str, Any]) -> str:
     stood = "" if one["stood_after"] is None else f"{one['stood_after']:.2f}"
     way = "" if one["stopping_way"] is None else f"{one['stopping_way']:.2f}"
     reported = one["reported"] or "nothing; it drives on"
-    return f"| {one['fault']} | {one['speed_before']:.2f} | {stood} | {way} | {reported} | {one['collisions']} |"
+    return f"{one['fault']} | {one['speed_before']:.2f} | {stood} | {way} | {reported} | {one['collisions']}"

@@ -86,8 +86,4 @@ def _means(groups: Sequence[Sequence[Mapping[str, Any]]], picked: NDArray[np.int
 def _metrics(mean: FloatArray, scale: FloatArray) -> dict[str, Any]:
     """The metrics (...) of mean squared errors (..., states)."""
     scaled = mean / scale**2
-    return {
-        "root_mean_square": np.sqrt(scaled).mean(-1),
-        "mean_square": scaled.mean(-1),
-        "squared_norm": mean.sum(-1),
-    }
+    return {"root_mean_square": np.sqrt(scaled).mean(-1), "mean_square": scaled.mean(-1), "squared_norm": mean.sum(-1)}

@@ -24,6 +24,7 @@ from safedpa_lab.experiments.car.drives import DriveOrder, cut_at_contact, recor
 from safedpa_lab.experiments.car.predictor import OWN_STATES
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
+from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.experiments.tuning.errors import HORIZONS, METRICS, errors_of_drive, metrics_of, ratios_of
 from safedpa_lab.experiments.tuning.models import ROWS, Retained, TunedModels, key_of
 from safedpa_lab.experiments.tuning.real_car import RealTuning, real_tuning
@@ -255,31 +256,26 @@ def _car(car: Mapping[str, Any]) -> list[str]:
     ]
     for metric in METRICS:
         for horizon in HORIZONS:
-            lines += [
-                f"## {_METRICS[metric]}, {_HORIZONS[horizon]}",
-                "",
-                *_table(car, metric, horizon),
-                "",
-            ]
+            lines += [f"## {_METRICS[metric]}, {_HORIZONS[horizon]}", "", _table(car, metric, horizon), ""]
     refused = [f"{row['title']}: {row['refused']}" for row in car["rows"].values() if row["refused"]]
     return [*lines, *_states(car), *_loads(car), *_taken_table(car), *refused]
 
 
-def _table(car: Mapping[str, Any], metric: str, horizon: str) -> list[str]:
+def _table(car: Mapping[str, Any], metric: str, horizon: str) -> str:
     head = [
         f"{reported}: {word}"
         for reported in _GROUPS.values()
         for word in ("error", *(f"times, {b}" for b in _BASES.values()))
     ]
-    lines = ["| | " + " | ".join(head) + " |", "|---" * (1 + len(head)) + "|"]
+    rows = []
     for row in car["rows"].values():
-        cells = []
+        cells = [row["title"]]
         for group in _GROUPS:
             cells.append(f"{row['metrics'][group][horizon][metric]:.3g}")
             ratios = row["ratios"][group][horizon]
             cells += [_ratio(ratios[base][metric]) if base in ratios else "1" for base in _BASES]
-        lines.append(f"| {row['title']} | " + " | ".join(cells) + " |")
-    return lines
+        rows.append(" | ".join(cells))
+    return markdown_table(" | ".join(["", *head]).strip(), rows)
 
 
 def _states(car: Mapping[str, Any]) -> list[str]:
@@ -290,12 +286,12 @@ def _states(car: Mapping[str, Any]) -> list[str]:
             for reported in ("without a load", "with loads")
             for state, unit in zip(OWN_STATES, _UNITS, strict=True)
         ]
-        lines += [f"## By state, {_HORIZONS[horizon]}", "", "Root mean square.", ""]
-        lines += ["| | " + " | ".join(head) + " |", "|---" * (1 + len(head)) + "|"]
+        rows = []
         for row in car["rows"].values():
             found = [row["metrics"][group][horizon][state] for group in ("none", "loads") for state in OWN_STATES]
-            lines.append(f"| {row['title']} | " + " | ".join(_short(1000.0 * value) for value in found) + " |")
-        lines.append("")
+            rows.append(" | ".join([row["title"], *(_short(1000.0 * value) for value in found)]))
+        table = markdown_table(" | ".join(["", *head]).strip(), rows, above="Root mean square.")
+        lines += [f"## By state, {_HORIZONS[horizon]}", "", table, ""]
     return lines
 
 
@@ -303,21 +299,17 @@ def _loads(car: Mapping[str, Any]) -> list[str]:
     loads = [name for name in next(iter(car["rows"].values()))["metrics"] if name not in ("loads", "mixed")]
     lines = []
     for horizon in HORIZONS:
-        lines += [
-            f"## By load, root mean square, {_HORIZONS[horizon]}",
-            "",
-            "In brackets: times less than as trained.",
-            "",
-        ]
-        lines += ["| | " + " | ".join(loads) + " |", "|---" * (1 + len(loads)) + "|"]
+        rows = []
         for row in car["rows"].values():
-            cells = []
+            cells = [row["title"]]
             for load in loads:
                 ratios = row["ratios"][load][horizon]
                 times = f" ({_ratio(ratios['untuned']['root_mean_square'])})" if "untuned" in ratios else ""
                 cells.append(f"{row['metrics'][load][horizon]['root_mean_square']:.3g}{times}")
-            lines.append(f"| {row['title']} | " + " | ".join(cells) + " |")
-        lines.append("")
+            rows.append(" | ".join(cells))
+        above = "In brackets: times less than as trained."
+        table = markdown_table(" | ".join(["", *loads]).strip(), rows, above=above)
+        lines += [f"## By load, root mean square, {_HORIZONS[horizon]}", "", table, ""]
     return lines
 
 
@@ -325,35 +317,26 @@ def _taken_table(car: Mapping[str, Any]) -> list[str]:
     rows = [row for row in car["rows"].values() if "taken" in row]
     if not rows:
         return []
-    lines = [
-        "## What online tuning took",
-        "",
-        "Root mean square, scaled, on each of the robot's own drives by what was fitted to the other.",
-        "",
-        "| | load | ridge | one step: before | after | one second: before | after |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    lines = []
     for row in rows:
         for load, taken in row["taken"].items():
             after = taken["after"] or ("refused: not better", "refused")
             cells = [cell for pair in zip(taken["before"], after, strict=True) for cell in pair]
             reported = " | ".join(cell if isinstance(cell, str) else f"{cell:.3g}" for cell in cells)
-            lines.append(f"| {row['title']} | {load} | {taken['ridge'] or ''} | {reported} |")
-    return [*lines, ""]
+            lines.append(f"{row['title']} | {load} | {taken['ridge'] or ''} | {reported}")
+    head = "| load | ridge | one step: before | after | one second: before | after"
+    above = "Root mean square, scaled, on each of the robot's own drives by what was fitted to the other."
+    return ["## What online tuning took", "", markdown_table(head, lines, above=above), ""]
 
 
 def _real(real: Mapping[str, Any]) -> list[str]:
     if "left_out" in real:
         return ["## The real car", "", f"Left out: {real['left_out']}.", ""]
-    lines = [
-        "## The real car",
-        "",
+    above = (
         f"Judged on the second half of the log named. Margin: conformal, {100.0 * real['coverage']:g} %, of the error "
-        "of the position, from the last quarters of the logs that were tuned on. Error: root mean square, scaled.",
-        "",
-        "| log | | one step: error | margin, mm | covered, % | one second: error | margin, mm | covered, % |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+        "of the position, from the last quarters of the logs that were tuned on. Error: root mean square, scaled."
+    )
+    lines = []
     for fold in real["folds"]:
         day = " (another day)" if fold.get("other_day") else ""
         for name, row in fold["rows"].items():
@@ -366,8 +349,9 @@ def _real(real: Mapping[str, Any]) -> list[str]:
                     f"{100.0 * one['covered']:.1f}",
                 ]
             notice = f" ({fold['notice'][name]})" if name in fold["notice"] else ""
-            lines.append(f"| {fold['log']}{day} | {real['titles'][name]}{notice} | " + " | ".join(cells) + " |")
-    return [*lines, ""]
+            lines.append(" | ".join([f"{fold['log']}{day}", f"{real['titles'][name]}{notice}", *cells]))
+    head = "log | | one step: error | margin, mm | covered, % | one second: error | margin, mm | covered, %"
+    return ["## The real car", "", markdown_table(head, lines, above=above), ""]
 
 
 def _short(value: float) -> str:
