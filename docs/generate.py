@@ -6,7 +6,6 @@ A generated part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->`
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import json
 import re
@@ -15,6 +14,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+import click
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
@@ -40,7 +41,7 @@ from safedpa_lab.experiments.pendulum import report as pendulum_report
 from safedpa_lab.experiments.point import learning as point_learning_report
 from safedpa_lab.experiments.point import relinearised as point_relinearised_report
 from safedpa_lab.experiments.point import report as point_report
-from safedpa_services.command_line.group import COMMANDS, LABORATORY
+from safedpa_services.command_line.group import safedpa
 from safedpa_services.metrics.exporter import FAMILIES
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -51,7 +52,6 @@ LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilter
 NODES = (*LOOP, PerceptionNode, DiagnosisNode)
 PAGES = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-COMMANDS_PACKAGE = "safedpa_services.command_line"
 OBSERVERS = ("recorder", "dashboard", "workbench")
 
 
@@ -147,16 +147,15 @@ def metrics() -> str:
 def commands() -> str:
     """Every command with the first sentence of its help, and every experiment."""
     rows = ["| command | what it does |", "|---|---|"]
-    brought = {name: f"safedpa_lab.commands.{name.replace('-', '_')}" for name in LABORATORY}
-    own = {name: f"{COMMANDS_PACKAGE}.{name.replace('-', '_')}" for name in COMMANDS}
-    for name, module in sorted((own | brought).items()):
-        rows.append(f"| `safedpa {name}` | {_first_sentence(module)} |")
+    context = click.Context(safedpa)
+    for name in safedpa.list_commands(context):
+        rows.append(f"| `safedpa {name}` | {_first_sentence(safedpa.get_command(context, name))} |")
     rows += [f"| `safedpa experiment {name}` | {each.summary} |" for name, each in EXPERIMENTS.items()]
     return "\n".join(rows)
 
 
-def _first_sentence(module: str) -> str:
-    help_text = " ".join((importlib.import_module(module).command.help or "").split("\n\n")[0].split())
+def _first_sentence(command: click.Command) -> str:
+    help_text = " ".join((command.help or "").split("\n\n")[0].split())
     return help_text.split(". ")[0].rstrip(".").replace("|", "\\|")
 
 
