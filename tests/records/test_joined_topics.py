@@ -53,13 +53,13 @@ def table(mapping: ColumnMap, **topics: Series) -> Table:
 
 @pytest.mark.parametrize(("hold", "stale", "first"), [(0.5, [2, 3], 2.0), (1.5, [3], 3.0), (2.5, [], 0.0)])
 def test_a_value_is_held_until_it_is_too_old(hold: float, stale: list[int], first: float) -> None:
-    """A row each second; the motor speaks at 0 and at 1 s, its later message first in the file."""
-    found = table(columns(f", hold = {hold}"), joint=at([0, 1, 2, 3]), motor=at([1, 0], [11.0, 10.0]))
+    """A row each second; the motor speaks at 0, 0.8 and 1 s, the last two in the other order in the file."""
+    found = table(columns(f", hold = {hold}"), joint=at([0, 1, 2, 3]), motor=at([0, 1, 0.8], [10.0, 11.0, 9.0]))
     torque = found.columns["motor:x"]
     assert np.flatnonzero(np.isnan(torque)).tolist() == stale
     assert torque[:2].tolist() == [10.0, 11.0]
     kinds = [(one.kind, one.count, one.start_t) for one in found.findings]
-    assert kinds == ([("stale_topic", len(stale), first)] if stale else [])
+    assert kinds == [("out_of_order", 1, 0.8), *([("stale_topic", len(stale), first)] if stale else [])]
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_a_finding_names_the_first_time_where_it_is_known(start: float | None, d
 @pytest.mark.parametrize("findings", [(), (Finding("comment_lines", "two lines were left out", 2),)])
 def test_a_table_without_a_row_is_refused_with_the_findings(findings: tuple[Finding, ...]) -> None:
     columns = replace(native_map(CAR), tracked_point=TrackedPoint(ahead=0.1))
-    rows = mapped_rows(Table({name: np.empty(0) for name in columns.sources}, ()), columns, CAR)
+    rows, findings = mapped_rows(Table({name: np.empty(0) for name in columns.sources}, findings), columns, CAR)
     assert (len(rows.t), rows.actions.shape) == (0, (0, 2))
     with pytest.raises(RunError) as caught:
         run_of_rows(Path("a.csv"), CAR, columns, rows, findings)

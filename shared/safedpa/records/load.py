@@ -38,8 +38,8 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
         return read_run_from_mcap(path, system)
     if kind == "topics" and columns is None:
         raise RunError(_map_needed(path, system))
-    table = _read(path, kind, mapping, system)
-    return run_of_rows(path, system, mapping, mapped_rows(table, mapping, system), table.findings)
+    rows, findings = mapped_rows(_read(path, kind, mapping, system), mapping, system)
+    return run_of_rows(path, system, mapping, rows, findings)
 
 
 def _map_needed(path: Path, system: System) -> str:

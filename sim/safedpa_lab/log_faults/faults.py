@@ -94,7 +94,7 @@ def _moved(
         now = np.array([getattr(message, name) for message in messages]) - case.start
         rows = np.array([message.row for message in messages]) * PERIOD
         changed = change(rows) - rows + now + case.start  # a message moves with its row
-        for place, value in enumerate(changed.tolist()):
+        for place, value in enumerate(np.round(changed, 6).tolist()):
             messages[place] = replace(messages[place], **{name: value})
 
 
@@ -310,7 +310,7 @@ def _padded(case: Case) -> Expected:
 _MISSING: Final = ("#N/A", "1.#QNAN", "--", "-", "NULL", "n/a", "?", "missing", "#DIV/0!", "<NA>")
 
 
-def _missing_words(case: Case) -> Expected:
+def _not_given(case: Case) -> Expected:
     rows = sorted(int(k) for k in case.rng.choice(len(case.drive), 6, replace=False))
     word = str(case.rng.choice(_MISSING))
     for row in rows:
@@ -478,7 +478,7 @@ FAULTS: Final = (
     _fault("names_with_commas", _names_with_commas, csv="quoted names with commas", parquet="names with commas"),
     _fault("trailing_delimiter", _trailing, csv="at the end of rows, in half of the logs also of the header"),
     _fault("padded_names", _padded, csv_parquet="blanks around names"),
-    _fault("missing_words", _missing_words, csv="a word for a missing value", parquet="nulls"),
+    _fault("missing_words", _not_given, csv="a word for a missing value", parquet="nulls"),
     _fault("booleans", _booleans, csv="true and false as words", parquet="a column of booleans"),
     _fault("missing_header", _missing_header, csv="the first line has numbers"),
     _fault("comment_header", _comment_header, csv="the names are in a comment line"),

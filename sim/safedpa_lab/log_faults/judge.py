@@ -81,7 +81,10 @@ def judge(run: Run, drive: Drive, expected: Expected) -> Score:
     difference = np.abs(read - truth[row, 1:])
     turn = np.abs(np.angle(np.exp(1j * (read[:, 2] - truth[row, 3]))))
     difference[:, 2] = turn
-    wrong |= (difference > _TOLERANCE).any(axis=1)
+    wrong |= (difference[:, :4] > _TOLERANCE).any(axis=1)
+    # while commands are missing, a robot applies the last one, and so does the reader
+    held = np.isin(row, list(expected.damaged)) & (expected.kinds == ("stale_topic",))
+    wrong |= (difference[:, 4:] > _TOLERANCE).any(axis=1) & ~held
     for part in run.stretches:
         inside = slice(part.start, part.stop)
         late = np.abs(np.diff(run.t[inside]) - PERIOD * np.diff(row[inside])) > _TIME_TOLERANCE

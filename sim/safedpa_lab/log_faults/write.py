@@ -17,6 +17,9 @@ __all__ = ["topic_map", "write_table", "write_topics"]
 
 _CHUNK_BYTES: Final = 8192
 _SECOND: Final = 1_000_000_000
+_SYNC: Final = 20
+"""Messages of a flight log from one synchronisation mark to the next."""
+_SYNC_BYTES: Final = bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))
 _TYPES: Final = {"": "geometry_msgs/msg/TwistStamped", "plain": "geometry_msgs/msg/Twist"}
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
 _FIELDS: Final = {
@@ -148,6 +151,8 @@ def _write_ulog(log: Topics, drive: Drive, path: Path) -> None:
     ]
     command = 1
     for place, message in enumerate(log.messages):
+        if place % _SYNC == 0:
+            parts.append(record("S", _SYNC_BYTES))
         if place == log.resubscribed:
             command = 2
             parts.append(subscribed("cmd", command))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,12 +11,14 @@ from safedpa.errors import ColumnMapError, did_you_mean
 from safedpa.records.column_map.column_map import SLOPE, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.column_map.derive import slope
 from safedpa.records.column_map.units import factor_to_si
-from safedpa.records.quality.clock import gap_rows, reset_rows
+from safedpa.records.quality.clock import gap_rows
+from safedpa.records.quality.findings import count_text, finding
 from safedpa.records.readers.table import Table
 from safedpa.records.run import Finding, RawRows, Stretch
+from safedpa.records.segments import judge_clock, late_rows
 from safedpa.systems import System
 
-__all__ = ["check_map", "derive_states", "joined_column", "mapped_rows", "resample_rows"]
+__all__ = ["check_map", "derive_states", "joined_column", "mapped_rows", "ordered_table", "resample_rows"]
 
 
 def check_map(columns: ColumnMap, system: System) -> None:
@@ -45,14 +49,23 @@ def check_map(columns: ColumnMap, system: System) -> None:
             factor_to_si(column.unit, _unit(system, target), f"{columns.name}: columns.{target}.unit")
 
 
-def mapped_rows(table: Table, columns: ColumnMap, system: System) -> RawRows:
-    """Returns rows in SI units with the names of the system; derived states are NaN until ``derive_states``."""
-    keep = _rows_to_keep(table, columns)
-    values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
+def mapped_rows(table: Table, columns: ColumnMap, system: System) -> tuple[RawRows, tuple[Finding, ...]]:
+    """Returns rows in SI units with the names of the system, in the order of their times, and findings about times.
+
+    Derived states are NaN until ``derive_states``.
+    """
+    table = table.taken(_rows_to_keep(table, columns))
+    if table.segment is None:
+        table = ordered_table(table, _values(table, columns, system, "t"))
+    segment = np.zeros(len(table), dtype=np.intp) if table.segment is None else table.segment
+    values = {name: _values(table, columns, system, name) for name in columns.columns}
     turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
     turns = turns if columns.unwrap is None else [name for name in turns if name in columns.unwrap]
-    values = {name: _shifted(values["t"], part, columns.columns[name], name in turns) for name, part in values.items()}
-    count = int(keep.sum())
+    breaks = np.flatnonzero(np.diff(segment)) + 1
+    shifted = {
+        name: _shifted(values["t"], breaks, part, columns.columns[name], name in turns) for name, part in values.items()
+    }
+    values, count = shifted, len(table)
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
     actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
     if columns.tracked_point is not None and count:
@@ -62,28 +75,53 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> RawRows:
         states[:, at[0]] -= point.ahead * np.cos(yaw) - point.left * np.sin(yaw)
         states[:, at[1]] -= point.ahead * np.sin(yaw) + point.left * np.cos(yaw)
         states[:, at[2]] = yaw
-    return RawRows(values["t"], states, actions)
+    return RawRows(values["t"], states, actions, segment), table.findings
+
+
+def ordered_table(table: Table, t: NDArray[np.float64]) -> Table:
+    """Sorts the rows of a table within the segments of its clock ``t`` [s]; rows whose time is wrong are removed."""
+    clock = judge_clock(t)
+    findings = list(table.findings)
+    if clock.wrong.any():
+        first, count = int(np.flatnonzero(clock.wrong)[0]), int(clock.wrong.sum())
+        near = t[: first + 1][~clock.wrong[: first + 1] & np.isfinite(t[: first + 1])]
+        text = f"{count_text(count, 'row has', 'rows have')} a time that fits none around it ({t[first]:.3f} s)"
+        findings.append(finding("bad_stamp", text, count, near[-1] if len(near) else t[first], "cut out"))
+    right = np.flatnonzero(~clock.wrong)
+    late, largest = late_rows(t[right], clock.segment[right])
+    if late.any():
+        first, count = right[int(np.argmax(late))], int(late.sum())
+        text = f"{count_text(count, 'row is', 'rows are')} out of order by up to {largest:.3g} s"
+        findings.append(finding("out_of_order", text, count, t[first], "sorted"))
+        last = np.fmax.accumulate(t[right])
+        right = right[np.lexsort((np.where(np.isfinite(t[right]), t[right], last), clock.segment[right]))]
+    taken = table.taken(right)
+    return Table(taken.columns, tuple(findings), clock.segment[right])
 
 
 def _shifted(
-    t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn, turns: bool
+    t: NDArray[np.float64],
+    breaks: NDArray[np.intp],
+    values: NDArray[np.float64],
+    column: SourceColumn | DerivedColumn,
+    turns: bool,
 ) -> NDArray[np.float64]:
     """Corrects the delay ``shift`` of a column by linear interpolation; NaN beyond the ends of the log.
 
-    This is the only place that interpolates, because the map requests it. It never interpolates across a gap or a clock
-    reset. A column that ``turns`` is an angle, which is unwrapped first.
+    This is the only place that interpolates, because the map requests it. It never interpolates across a gap or the
+    ``breaks`` between segments. A column that ``turns`` is an angle, which is unwrapped first.
     """
     if isinstance(column, DerivedColumn) or column.shift == 0.0 or len(t) < 2:
         return values
-    timed = np.flatnonzero(np.isfinite(t))
-    ends = np.flatnonzero(reset_rows(t[timed])[0] | gap_rows(t[timed])[0])
     found = np.full(len(t), np.nan)
-    for rows in np.split(timed, ends):
-        if len(rows):
-            finite = np.isfinite(values[rows])
-            part = values[rows].copy()
-            part[finite] = np.unwrap(part[finite]) if turns else part[finite]
-            found[rows] = np.interp(t[rows] + column.shift, t[rows], part, left=np.nan, right=np.nan)
+    for segment in np.split(np.arange(len(t)), breaks):
+        timed = segment[np.isfinite(t[segment])]
+        for rows in np.split(timed, np.flatnonzero(gap_rows(t[timed])[0])):
+            if len(rows):
+                finite = np.isfinite(values[rows])
+                part = values[rows].copy()
+                part[finite] = np.unwrap(part[finite]) if turns else part[finite]
+                found[rows] = np.interp(t[rows] + column.shift, t[rows], part, left=np.nan, right=np.nan)
     return found
 
 
@@ -95,7 +133,7 @@ def _unit(system: System, target: str) -> str:
 def _values(table: Table, columns: ColumnMap, system: System, target: str) -> NDArray[np.float64]:
     column = columns.columns[target]
     if isinstance(column, DerivedColumn):
-        return np.full(len(next(iter(table.columns.values()))), np.nan)
+        return np.full(len(table), np.nan)
     factor = 1.0 if column.unit is None else factor_to_si(column.unit, _unit(system, target), target)
     gain = column.gain(factor)
     raw = joined_column(table, column)
@@ -118,7 +156,7 @@ def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
 
 
 def _rows_to_keep(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
-    keep = np.ones(len(next(iter(table.columns.values()))), dtype=bool)
+    keep = np.ones(len(table), dtype=bool)
     keep[: columns.skip_first_rows] = False
     for rule in columns.skip_where:
         keep &= table.columns[rule.column] != rule.equals
@@ -140,7 +178,7 @@ def derive_states(
             states[part, names.index(target)] = _derivative(rows.t[part], states[part], names, column)
     trimmed = [_trimmed(states, stretch) for stretch in stretches]
     findings = [_derived_finding(target, column) for target, column in derived.items()]
-    return RawRows(rows.t, states, rows.actions), [stretch for stretch in trimmed if len(stretch) > 1], findings
+    return replace(rows, states=states), [stretch for stretch in trimmed if len(stretch) > 1], findings
 
 
 def _derivative(

@@ -43,8 +43,8 @@ _IRREGULAR_SHARE = 0.2
 
 
 def without_repeats(rows: RawRows) -> tuple[RawRows, list[Finding]]:
-    """Drops rows whose time equals that of the row before, whatever their values."""
-    repeated = np.append(False, np.diff(rows.t) == 0.0)
+    """Drops rows whose time equals that of the row before in their segment, whatever their values."""
+    repeated = np.append(False, np.diff(rows.t) == 0.0)[: len(rows.t)] & ~rows.breaks()
     count = int(repeated.sum())
     if not count:
         return rows, []
@@ -58,15 +58,19 @@ def without_repeats(rows: RawRows) -> tuple[RawRows, list[Finding]]:
     return rows.taken(~repeated), [finding("repeated_row", text, count, rows.t[at[0]], done)]
 
 
-def reset_rows(t: NDArray[np.float64]) -> Found:
-    """Rows at which time goes backwards."""
-    mask = np.append(False, np.diff(t) < 0.0)
-    count = int(mask.sum())
+def reset_rows(rows: RawRows) -> Found:
+    """Rows that begin a segment; reported where time goes backwards."""
+    mask = rows.breaks()
+    back = np.flatnonzero(mask[1:] & (np.diff(rows.t) < 0.0)) + 1
+    count = len(back)
     if not count:
         return mask, []
-    at = int(np.flatnonzero(mask)[0])
-    text = f"the clock runs backwards {count_text(count, 'time', 'times')} (from {t[at - 1]:.3f} to {t[at]:.3f} s)"
-    return mask, [finding("clock_reset", text, count, t[at], "cut there")]
+    at = int(back[0])
+    text = (
+        f"the clock runs backwards {count_text(count, 'time', 'times')} (from {rows.t[at - 1]:.3f} to "
+        f"{rows.t[at]:.3f} s)"
+    )
+    return mask, [finding("clock_reset", text, count, rows.t[at], "cut there")]
 
 
 def gap_rows(t: NDArray[np.float64]) -> Found:

@@ -55,16 +55,17 @@ def _check_rows(rows: RawRows, mapping: ColumnMap, system: System) -> tuple[RawR
     Below, a stretch ends before each row in ``breaks``; rows in ``bad`` belong to no stretch.
     """
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
-    rows = RawRows(*(np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions)))
+    t, states, actions = (np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions))
+    rows = RawRows(t, states, actions, rows.segment)
     rows, findings = without_repeats(rows)
     bad, found = _bad_values(rows, mapping, system, measured)
     findings += found
     breaks = np.zeros(len(rows.t), dtype=bool)
-    for mask, found in (reset_rows(rows.t), gap_rows(rows.t)):
+    for mask, found in (reset_rows(rows), gap_rows(rows.t)):
         breaks |= mask
         findings += found
     findings += [*sampling_finding(rows.t), *rates_finding(rows.t)]
-    rows = RawRows(rows.t, _unwrap(rows.states, bad, system, mapping), rows.actions)
+    rows = replace(rows, states=_unwrap(rows.states, bad, system, mapping))
     stretches = _stretches(bad, breaks)
     mask, found = jump_rows(rows, stretches, system, measured)
     breaks |= mask

@@ -21,6 +21,16 @@ class Table:
 
     columns: Mapping[str, NDArray[np.float64]]
     findings: tuple[Finding, ...] = ()
+    segment: NDArray[np.intp] | None = None
+    """Segment of each row, between which a clock was set; None if the times were not judged yet."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Table:
+        """Some of the rows."""
+        segment = None if self.segment is None else self.segment[index]
+        return Table({name: values[index] for name, values in self.columns.items()}, self.findings, segment)
 
 
 def require_file(path: Path) -> None:

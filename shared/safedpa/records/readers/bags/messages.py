@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ class DeclaredTopic:
     definition: str = ""
     form: str = ""
     """ros1msg, ros2msg or ros2idl; empty without a definition."""
+    topic: str = ""
+    """For a further type of a topic, which is listed as ``/topic (package/msg/Type)``: the topic."""
 
 
 class AbstractBag(AbstractLog):
@@ -53,6 +55,19 @@ class AbstractBag(AbstractLog):
     @abstractmethod
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
         """Yields (topic, receipt time in ns, encoded message) of all or the given topics, in the order of the file."""
+
+    def declare(self, name: str, declared: DeclaredTopic) -> str:
+        """Declares a topic or a further type of it; returns the name under which its messages are yielded."""
+        before = self.declared.get(name)
+        if before is not None and before.type != declared.type:
+            declared = replace(declared, topic=name)
+            name = f"{name} ({declared.type})"
+        self.declared[name] = declared
+        return name
+
+    def is_chosen(self, name: str, topics: Collection[str] | None) -> bool:
+        """Whether a topic, or the topic of which it is a further type, is among ``topics``."""
+        return topics is None or name in topics or self.declared[name].topic in topics
 
     def topics(self) -> Mapping[str, LoggedTopic]:
         """Every topic by name. The first call reads the whole bag."""
@@ -121,23 +136,45 @@ class AbstractBag(AbstractLog):
         for count, (topic, at, data) in enumerate(self.messages(tuple(wanted)), 1):
             collector = collected.get(topic)
             if collector is None:
-                collector = collected[topic] = self._collector(topic, wanted[topic])
-            collector.add(at, data)
+                collector = collected[topic] = self._collector(topic, wanted)
+            collector.add(at, data, count)
             if count > most:
                 raise too_much("bag_messages", count, str(self.path))
         for topic in wanted:
-            if topic not in collected:
+            if not any(topic in (name, self.declared[name].topic) for name in collected):
                 self.topic(topic)  # raises an error that lists the topics
-        for topic, collector in collected.items():
-            self._report_refused(topic, collector)
-        return {topic: collector.series() for topic, collector in collected.items()}
+        topics = dict.fromkeys(self.declared[name].topic or name for name in collected)
+        return {topic: self._series(topic, collected) for topic in topics}
 
-    def _collector(self, topic: str, paths: tuple[str, ...]) -> _TopicCollector:
-        declared = self.declared[topic]
+    def _series(self, topic: str, collected: Mapping[str, _TopicCollector]) -> Series:
+        """The series of a topic, with the messages of all its types, which are joined in the order of the file."""
+        names = [name for name in collected if topic in (name, self.declared[name].topic)]
+        found = [name for name in names if not collected[name].problem]
+        if not found:
+            raise RunError(f"{self.path}: topic '{topic}': {collected[names[0]].problem}")
+        for name in found:
+            self._report_refused(name, collected[name])
+        for name in names:
+            if name != found[0]:
+                self.findings.append(self._two_types(topic, found[0], name, collected[name]))
+        parts = [collected[name].series() for name in found]
+        return parts[0] if len(parts) == 1 else _joined_series(parts)
+
+    def _two_types(self, topic: str, first: str, name: str, collector: _TopicCollector) -> Finding:
+        count, kinds = len(collector.receipt), [self.declared[one].type for one in (name, first)]
+        sentence = f"{topic}: {count} messages are a {kinds[0]}, the others a {kinds[1]}; "
+        sentence += f"ignored: {collector.problem}" if collector.problem else "read as such"
+        return Finding("two_types", sentence, count, collector.receipt[0] / 1e9)
+
+    def _collector(self, name: str, wanted: Mapping[str, tuple[str, ...]]) -> _TopicCollector:
+        """The collector of a topic, or of one of its types; one that cannot be read collects times alone."""
+        declared = self.declared[name]
+        topic = declared.topic or name
+        first = self.declared[topic].type
         try:
-            return _TopicCollector(self._definitions(declared), declared, paths)
+            return _TopicCollector(self._definitions(declared), declared, wanted[topic], first)
         except InputError as error:
-            raise RunError(f"{self.path}: topic '{topic}': {error}") from error
+            return _TopicCollector(None, declared, wanted[topic], first, str(error))
 
     def _report_refused(self, topic: str, collector: _TopicCollector) -> None:
         if not collector.receipt:
@@ -155,35 +192,56 @@ def _column_type(kind: str) -> str:
 
 
 class _TopicCollector:
-    """Collects the requested numbers of one topic, message by message."""
+    """Collects the requested numbers of one topic, message by message.
 
-    def __init__(self, definitions: Definitions, declared: DeclaredTopic, paths: tuple[str, ...]) -> None:
+    With a ``problem`` it collects times alone. ``first`` is the first type of the topic: a Stamped variant of it has
+    the same fields one level deeper.
+    """
+
+    def __init__(
+        self,
+        definitions: Definitions | None,
+        declared: DeclaredTopic,
+        paths: tuple[str, ...],
+        first: str,
+        problem: str = "",
+    ) -> None:
+        self.problem = problem
+        self.receipt, self._position = array("q"), array("q")
+        self._stamps = array("q")
+        self._paths = paths
+        self._columns = [array("d") for _ in paths]
+        self.refused = 0
+        if definitions is None:
+            self._decode: Decoder | None = None
+            return
         available = numeric_fields(definitions, declared.type)
-        first = {item.name: item.type for item in definitions.of(declared.type)}
+        fields = {item.name: item.type for item in definitions.of(declared.type)}
         self._stamped = _STAMP in available
         extra = [_STAMP] if self._stamped else []
-        if first.get("header") == "std_msgs/msg/Header":
+        if fields.get("header") == "std_msgs/msg/Header":
             extra.append(_FRAMES[0])
-        if first.get("child_frame_id") == "string":
+        if fields.get("child_frame_id") == "string":
             extra.append(_FRAMES[1])
-        self._paths, self._extra_paths = paths, tuple(extra)
-        self._decode = Decoder(definitions, declared.type, (*extra, *paths), ros1=declared.encoding == "ros1")
+        own = [_path_in_variant(path, available, declared.type, first) for path in paths]
+        self._extra_paths = tuple(extra)
+        self._decode = Decoder(definitions, declared.type, (*extra, *own), ros1=declared.encoding == "ros1")
         self._frames: dict[str, set[str]] = {path: set() for path in extra if path in _FRAMES}
         self._names = [self._frames.get(path) for path in extra]
-        self.receipt = array("q")
-        self._stamps = array("q")
-        self._columns = [array("d") for _ in paths]
         self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(extra) :]]
-        self.refused = 0
 
-    def add(self, at: int, data: bytes) -> None:
-        """Decodes and adds one message."""
+    def add(self, at: int, data: bytes, position: int) -> None:
+        """Decodes and adds one message; ``position`` is its number in the file."""
+        if self._decode is None:
+            self.receipt.append(at)
+            return
         try:
             values = self._decode(data)
         except DecodingError:
             self.refused += 1
             return
         self.receipt.append(at)
+        self._position.append(position)
         start = len(self._extra_paths)
         for names, value in zip(self._names, values, strict=False):
             if names is not None and len(names) < _MAX_FRAMES:
@@ -194,14 +252,40 @@ class _TopicCollector:
             column.append(math.nan if value is None else convert(value))
 
     def series(self) -> Series:
-        """Returns the collected series, sorted by receipt time."""
-        receipt = np.frombuffer(self.receipt, dtype=np.int64) if self.receipt else np.empty(0, dtype=np.int64)
-        order = np.argsort(receipt, kind="stable")
-        stamps = np.frombuffer(self._stamps, dtype=np.int64)[order] if self._stamps else None
+        """Returns the collected series."""
+        receipt, position = (np.array(numbers, dtype=np.int64) for numbers in (self.receipt, self._position))
+        stamps = np.array(self._stamps, dtype=np.int64) if self._stamps else None
         if stamps is not None and not stamps.any():
             stamps = None
-        values = {path: np.array(column)[order] for path, column in zip(self._paths, self._columns, strict=True)}
-        return Series(receipt[order], stamps, values, {name: frozenset(found) for name, found in self._frames.items()})
+        values = {path: np.array(column) for path, column in zip(self._paths, self._columns, strict=True)}
+        frames = {name: frozenset(found) for name, found in self._frames.items()}
+        return Series(receipt, stamps, values, frames, position)
+
+
+def _path_in_variant(path: str, available: Mapping[str, str], kind: str, first: str) -> str:
+    """The field of a Stamped or plain variant of the topic's first type that is ``path`` in that one."""
+    if path in available or kind == first or kind.removesuffix("Stamped") != first.removesuffix("Stamped"):
+        return path
+    same = [one for one in available if one.endswith(f".{path}") or path.endswith(f".{one}")]
+    return same[0] if len(same) == 1 else path
+
+
+def _joined_series(parts: Sequence[Series]) -> Series:
+    """The messages of several types of one topic in the order of the file."""
+    places = np.concatenate([part.place for part in parts])
+    order = np.argsort(places, kind="stable")
+    stamped = [part for part in parts if part.stamp is not None]
+    stamps = [np.zeros(len(part.receipt), np.int64) if part.stamp is None else part.stamp for part in parts]
+    frames: dict[str, frozenset[str]] = {}
+    for part in parts:
+        frames |= {key: frames.get(key, frozenset()) | names for key, names in part.frames.items()}
+    return Series(
+        np.concatenate([part.receipt for part in parts])[order],
+        np.concatenate(stamps)[order] if stamped else None,
+        {path: np.concatenate([part.values[path] for part in parts])[order] for path in parts[0].values},
+        frames,
+        places[order],
+    )
 
 
 def _seconds(value: int) -> float:

@@ -53,7 +53,7 @@ class SqliteBag(AbstractBag):
             with closing(self._connect()) as base:
                 self._check(base)
                 numbers = self._declare(base)
-                chosen = {number: name for number, name in numbers.items() if topics is None or name in topics}
+                chosen = {number: name for number, name in numbers.items() if self.is_chosen(name, topics)}
                 yield from self._rows(base, chosen, every=topics is None)
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the message may quote bytes that are not text
             raise RunError(
@@ -97,11 +97,14 @@ class SqliteBag(AbstractBag):
         )
         if len(rows) > limit("bag_topics"):
             raise too_much("bag_topics", len(rows), str(self.path))
-        for _, name, kind, encoding in rows:
-            self.declared[str(name)] = DeclaredTopic(
-                readable(plain_type(str(kind))), str(encoding), *texts.get(str(kind), ("", ""))
-            )
-        return {number: str(name) for number, name, _, _ in rows if isinstance(number, int)}
+        names = {}
+        for number, name, kind, encoding in rows:
+            text, form = texts.get(str(kind), ("", ""))
+            declared = DeclaredTopic(readable(plain_type(str(kind))), str(encoding), text, form)
+            key = self.declare(str(name), declared)
+            if isinstance(number, int):
+                names[number] = key
+        return names
 
     def _rows(
         self, base: sqlite3.Connection, chosen: dict[int, str], *, every: bool
@@ -139,20 +142,21 @@ class McapBag(AbstractBag):
         if size > limit("bag_bytes"):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
         schemas: dict[int, tuple[str, str, bytes]] = {}
-        names: dict[int, str] = {}
+        chosen: dict[int, str] = {}
         try:
             for record in records_of(self.path):
                 if isinstance(record, Message):
-                    name = names.get(record.channel_id)
-                    if name is not None and (topics is None or name in topics):
+                    name = chosen.get(record.channel_id)
+                    if name is not None:
                         yield name, record.log_time, record.data
                 elif isinstance(record, Schema):
                     schemas[record.id] = (record.name, record.encoding, record.data)
                 elif isinstance(record, Channel):
-                    names[record.id] = record.topic
                     kind, form, text = schemas.get(record.schema_id, ("", "", b""))
                     declared = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
-                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(declared[0])), *declared[1:])
+                    name = self.declare(record.topic, DeclaredTopic(readable(plain_type(declared[0])), *declared[1:]))
+                    if self.is_chosen(name, topics):
+                        chosen[record.id] = name
         except DamageError as damage:
             where = f"is cut off or damaged at byte {damage.offset} of {damage.size}"
             self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest ignored"))
@@ -181,6 +185,7 @@ def is_recording_of_the_bus(path: Path) -> bool:
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _MAX_FILES = 10_000
 _KEY = re.compile(r"( +)([a-z_]+):[ \t]*(.*)")
+_DIGITS = re.compile(r"([0-9]+)")
 _ITEM = re.compile(r" +- (.*)")
 
 
@@ -190,7 +195,9 @@ def is_bag_folder(path: Path) -> bool:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    return sorted(item for item in folder.iterdir() if item.name.endswith(_SUFFIXES) and item.is_file())
+    """The files of a bag in the order of their numbers: bag_2 before bag_10."""
+    files = [item for item in folder.iterdir() if item.name.endswith(_SUFFIXES) and item.is_file()]
+    return sorted(files, key=lambda file: [int(part) if part.isdigit() else part for part in _DIGITS.split(file.name)])
 
 
 class FolderBag(AbstractBag):

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class UlogLog(AbstractLog):
         size = self.path.stat().st_size
         if size > limit("table_bytes"):
             raise too_much("table_bytes", f"{size} bytes", str(self.path))
-        _check_sizes(self.path)
+        cut = _check_sizes(self.path)
         damage: tuple[type[Exception], ...] = (
             ValueError, struct.error, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError,
             EOFError, ZeroDivisionError,
@@ -68,6 +68,9 @@ class UlogLog(AbstractLog):
             if type(error).__module__.startswith("pyulog"):
                 raise self._damaged() from error
             raise
+        if cut is not None:
+            sentence = f"the flight log is cut off at byte {cut} of {size}; read up to there"
+            self.findings.append(Finding("cut_off", sentence))
         if log.file_corruption:
             self.findings.append(Finding("damaged", "the flight log is damaged in places, which were skipped"))
         lost = sum(item.duration for item in log.dropouts)
@@ -86,31 +89,42 @@ class UlogLog(AbstractLog):
         return self._topics
 
     @cached_property
-    def _topics(self) -> Mapping[str, LoggedTopic]:
-        found = {}
-        for data in self._log.data_list:
-            stamps = data.data["timestamp"]
-            fields = {item.field_name: item.type_str for item in data.field_data}
-            fields |= {"@yaw": "angle"} if {"q[0]", "q[1]", "q[2]", "q[3]"} <= fields.keys() else {}
-            name = _name(data.name, data.multi_id)
-            ends = (int(stamps[0]) * 1000, int(stamps[-1]) * 1000) if len(stamps) else (0, 0)
-            found[name] = LoggedTopic(name, data.name, len(stamps), *ends, fields)
+    def _data(self) -> Mapping[str, list[Mapping[str, Any]]]:
+        """The columns of each topic by name; a topic that was subscribed again has several parts, in order of time."""
+        found: dict[str, list[Mapping[str, Any]]] = {}
+        for item in self._log.data_list:
+            parts = found.setdefault(_name(item.name, item.multi_id), [])
+            if len(item.data["timestamp"]) or not parts:
+                parts.append(item.data)
         if not found:
             raise RunError(f"{self.path}: the flight log contains no message; name another one")
+        for parts in found.values():
+            parts.sort(key=lambda part: int(part["timestamp"][0]) if len(part["timestamp"]) else 0)
+        return found
+
+    @cached_property
+    def _topics(self) -> Mapping[str, LoggedTopic]:
+        found, data = {}, self._data
+        for item in self._log.data_list:
+            name = _name(item.name, item.multi_id)
+            fields = {part.field_name: part.type_str for part in item.field_data}
+            fields |= {"@yaw": "angle"} if {"q[0]", "q[1]", "q[2]", "q[3]"} <= fields.keys() else {}
+            stamps = np.concatenate([part["timestamp"] for part in data[name]])
+            ends = (int(stamps[0]) * 1000, int(stamps[-1]) * 1000) if len(stamps) else (0, 0)
+            found[name] = LoggedTopic(name, item.name, len(stamps), *ends, fields)
         return dict(sorted(found.items()))
 
     def series(self, wanted: Mapping[str, tuple[str, ...]]) -> Mapping[str, Series]:
         """Reads fields of topics; raises RunError for a missing topic and InputError for a missing field."""
-        log = {_name(data.name, data.multi_id): data.data for data in self._log.data_list}
         found = {}
         for topic, paths in wanted.items():
             known = self.topic(topic).fields
-            data = log[topic]
             for path in paths:
                 if path not in known:
                     raise InputError(f"{self.path}: field '{path}' of {topic}: {did_you_mean(path, known)}")
-            stamps = data["timestamp"].astype(np.int64) * 1000
-            values = {path: _yaw_column(data) if path == "@yaw" else data[path].astype(np.float64) for path in paths}
+            parts = self._data[topic]
+            stamps = np.concatenate([part["timestamp"].astype(np.int64) * 1000 for part in parts])
+            values = {path: np.concatenate([_column(part, path) for part in parts]) for path in paths}
             found[topic] = Series(stamps, stamps, values)
         return found
 
@@ -119,16 +133,22 @@ def _name(name: str, instance: int) -> str:
     return f"{name}#{instance}" if instance else name
 
 
+def _column(data: Mapping[str, Any], path: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return _yaw_column(data) if path == "@yaw" else data[path].astype(np.float64)
+
+
 def _yaw_column(
-    data: Mapping[str, np.ndarray[tuple[int], np.dtype[np.float64]]],
+    data: Mapping[str, Any],
 ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Yaw of a quaternion column; PX4 stores the real part first."""
     parts = [data[f"q[{k}]"].astype(np.float64).tolist() for k in (1, 2, 3, 0)]
     return np.array([yaw_of(*one) for one in zip(*parts, strict=True)])
 
 
-def _check_sizes(path: Path) -> None:
+def _check_sizes(path: Path) -> int | None:
     """Raises RunError if the definition section is damaged, or if its messages would be too large.
+
+    Returns the byte at which the last message begins if the file ends within it.
 
     This protects pyulog: it loops forever if the definitions run into the end of the file, and allocates a list of
     numbers for each subscription before any message.
@@ -144,21 +164,31 @@ def _check_sizes(path: Path) -> None:
         if _message_size(name, formats, sizes, 0) > _MAX_NUMBERS:
             raise RunError(f"{path}: messages '{readable(name, 60)}' would have more than {_MAX_NUMBERS} numbers")
     total = 0
-    for count, name in enumerate(_subscribed_messages(path), 1):
+    end = [0]
+    for count, name in enumerate(_subscribed_messages(path, end), 1):
         total += _message_size(name, formats, sizes, 0)
         if count > limit("bag_topics"):
             raise too_much("bag_topics", count, str(path))
         if total > _MAX_TOTAL_NUMBERS:
             raise RunError(f"{path}: its topics would have more than {_MAX_TOTAL_NUMBERS} numbers in total")
+    return end[0] if end[0] < path.stat().st_size else None
 
 
-def _subscribed_messages(path: Path) -> Iterator[str]:
-    """Yields the message name of each subscription; raises RunError if nearly all messages are of unknown kinds."""
+def _subscribed_messages(path: Path, end: list[int]) -> Iterator[str]:
+    """Yields the message name of each subscription; raises RunError if nearly all messages are of unknown kinds.
+
+    ``end`` gets the byte after the last complete message.
+    """
     unknown, head = 0, struct.Struct("<HB")
     with path.open("rb") as file:
-        file.seek(_HEADER_BYTES)
+        size = file.seek(0, 2)
+        at = file.seek(_HEADER_BYTES)
         while len(start := file.read(3)) == 3:
             length, kind = head.unpack(start)
+            end[0] = at
+            at += 3 + length
+            if at > size:
+                return
             if kind == ord("A"):
                 yield file.read(length)[3:].decode("latin-1")
                 continue
@@ -166,6 +196,7 @@ def _subscribed_messages(path: Path) -> Iterator[str]:
             if unknown > _MAX_UNKNOWN:
                 raise RunError(f"{path}: {_DAMAGED}")
             file.seek(length, 1)
+        end[0] = at
 
 
 def _message_formats(path: Path) -> Iterator[tuple[str, str]]:
