@@ -16,9 +16,11 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import BarrierSetCache
+from safedpa.safety.errors import OutOfBudgetError
 from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.solver.budget import DecisionBudget
 from safedpa.safety.solver.candidates import STEP_SHARES, HeldSolution, action_grid, grid_around
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa.safety.solver.least_violation import least_violation
@@ -84,7 +86,10 @@ class FilterInput:
         stale: Sequence[str],
         time: Any = None,
         held_solution: Any = None,
+        deadline: Any = None,
+        evaluations: Any = None,
     ) -> None:
+        self.deadline, self.evaluations = deadline, evaluations
         self.state, self.nominal, self.latent, self.memory = state, nominal, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
         # A foreign object is replaced instead of refused: it can only save time, never change what is safe.
@@ -117,6 +122,19 @@ class Decision:
         self._report_time(request.time)
         self._margin = 0.0
         self._constraints: Constraints | None = None
+        self._budget: DecisionBudget | None = None
+        if request.deadline is not None or request.evaluations is not None:
+            self._limit(request.deadline, request.evaluations)
+
+    def _limit(self, deadline: Any, evaluations: Any) -> None:
+        """Sets the budget; a problem if a limit is no positive number."""
+        limits: list[float] = []
+        for what, limit in (("deadline", deadline), ("evaluations", evaluations)):
+            if limit is not None and not (isinstance(limit, (int, float)) and limit > 0.0):
+                self._problems.append(f"{what}: got {limit!r}, wanted a number > 0")
+                return
+            limits.append(inf if limit is None else float(limit))
+        self._budget = DecisionBudget(self._tools.clock, self._start + limits[0], limits[1])
 
     def _report_time(self, seconds: Any) -> None:
         """Passes the time to the model; a problem if the model depends on time and none was given."""
@@ -136,6 +154,15 @@ class Decision:
             raise DecisionError("; ".join(self._problems))
         assert self._nominal is not None
         constraints = self._build_constraints()
+        constraints.budget = self._budget
+        try:
+            return self._decide(constraints)
+        except OutOfBudgetError:
+            return self._best_in_time(constraints)
+
+    def _decide(self, constraints: Constraints) -> Verdict:
+        """The verdict of a search without a limit of its own."""
+        assert self._nominal is not None
         # Equal tuples may still differ in the sign of zero; the nominal action is then passed on bit for bit.
         clipped = self._clip(self._nominal)
         unclipped = clipped == self._nominal
@@ -154,6 +181,27 @@ class Decision:
                 Status.corrected, nominal_candidate, "The nominal action lay outside the actuator limits.", "not needed"
             )
         return self._correct(constraints, self._nominal, nominal_candidate)
+
+    def _best_in_time(self, constraints: Constraints) -> Verdict:
+        """The best candidate of a search that was cut off, or the backup, with the status that is true of it."""
+        assert self._nominal is not None
+        assert self._budget is not None
+        constraints.budget = None
+        if not self._tools.settings.enabled:
+            return self._verdict(Status.disabled, constraints.evaluate(self._clip(self._nominal)), "", "not run")
+        nominal, program, notice = self._nominal, self._tools.program, "The deadline ended the search."
+        known = [*self._budget.candidates, constraints.evaluate(self._backup_action())]
+        if constraints.min_h_now < 0.0:
+            # Below 0 the action that raises the least h most, as after a complete search.
+            best = max(known, key=lambda one: one.min_h_next)
+            return self._verdict(Status.violated, best, notice, "out of time")
+        feasible = [one for one in known if one.is_feasible]
+        if feasible:
+            best = min(feasible, key=lambda one: program.distance(one.action, nominal))
+            status = Status.passed if best.action == nominal else Status.corrected
+            return self._verdict(status, best, notice, "out of time")
+        best = max(known, key=constraints.min_scaled_residual)
+        return self._verdict(Status.relaxed, best, f"{self._violated_names(constraints, best)} {notice}", "out of time")
 
     def fallback(self, reason: str, solver: str) -> Verdict:
         """Returns the backup action with what can still be computed about it; raises nothing."""

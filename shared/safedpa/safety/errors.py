@@ -1,4 +1,4 @@
-"""The error of a point without finite derivatives; in a module of its own, since a compiled module may not define it.
+"""Errors within one decision; in a module of their own, since a compiled module may not define them.
 
 mypyc lays out a class in memory by its bases, and does not know the layout of a base in another module: an exception
 defined there corrupted memory and crashed the process.
@@ -10,9 +10,14 @@ from typing import final
 
 from safedpa.errors import InputError
 
-__all__ = ["NotFiniteError"]
+__all__ = ["NotFiniteError", "OutOfBudgetError"]
 
 
 @final
 class NotFiniteError(InputError):
     """Model or barrier have no finite derivatives at this point; they may have them elsewhere."""
+
+
+@final
+class OutOfBudgetError(Exception):
+    """The decision has used up its time or its evaluations; the best candidate so far is taken."""

@@ -187,6 +187,8 @@ class SafetyFilter:
         stale: Sequence[str] = (),
         time: float | None = None,
         held_solution: HeldSolution | None = None,
+        deadline: float | None = None,
+        evaluations: int | None = None,
     ) -> Verdict:
         """Returns the verdict for ``state`` (states,), ``nominal`` (actions,), ``latent`` (latents,); raises nothing.
 
@@ -194,8 +196,13 @@ class SafetyFilter:
         state of the model's actuators. ``stale`` names inputs that are too old: each of them leads to the backup
         action. ``time`` [s] is the time since the start of the run; a model that depends on it uses the backup without
         it. ``held_solution`` is this robot's last least-violation search; without it every tick runs the full search.
+
+        A search that is not finished ``deadline`` [s] after the call, or after ``evaluations`` of model and barriers,
+        ends with the best candidate so far, and the status that is true of it; one evaluation may exceed the deadline.
+        ``evaluations`` repeats exactly, ``deadline`` depends on the machine.
         """
         request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, held_solution)
+        request.deadline, request.evaluations = deadline, evaluations
         return self._answer(_decided, request)
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:

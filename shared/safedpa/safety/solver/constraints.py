@@ -136,6 +136,8 @@ class Constraints:
         self.saturated: bool = False
         """Whether a linearisation was computed where an actuator saturates."""
         self._last_g: list[list[float]] | None = None
+        self.budget: Any = None
+        """The ``DecisionBudget`` of this decision; None: unlimited."""
         self._set_right_hand_side(h_now, epsilon, 1.0 - eta)
 
     def _set_right_hand_side(self, h_now: list[float], epsilon: Plain, share: float) -> None:
@@ -160,7 +162,15 @@ class Constraints:
         """(m,) in the unit of each h; grows by what the actions can change, as soon as a linearisation shows it."""
 
     def evaluate(self, action: Plain) -> ActionCandidate:
-        """Predicts the next state and h under ``action`` (actions,)."""
+        """Predicts the next state and h under ``action`` (actions,). Raises OutOfBudgetError beyond the budget."""
+        if self.budget is None:
+            return self._evaluate(action)
+        self.budget.spend()
+        candidate = self._evaluate(action)
+        self.budget.candidates.append(candidate)
+        return candidate
+
+    def _evaluate(self, action: Plain) -> ActionCandidate:
         next_state, rhs, scales = self._predict(action), self.rhs, self.scales
         if not _is_finite(next_state):
             return self._infeasible_candidate(action, next_state)
@@ -189,7 +199,9 @@ class Constraints:
         return ActionCandidate(action, next_state, lowest, lowest, list(range(len(lowest))))
 
     def linearize(self, about: ActionCandidate) -> Linearization:
-        """The constraints linearised about ``about``."""
+        """The constraints linearised about ``about``. Raises OutOfBudgetError beyond the budget."""
+        if self.budget is not None:
+            self.budget.spend()
         # An affine model has the same g everywhere: one computation serves all iterations of the SQP.
         if self._last_g is None or not self._prediction.affine:
             self._last_g = self._control_matrix(about)
