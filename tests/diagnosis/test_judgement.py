@@ -30,8 +30,7 @@ from safedpa.diagnosis.search.stages import stages_of
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa.report.diagnosis_story import report_text
-from safedpa.report.undecided_story import unsure_sentence
+from safedpa.report.diagnosis_story import report_text, unsure_sentence
 from safedpa_lab.hidden import Case, write_case
 
 

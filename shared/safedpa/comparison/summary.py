@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -153,66 +154,57 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     """Returns the document of ``compare --json``; values that are not finite become null."""
     windows = comparison.windows
     names = windows.system.state_names
-    return {
+    texts = (where_sentence, state_sentence, naive_sentence, run_sentence)
+    document = {
         "format": 1,
         "robot": windows.system.name,
         "effects": [item.name for item in comparison.model.effects],
         "parameters": {path: setting.value for path, setting in comparison.model.settings.items()},
         "horizon": comparison.horizon,
         "windows": len(windows),
-        "summary": [
-            text
-            for text in (
-                where_sentence(comparison),
-                state_sentence(comparison),
-                naive_sentence(comparison),
-                run_sentence(comparison),
-            )
-            if text
-        ],
-        "error": _number(comparison.error.value),
-        "per_state": _named(names, comparison.error.per_state),
-        "scale": _named(names, comparison.error.scale),
+        "summary": [text for sentence in texts if (text := sentence(comparison))],
+        "error": comparison.error.value,
+        "per_state": dict(zip(names, comparison.error.per_state, strict=True)),
+        "scale": dict(zip(names, comparison.error.scale, strict=True)),
         "naive": {name: _error(names, comparison.horizons[-1].errors[name]) for name in PREDICTORS[1:]},
         "horizons": [
             {"seconds": item.seconds, **{name: _error(names, item.errors[name]) for name in PREDICTORS}}
             for item in comparison.horizons
         ],
-        "where": [_bin(item) for item in worst_bins(comparison)],
-        "explained": {item.variable: _number(item.explained) for item in comparison.factors},
-        "place": [{key: _number(value) for key, value in vars(cell).items()} for cell in comparison.cells],
-        "runs": [{key: _plain(value) for key, value in vars(run).items()} for run in comparison.runs],
+        # Only the bins of time name a run.
+        "where": [
+            {key: value for key, value in vars(item).items() if (key, value) != ("run", None)}
+            for item in worst_bins(comparison)
+        ],
+        "explained": {item.variable: item.explained for item in comparison.factors},
+        "place": [vars(cell) for cell in comparison.cells],
+        "runs": [vars(run) for run in comparison.runs],
         "data_quality": [{"run": run, **vars(finding)} for run, finding in comparison.findings],
     }
+    return {key: as_plain(value) for key, value in document.items()}
+
+
+def as_plain(value: Any) -> Any:
+    """Converts data classes, tuples and NumPy scalars to JSON types; values that are not finite become null."""
+    if hasattr(value, "__dataclass_fields__"):
+        return as_plain(asdict(value))
+    if isinstance(value, dict):
+        return {str(key): as_plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [as_plain(item) for item in value]
+    if isinstance(value, bool) or not hasattr(value, "__float__"):
+        return value
+    # Duck typing covers NumPy scalars; JSON has no infinity or NaN.
+    number = int(value) if hasattr(value, "__index__") else float(value)
+    return number if math.isfinite(number) else None
 
 
 def _error(names: tuple[str, ...], error: RolloutError) -> dict[str, Any]:
-    rms = error.per_state * error.scale
-    return {"error": _number(error.value), "per_state": _named(names, error.per_state), "rms": _named(names, rms)}
-
-
-def _bin(item: Bin) -> dict[str, Any]:
-    plain = {key: value for key, value in vars(item).items() if not (key == "run" and value is None)}
-    for key in ("low", "high", "error", "ratio", "share"):
-        plain[key] = _number(plain[key])
-    plain["bias"] = {name: _number(value) for name, value in item.bias.items()}
-    return plain
-
-
-def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]:
-    return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
-
-
-def _plain(value: Any) -> Any:
-    """Converts an entry of a run to JSON: text, a number, or numbers by name."""
-    if isinstance(value, dict):
-        return {name: _number(item) for name, item in value.items()}
-    return value if isinstance(value, str) else _number(value)
+    per_state, rms = (
+        dict(zip(names, values, strict=True)) for values in (error.per_state, error.per_state * error.scale)
+    )
+    return {"error": error.value, "per_state": per_state, "rms": rms}
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
-
-
-def _number(value: float | int) -> float | int | None:
-    return value if math.isfinite(value) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -89,24 +90,17 @@ def position_figure(comparison: Comparison) -> dict[str, Any] | None:
     cells = comparison.cells
     width = cells[0].x_high - cells[0].x_low
     left, low = min(cell.x_low for cell in cells), min(cell.y_low for cell in cells)
-    shape = (
-        round((max(cell.y_high for cell in cells) - low) / width),
-        round((max(cell.x_high for cell in cells) - left) / width),
-    )
+    top, right = max(cell.y_high for cell in cells), max(cell.x_high for cell in cells)
+    shape = round((top - low) / width), round((right - left) / width)
     errors, counts = np.full(shape, np.nan), np.zeros(shape)
     for cell in cells:
         at = round((cell.y_low - low) / width), round((cell.x_low - left) / width)
         errors[at], counts[at] = cell.error, cell.samples
     panels = Panels(rows=1, columns=1, height=520)
     at_panel = panels.add("", "x [m]", "y [m]")
-    panels.heat(
-        at_panel,
-        rounded(left + width * (np.arange(shape[1]) + 0.5)),
-        rounded(low + width * (np.arange(shape[0]) + 0.5)),
-        [rounded(row) for row in errors],
-        text=[[f"{int(count)} windows" for count in row] for row in counts],
-        title="error",
-    )
+    x, y = (rounded(begin + width * (np.arange(n) + 0.5)) for begin, n in ((left, shape[1]), (low, shape[0])))
+    text = [[f"{int(count)} windows" for count in row] for row in counts]
+    panels.heat(at_panel, x, y, [rounded(row) for row in errors], text, "error")
     panels.axis(at_panel, "y", scaleanchor="x", constrain="domain")
     panels.axis(at_panel, "x", constrain="domain")
     return panels.figure("place")
@@ -138,21 +132,21 @@ def residual_figure(comparison: Comparison) -> dict[str, Any]:
     return panels.figure("residuals")
 
 
-def _bars(panels: Panels, at: int, bins: tuple[Bin, ...] | list[Bin], average: float) -> None:
+def _bars(panels: Panels, at: int, bins: Sequence[Bin], average: float) -> None:
     worst = max((item.error for item in bins), default=0.0)
-    panels.bars(
-        at,
-        [0.5 * (item.low + item.high) for item in bins],
-        [item.error for item in bins],
-        [item.high - item.low for item in bins],
-        [COLOURS["worst"] if item.error == worst else COLOURS["bar"] for item in bins],
-        [
-            f"{item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}, {item.ratio:.2f} x average<br>"
-            f"{item.share:.1%} of the squared error<br>{item.samples} windows"
-            for item in bins
-        ],
-    )
+    texts = [
+        f"{item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}, {item.ratio:.2f} x average<br>"
+        f"{item.share:.1%} of the squared error<br>{item.samples} windows"
+        for item in bins
+    ]
+    bin_bars(panels, at, bins, [COLOURS["worst" if item.error == worst else "bar"] for item in bins], texts)
     panels.level(at, average)
+
+
+def bin_bars(panels: Panels, at: int, bins: Sequence[Bin], colours: list[str], texts: list[str]) -> None:
+    """Draws the error of each bin as a bar over its range."""
+    middles, widths = [0.5 * (item.low + item.high) for item in bins], [item.high - item.low for item in bins]
+    panels.bars(at, middles, [item.error for item in bins], widths, colours, texts)
 
 
 def _bar_range(comparison: Comparison) -> list[float | None]:
@@ -172,7 +166,5 @@ def _medians(values: Any, rates: Any, groups: int = 10) -> tuple[Any, Any]:
     values, rates = values[np.isfinite(rates)], rates[np.isfinite(rates)]
     order = np.argsort(values, kind="stable")
     parts = [part for part in np.array_split(order, groups) if len(part)]
-    return (
-        np.array([np.median(values[part]) for part in parts]),
-        np.array([np.median(rates[part]) for part in parts]),
-    )
+    x, y = (np.array([np.median(column[part]) for part in parts]) for column in (values, rates))
+    return x, y

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from safedpa.diagnosis.report_schema import FittedValue, Report, as_document
-from safedpa.report.diagnosis_story import report_text
-from safedpa.report.undecided_story import closest_rows
+from safedpa.report.diagnosis_story import closest_rows, report_text
 
 _BAR = 40
 """Characters of the longest bar."""

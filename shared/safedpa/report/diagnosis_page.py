@@ -12,17 +12,15 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.comparison import EVERY, Comparison, compare_model
 from safedpa.comparison.excerpt import subsample_runs
-from safedpa.comparison.rollout import rollout
 from safedpa.comparison.where import POSITION, window_squares
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 from safedpa.records.writers.tables import atomic_path
-from safedpa.report.comparison_figures import COLOURS, LEGEND, residual_figure
+from safedpa.report.comparison_figures import COLOURS, LEGEND, bin_bars, residual_figure
 from safedpa.report.comparison_page import embedded, rendered
-from safedpa.report.diagnosis_story import number, report_text, step_text
-from safedpa.report.overlays import chosen_windows, window_figure
+from safedpa.report.diagnosis_story import closest_rows, detectable_rows, number, report_text, step_text
+from safedpa.report.overlays import overlay_figures
 from safedpa.report.panels import Panels, label, rounded
-from safedpa.report.undecided_story import closest_rows, detectable_rows
 
 
 def unexplained_figure(unexplained: Mapping[str, Any] | None) -> dict[str, Any] | None:
@@ -53,13 +51,8 @@ def _map(panels: Panels, table: Mapping[str, Any]) -> None:
     scale = [[0.0, "#0072B2"], [0.5, "#F7F7F7"], [1.0, "#D55E00"]]
     bar = {"title": {"text": table["rate_unit"], "side": "top"}, "thickness": 14, "outlinewidth": 0}
     bar |= {"x": 0.41, "len": 0.9} if panels.columns == 2 else {}
-    panels.data[-1].update(
-        zmin=-most,
-        zmax=most,
-        colorscale=scale,
-        colorbar=bar,
-        hovertemplate=hover + "<extra></extra>",
-    )
+    hover += "<extra></extra>"
+    panels.data[-1].update(zmin=-most, zmax=most, colorscale=scale, colorbar=bar, hovertemplate=hover)
     if (table["across"], table["up"]) == POSITION:
         panels.axis(at, "y", scaleanchor="x", constrain="domain")
         panels.axis(at, "x", constrain="domain")
@@ -121,7 +114,7 @@ def report_page(
     figures += [] if maps is None else [maps]
     unexplained_panels = unexplained_figure(document["unexplained"])
     figures += [] if unexplained_panels is None else [unexplained_panels]
-    overlays = _overlays(before, after)
+    overlays = overlay_figures(before, after)
     return rendered(
         "diagnosis_page.html",
         title=title,
@@ -153,26 +146,6 @@ def _tiles(document: Mapping[str, Any], before: Comparison, seconds: float, runs
     tiles.append((f"{before.horizon:g} s", "horizon of the predictions"))
     tiles.append((f"{seconds:.0f} s", f"measured in {runs} run{'s' if runs > 1 else ''}"))
     return tiles
-
-
-def _overlays(before: Comparison, after: Comparison) -> list[dict[str, Any]]:
-    """Returns figures of measured and predicted states, before and after, from the given model's worst window on."""
-    chosen = chosen_windows(before)
-    windows = before.windows.select(np.array([index for _, index in chosen], dtype=np.int64))
-    lines = {"before": rollout(before.model, windows)}
-    if after is not before:
-        lines["after"] = rollout(after.model, windows)
-    figures = []
-    for number_shown, (kind, index) in enumerate(chosen):
-        rows = windows.steps[number_shown] + 1
-        shown = {name: states[:rows, number_shown] for name, states in lines.items()}
-        figure = window_figure(windows, number_shown, shown)
-        at, run = windows.time[windows.start[number_shown]], windows.names[windows.run[number_shown]]
-        errors = f"error {before.window_errors[index]:.2f}"
-        errors += "" if after is before else f" before, {after.window_errors[index]:.2f} after"
-        figure["label"] = f"{kind}: {errors}, {run} at {at:.1f} s"
-        figures.append(figure)
-    return figures
 
 
 # Cells along each side of a map of the error.
@@ -240,15 +213,11 @@ def before_after_figure(before: Comparison, after: Comparison) -> dict[str, Any]
             continue
         at = panels.add(f"{factor.variable} (explains {100 * max(factor.explained, 0):.0f} %)", label(factor), "error")
         for name, bins in (("before", factor.bins), ("after", later[factor.variable].bins)):
-            panels.bars(
-                at,
-                [0.5 * (item.low + item.high) for item in bins],
-                [item.error for item in bins],
-                [item.high - item.low for item in bins],
-                [COLOURS[f"{name}_bar"]] * len(bins),
-                [f"{name}: {item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}<br>{item.samples} windows"
-                 for item in bins],
-            )  # fmt: skip
+            texts = [
+                f"{name}: {item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}<br>{item.samples} windows"
+                for item in bins
+            ]
+            bin_bars(panels, at, bins, [COLOURS[f"{name}_bar"]] * len(bins), texts)
         panels.axis(at, "y", range=[0.0, 1.08 * highest] if np.isfinite(highest) else None)
     return panels.figure("where", bargap=0, barmode="overlay", legend=LEGEND)
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
-
-from safedpa.report.undecided_story import naive_sentence, nothing_sentence, undecided_sentence, unsure_sentence
 
 
 @dataclass(frozen=True)
@@ -169,8 +167,7 @@ def gaps_clause(document: Mapping[str, Any]) -> str:
     found = [(item, gap) for item in document.get("coverage") or () for gap in item["gaps"]]
     if not found:
         return ""
-    gap_texts = [_gap_text(item, gap) for item, gap in sorted(found, key=_by_width)[:_MAX_GAPS]]
-    names = " and ".join([", ".join(gap_texts[:-1]), gap_texts[-1]]) if len(gap_texts) > 1 else gap_texts[0]
+    names = _joined([_gap_text(item, gap) for item, gap in sorted(found, key=_by_width)[:_MAX_GAPS]])
     return f", judged without {names}, where these recordings contain little data and the model extrapolates"
 
 
@@ -181,9 +178,8 @@ def _by_width(found: tuple[Mapping[str, Any], Mapping[str, Any]]) -> float:
 
 
 def _gap_text(item: Mapping[str, Any], gap: Mapping[str, Any]) -> str:
-    unit = "" if item["unit"] == "1" else f" {item['unit']}"
     seconds = f"{gap['seconds']:.0f} of {item['seconds']:.0f} s"
-    return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{unit} ({seconds})"
+    return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{_unit(item)} ({seconds})"
 
 
 def _described(document: Mapping[str, Any], name: str) -> str:
@@ -247,13 +243,116 @@ def _width(error: float | None, stage: Mapping[str, Any]) -> float:
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
     """Returns parameters as text, such as "coefficient 0.121 ± 0.003 1/m", separated by commas."""
-    parts = []
-    for name, entry in parameters.items():
-        spread = "" if entry.get("std") is None else f" ± {entry['std']:.2g}"
-        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-        parts.append(f"{name} {number(entry['value']):.3g}{spread}{unit}")
-    return ", ".join(parts)
+    return ", ".join(_value_text(name, entry, "±") for name, entry in parameters.items())
+
+
+def _short_values(parameters: Mapping[str, Any]) -> str:
+    """Returns parameters by path as text without their effects, in ASCII for a terminal."""
+    return ", ".join(_value_text(path.split(".")[-1], entry, "+-") for path, entry in parameters.items())
+
+
+def _value_text(name: str, entry: Mapping[str, Any], sign: str) -> str:
+    spread = "" if entry.get("std") is None else f" {sign} {entry['std']:.2g}"
+    return f"{name} {number(entry['value']):.3g}{spread}{_unit(entry)}"
+
+
+def _unit(entry: Mapping[str, Any]) -> str:
+    return "" if entry["unit"] == "1" else f" {entry['unit']}"
 
 
 def _joined(names: list[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
+
+
+_NAIVE = {"no_change": "predicting no change", "constant_velocity": "predicting constant velocity"}
+# Sizes that a sentence quotes; the table lists all.
+_EXAMPLES = 3
+
+
+def undecided_sentence(document: Mapping[str, Any]) -> str:
+    """Returns why nothing was decided, and the effect that comes closest."""
+    unexplained, closest = document.get("unexplained"), document.get("closest") or []
+    why = f"{unexplained['expression']}" if unexplained else _why(document, closest)
+    if not closest:
+        return f"Undecided: {why}."
+    closest_item = closest[0]
+    values = _short_values(closest_item["parameters"])
+    fall = closest_item.get("heldout_fall")
+    reduction = "" if fall is None else f"; it would reduce the error by {100.0 * fall:.0f} %"
+    others = [item["effect"] for item in closest[1:]]
+    also = f" Next: {', '.join(others)}." if others else ""
+    return f"Undecided: {why}. Closest, likely but not proven: {closest_item['effect']} ({values}{reduction}).{also}"
+
+
+def unsure_sentence(document: Mapping[str, Any], lacking: str, first: float, last: float) -> str:
+    """Returns which effects help in the recorded driving although the data do not determine their sizes."""
+    unsure = [item for item in document.get("closest") or () if item["effect"] in document["added"]]
+    values = "; ".join(f"{item['effect']} ({_short_values(item['parameters'])})" for item in unsure)
+    return (
+        f"Undecided: with {lacking} the error on such driving falls from {first:.3g} to {last:.3g}, but these data do "
+        f"not determine the size of {values}. Do not rely on the model in other driving."
+    )
+
+
+def _why(document: Mapping[str, Any], closest: Sequence[Mapping[str, Any]]) -> str:
+    if closest:
+        return "not enough data to decide whether an effect is missing"
+    hidden = [item["effect"] for item in document.get("detectable") or () if not _shown(item)]
+    names = ", ".join(dict.fromkeys(hidden))
+    return f"the data are too uniform: a typical size of {names} would not have been found"
+
+
+def naive_sentence(document: Mapping[str, Any]) -> str:
+    """Returns a warning if the refitted given model is worse than a naive prediction; else an empty string."""
+    naive = {name: value for name, value in (document.get("naive") or {}).items() if value is not None}
+    if not naive or document["stages"][0]["heldout_error"] is None:
+        return ""
+    given = float(document["stages"][0]["heldout_error"])
+    name = min(naive, key=lambda item: naive[item])
+    if not given > naive[name] > 0:
+        return ""
+    return (
+        f"The given model, its free parameters refitted, predicts worse than {_NAIVE.get(name, name)}: its error is "
+        f"{given:.3g}, compared with {naive[name]:.3g}."
+    )
+
+
+def nothing_sentence(document: Mapping[str, Any]) -> str:
+    """Returns from which size on effects would have been found."""
+    every = document.get("detectable") or []
+    shown = [item for item in every if item.get("smallest") is not None]
+    if not shown:
+        return ""
+    order = sorted(shown, key=lambda item: item["smallest"] / item["ordinary"])
+    examples = order[:_EXAMPLES]
+    sizes = "; ".join(f"{item['effect']} {item['parameter']} {item['smallest']:.2g}{_unit(item)}" for item in examples)
+    never = list(dict.fromkeys(item["effect"] for item in every if not _shown(item)))
+    hidden = f" A typical size of {', '.join(never)} would not have been found." if never else ""
+    return f"Of {len(every)} parameters of effects, {len(shown)} would have been found, from {sizes} on.{hidden}"
+
+
+def closest_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Returns (effect, parameters, reduction of the error, what to drive) of effects that may be missing."""
+    rows = []
+    for item in document.get("closest") or ():
+        values = _short_values(item["parameters"])
+        fall = item.get("heldout_fall")
+        rows.append((item["effect"], values, "" if fall is None else f"{100.0 * fall:.0f} %", item["drive"]))
+    return rows
+
+
+def detectable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+    """Returns (effect, parameter, smallest size, typical size, note) of everything that may be missing."""
+    rows = []
+    for item in document.get("detectable") or ():
+        unit = _unit(item)
+        smallest = "not detectable" if item.get("smallest") is None else f"{item['smallest']:.2g}{unit}"
+        alongside = f"only as a sum with {', '.join(item['only_with'])}" if item["only_with"] else ""
+        drive = f"drive: {item['drive']}" if item["drive"] else ""
+        note = "; ".join(part for part in (alongside, drive) if part)
+        rows.append((item["effect"], item["parameter"], smallest, f"{item['ordinary']:.2g}{unit}", note))
+    return rows
+
+
+def _shown(item: Mapping[str, Any]) -> bool:
+    return item.get("smallest") is not None and item["smallest"] <= item["ordinary"]

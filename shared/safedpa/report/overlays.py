@@ -32,18 +32,30 @@ STYLES = {
 """Width and dash of each line."""
 
 
-def overlay_figures(comparison: Comparison) -> list[dict[str, Any]]:
-    """Returns a figure for each window of ``chosen_windows``, with a ``label`` for the selection list."""
+def overlay_figures(comparison: Comparison, after: Comparison | None = None) -> list[dict[str, Any]]:
+    """Returns a figure for each window of ``chosen_windows``, with a ``label`` for the selection list.
+
+    The lines are the model and constant velocity, or with ``after``, of the same windows, both models.
+    """
     chosen = chosen_windows(comparison)
     windows = comparison.windows.select(np.array([index for _, index in chosen], dtype=np.int64))
-    predicted = rollout(comparison.model, windows)
-    rates = measured_rates(windows)
+    predicted, rates = rollout(comparison.model, windows), measured_rates(windows)
+    improved = rollout(after.model, windows) if after is not None and after is not comparison else None
     figures = []
     for number, (kind, index) in enumerate(chosen):
-        figure = _figure(windows, number, predicted[: windows.steps[number] + 1, number], rates[number])
-        error = comparison.window_errors[index]
+        part, error = (slice(windows.steps[number] + 1), number), f"{comparison.window_errors[index]:.2f}"
+        if after is None:
+            rows = np.arange(windows.start[number], windows.end[number] + 1)
+            elapsed = (windows.clock[rows] - windows.clock[rows[0]])[:, None]
+            lines = {"model": predicted[part], "constant_velocity": windows.states[rows[0]] + rates[number] * elapsed}
+        else:
+            lines = {"before": predicted[part]}
+        if after is not None and improved is not None:
+            lines["after"] = improved[part]
+            error += f" before, {after.window_errors[index]:.2f} after"
+        figure = window_figure(windows, number, lines)
         at, run = windows.time[windows.start[number]], windows.names[windows.run[number]]
-        figure["label"] = f"{kind}: error {error:.2f}, {run} at {at:.1f} s"
+        figure["label"] = f"{kind}: error {error}, {run} at {at:.1f} s"
         figures.append(figure)
     return figures
 
@@ -79,13 +91,6 @@ def _not_overlapping(windows: Windows, order: IndexArray, count: int) -> list[in
         if len(retained) == count:
             break
     return retained
-
-
-def _figure(windows: Windows, number: int, predicted: FloatArray, rates: FloatArray) -> dict[str, Any]:
-    rows = np.arange(windows.start[number], windows.end[number] + 1)
-    elapsed = (windows.clock[rows] - windows.clock[rows[0]])[:, None]
-    lines = {"model": predicted, "constant_velocity": windows.states[rows[0]] + rates * elapsed}
-    return window_figure(windows, number, lines)
 
 
 def window_figure(windows: Windows, number: int, predicted: Mapping[str, FloatArray]) -> dict[str, Any]:

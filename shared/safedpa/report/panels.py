@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 _GRID = "#E6E9EC"
 _TEXT = "#333333"
-
-
-class _Named(Protocol):
-    @property
-    def unit(self) -> str: ...
+_AXIS = {"gridcolor": _GRID, "zeroline": False, "linecolor": "#9AA3AB", "ticks": "outside", "ticklen": 4}
+_NOTE = {
+    "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom", "showarrow": False,
+    "font": {"size": 13, "color": _TEXT},
+}  # fmt: skip
 
 
 class Panels:
@@ -49,35 +49,14 @@ class Panels:
 
     def open(self, title: str, x_title: str, y_title: str, x: tuple[float, float], y: tuple[float, float]) -> None:
         """Creates the axes and the title of panel number ``count``."""
-        suffix = _suffix(self.count)
-        common = {"gridcolor": _GRID, "zeroline": False, "linecolor": "#9AA3AB", "ticks": "outside", "ticklen": 4}
-        font = {"size": 12, "color": _TEXT}
-        self.axes[f"xaxis{suffix}"] = {
-            **common,
-            "domain": rounded(x),
-            "anchor": f"y{suffix}",
-            "title": {"text": x_title, "font": font, "standoff": 6},
-        }
-        self.axes[f"yaxis{suffix}"] = {
-            **common,
-            "domain": rounded(y),
-            "anchor": f"x{suffix}",
-            "title": {"text": y_title, "font": font, "standoff": 6},
-        }
+        suffix, font = _suffix(self.count), {"size": 12, "color": _TEXT}
+        for this, other, text, extent in (("x", "y", x_title, x), ("y", "x", y_title, y)):
+            placed = {"domain": rounded(extent), "anchor": f"{other}{suffix}"}
+            self.axes[f"{this}axis{suffix}"] = {
+                **_AXIS, **placed, "title": {"text": text, "font": font, "standoff": 6}
+            }  # fmt: skip
         if title:
-            self.notes.append(
-                {
-                    "text": f"<b>{title}</b>",
-                    "x": rounded(x)[0],
-                    "y": rounded(y)[1],
-                    "xref": "paper",
-                    "yref": "paper",
-                    "xanchor": "left",
-                    "yanchor": "bottom",
-                    "showarrow": False,
-                    "font": {"size": 13, "color": _TEXT},
-                }
-            )
+            self.notes.append({"text": f"<b>{title}</b>", "x": rounded(x)[0], "y": rounded(y)[1], **_NOTE})
 
     def axis(self, at: int, which: str, **settings: Any) -> None:
         """Changes settings of the ``x`` or ``y`` axis of a panel."""
@@ -110,18 +89,9 @@ class Panels:
         """Draws a thin horizontal line across a panel."""
         suffix = _suffix(at)
         if math.isfinite(value):
-            self.shapes.append(
-                {
-                    "type": "line",
-                    "xref": f"x{suffix} domain",
-                    "yref": f"y{suffix}",
-                    "x0": 0,
-                    "x1": 1,
-                    "y0": rounded([value])[0],
-                    "y1": rounded([value])[0],
-                    "line": {"color": "#222222", "width": 1.2, "dash": "dash"},
-                }
-            )
+            (height,), line = rounded([value]), {"color": "#222222", "width": 1.2, "dash": "dash"}
+            axes = {"type": "line", "xref": f"x{suffix} domain", "yref": f"y{suffix}"}
+            self.shapes.append({**axes, "x0": 0, "x1": 1, "y0": height, "y1": height, "line": line})
 
     def figure(self, name: str, **layout: Any) -> dict[str, Any]:
         """Returns the figure, which the page draws into the element ``name``."""
