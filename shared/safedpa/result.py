@@ -122,7 +122,7 @@ class AbstractResult(ABC):
     def _page(self) -> str:
         title = html.escape(type(self).__name__)
         return (
-            f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
             f"<style>{_STYLE}</style></head><body><h1>{title}</h1>{self._repr_html_()}{self._picture()}"
             f"{_table(self._columns(), _PAGE_ROWS, _LONGEST_LINE)}</body></html>\n"
         )

@@ -8,7 +8,12 @@ import pytest
 
 import safedpa
 
-NAMES = [name for name in safedpa.__all__ if name != "__version__"]
+LONG = ("Diagnosis", "Rehearsal", "SavedDiagnosis", "check", "diagnose", "rehearse")
+NAMES = [
+    pytest.param(name, marks=pytest.mark.long) if name in LONG else name
+    for name in safedpa.__all__
+    if name != "__version__"
+]
 
 
 @pytest.mark.parametrize("name", NAMES)
