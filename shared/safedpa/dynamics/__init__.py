@@ -9,7 +9,8 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.dynamics import AbstractDynamics
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.model_file import fingerprint, load_model, parse_model, save_model, shipped_models, write_model
-from safedpa.dynamics.physics import PhysicsModel, Setting
+from safedpa.dynamics.physics import PhysicsModel
+from safedpa.dynamics.settings import Setting
 from safedpa.dynamics.user_files import load_user_file, load_user_file_everywhere
 
 __all__ = [

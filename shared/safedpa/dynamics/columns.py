@@ -10,8 +10,6 @@ import numpy as np
 from safedpa.dynamics.dynamics import Array
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, operations_for
 
-__all__ = ["columns", "common_operations", "is_torch", "joined", "like", "single_robot"]
-
 _FLOAT = np.dtype(np.float64)
 
 

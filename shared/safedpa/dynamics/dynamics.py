@@ -8,8 +8,6 @@ from typing import Any
 
 from safedpa.systems import System
 
-__all__ = ["AbstractDynamics", "Array", "RunClock"]
-
 Array = Any
 """A NumPy array or a torch tensor; results have the kind of the arguments."""
 

@@ -13,8 +13,6 @@ from safedpa.dynamics import load_model, shipped_models
 from safedpa.dynamics.recorded_step import step_texts
 from safedpa.equations.generated import digest
 
-__all__ = ["source"]
-
 _SLOW, _QUICKER = 0.05, (0.01, 0.005)
 """s; a robot whose own model is as slow may also be driven at the shorter periods: its step is generated for all."""
 _FUNCTIONS = ("atan", "atan2", "cos", "cosh", "exp", "hypot", "inf", "nan", "sin", "sqrt", "tan", "tanh")

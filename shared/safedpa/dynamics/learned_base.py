@@ -16,8 +16,6 @@ from safedpa.errors import ModelFileError
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar
 
-__all__ = ["LearnedBase"]
-
 
 @final
 class LearnedBase(AbstractBase):

@@ -11,8 +11,6 @@ from safedpa.dynamics.physics import PhysicsModel
 from safedpa.errors import ModelFileError
 from safedpa.limits import check_plain_model
 
-__all__ = ["model_setup", "offered_model"]
-
 
 def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
     """Returns the model that the offer's document describes.

@@ -23,21 +23,6 @@ from safedpa.equations.generated import digest, generated
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
-__all__ = [
-    "Equations",
-    "RecordedStep",
-    "RecordedSteps",
-    "ScalarStep",
-    "call_function",
-    "is_recorded",
-    "record_batch_step",
-    "record_sensitivity",
-    "record_step",
-    "rollout_held_action",
-    "step_texts",
-    "with_period_argument",
-]
-
 ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
 """(state, felt action, latent, time [s]) -> state after one period, all as entries."""
 

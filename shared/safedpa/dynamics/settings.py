@@ -10,8 +10,6 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError, did_you_mean
 
-__all__ = ["LATENT_PREFIX", "Setting", "base_default", "check_effects", "check_settings", "check_values", "wanted"]
-
 LATENT_PREFIX = "latent_"
 """Prefix of the base's parameters that are entries of a learned latent: latent_0, latent_1, ..."""
 

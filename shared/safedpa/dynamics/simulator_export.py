@@ -9,8 +9,6 @@ from typing import Any
 
 from safedpa.dynamics.physics import PhysicsModel
 
-__all__ = ["SimulatorExport", "export_table"]
-
 
 @dataclass(frozen=True)
 class SimulatorExport:

@@ -29,18 +29,6 @@ from safedpa.dynamics.dynamics import Array
 from safedpa.equations.generated import digest, generated
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
-__all__ = [
-    "GENERATED_MODULE",
-    "ScalarTangent",
-    "batched_difference",
-    "compiled_tangent",
-    "complex_step",
-    "forward_mode",
-    "intercept",
-    "single_tangent",
-    "tangent_text",
-]
-
 ScalarTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
 """(state, felt action, latent, time [s]) -> next state (states,), its slopes in the action (states, actions)."""
 

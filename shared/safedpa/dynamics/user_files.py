@@ -24,8 +24,6 @@ from safedpa.operations import FLOATS
 from safedpa.systems import System, add_system, systems
 from safedpa.systems.robots import Robot, add_robot
 
-__all__ = ["EFFECTS_VARIABLE", "load_user_file", "load_user_file_everywhere", "load_user_files"]
-
 _DECLARED = ("system", "rate", "measurement_deviation")
 """Attributes that a robot must have next to its abstract methods."""
 

@@ -15,8 +15,6 @@ from safedpa.equations.slopes import ARRAYS
 from safedpa.equations.tape import FUNCTIONS, Line
 from safedpa.operations import NUMPY
 
-__all__ = ["BatchRows"]
-
 Columns = Sequence[Any]
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["chain_rule"]
-
 
 def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
     """Returns p'g (rows, actions) for p (rows, states), g (states, actions). Raises ValueError for other shapes."""

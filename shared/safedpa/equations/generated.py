@@ -12,8 +12,6 @@ from hashlib import blake2b
 from importlib import import_module
 from typing import Any
 
-__all__ = ["digest", "generated"]
-
 
 def digest(recorded: str) -> str:
     """The BLAKE2b digest (16 bytes, hexadecimal) of recorded equations as text in UTF-8."""

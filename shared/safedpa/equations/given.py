@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 from safedpa.operations import Scalar
 
-__all__ = ["Given"]
-
 
 class Given(NamedTuple):
     """The arguments of an equation of rows: floats, arrays, or numbers that are being recorded."""

@@ -22,8 +22,6 @@ from safedpa.equations.slopes import Style, negative, operand_slopes, product, s
 from safedpa.equations.tape import Line, Recorded, Tape, name_of
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["Equation", "Level", "RowGroup", "RowTape", "nested"]
-
 Level = Literal["scene", "state", "item"]
 
 _NAME = re.compile(r"\b[a-z]\w*\b")

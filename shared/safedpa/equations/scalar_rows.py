@@ -17,8 +17,6 @@ from safedpa.equations.slopes import PLAIN
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Line
 from safedpa.operations import FLOATS
 
-__all__ = ["SMALL_AND_LARGE", "scalar_class", "scalar_rows"]
-
 SMALL_AND_LARGE = ("1e-290", "1e+290")
 """Between these, the root of a sum of squares is as exact as ``hypot``; beyond, the squares underflow or overflow."""
 

@@ -10,8 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import final
 
-__all__ = ["ARRAYS", "PLAIN", "Style", "negative", "operand_slopes", "product", "sum_of"]
-
 
 class Style(ABC):
     """How a choice between two values is written: an expression for floats, ``where`` for arrays."""

@@ -11,8 +11,6 @@ from typing import Any, final
 
 from safedpa.operations import Operations
 
-__all__ = ["FLOAT_FORMS", "FUNCTIONS", "Line", "NotRecordableError", "Recorded", "Tape", "name_of"]
-
 Line = tuple[str, str, tuple[str, ...]]
 """(name, form, operands) of one operation; the form is a template such as ``{0} + {1}``, or a function's name."""
 

@@ -14,8 +14,6 @@ from safedpa.errors import InputError, near_files
 from safedpa.limits.table import limit, too_much
 from safedpa.limits.text import parse_json
 
-__all__ = ["check_archive", "check_tensor_file", "file_of_at_most", "text_of_file", "text_of_file_or_shipped"]
-
 
 def file_of_at_most(path: Path, name: str) -> bytes:
     """Returns the bytes of a regular file that is no larger than the limit ``name``.

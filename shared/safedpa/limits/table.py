@@ -8,8 +8,6 @@ from functools import lru_cache
 
 from safedpa.errors import InputError
 
-__all__ = ["TABLE", "VARIABLE", "Limit", "LimitError", "limit", "too_much"]
-
 VARIABLE = "SAFEDPA_LIMITS"
 """Environment variable that sets limits: ``name=number,name=number``. Child processes inherit it."""
 _MEBI = 1024 * 1024

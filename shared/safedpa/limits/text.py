@@ -17,18 +17,6 @@ from typing import Any
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits.table import limit, too_much
 
-__all__ = [
-    "check_plain_model",
-    "finite_number",
-    "parse_json",
-    "parse_toml",
-    "printable",
-    "readable",
-    "refuse_unknown",
-    "whole_number",
-]
-
-
 _TOML = r"[\"'#\[\]{}.\n=,]"
 _OPENING, _CLOSING = frozenset("[{"), frozenset("]}")
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from safedpa.effects import AbstractEffect
     from safedpa.safety.settings import FilterSettings
 
-__all__ = ["ShippedRobot"]
-
 
 class ShippedRobot(AbstractRobot):
     """A robot in a package ``safedpa.robots.NAME``."""

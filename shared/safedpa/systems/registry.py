@@ -6,9 +6,6 @@ from safedpa.errors import InputError
 from safedpa.systems.robots import forget_robot, robots
 from safedpa.systems.system import System
 
-__all__ = ["REGISTERED", "add_system", "systems", "why_not_driven"]
-
-
 REGISTERED: dict[str, System] = {}
 """The user's systems in this process, by name."""
 

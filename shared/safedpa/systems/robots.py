@@ -22,19 +22,6 @@ from safedpa.installed import entry_points_of_group
 from safedpa.limits import readable
 from safedpa.systems.system import System
 
-__all__ = [
-    "DEFAULT_ROBOT",
-    "ENTRY_POINTS",
-    "REGISTERED",
-    "Robot",
-    "add_robot",
-    "forget_robot",
-    "own_robots",
-    "robot_like",
-    "robot_named",
-    "robots",
-]
-
 DEFAULT_ROBOT: str = importlib.import_module("safedpa.robots").DEFAULT
 """The robot that is meant where none is named."""
 ENTRY_POINTS = "safedpa.robots"

@@ -19,8 +19,6 @@ from safedpa.safety.barriers.equation import AbstractEquationBarrier, pattern_of
 from safedpa.safety.barriers.limits import SpeedBarrier
 from safedpa.safety.barriers.stopping import Braking
 
-__all__ = ["source"]
-
 _FUNCTIONS = ("atan", "cos", "exp", "hypot", "sin", "sqrt", "tan", "tanh")
 _BODY = (0.1, 0.4, 0.1)
 _FIELD = (-1.0, 1.0, -1.0, 1.0)

@@ -12,22 +12,6 @@ import numpy as np
 
 from safedpa.arrays import AnyFloatArray
 
-__all__ = [
-    "FAR_AWAY",
-    "FULL_RADIUS",
-    "FULL_SPEED",
-    "FULL_STEER",
-    "NEAR",
-    "OBSTACLES",
-    "RAYS",
-    "TOUCHING",
-    "clearances",
-    "observation_length",
-    "observe",
-    "padded",
-]
-
-
 RAYS = 16
 """Number of rays, evenly spaced around the car; the first points straight ahead."""
 OBSTACLES = 4

@@ -27,8 +27,6 @@ from safedpa.robots.car.observation import (
     observation_length,
 )
 
-__all__ = ["PERCEPTION", "observe_one"]
-
 _STEP = 2.0 * math.pi / RAYS
 _COSINES = [math.cos(_STEP * ray) for ray in range(RAYS)]
 _SINES = [math.sin(_STEP * ray) for ray in range(RAYS)]

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
 
-__all__ = ["ROBOT", "Car"]
-
 
 @final
 class Car(ShippedRobot):

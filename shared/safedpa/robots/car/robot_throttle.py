@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
 
-__all__ = ["ThrottleCar"]
-
 
 @final
 class ThrottleCar(ShippedRobot):

@@ -6,8 +6,6 @@ from math import inf
 
 from safedpa.systems.system import System, Variable
 
-__all__ = ["CAR", "CAR_THROTTLE"]
-
 _STATE = (
     Variable("x", "m", -1e4, 1e4),
     Variable("y", "m", -1e4, 1e4),

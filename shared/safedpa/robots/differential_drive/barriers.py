@@ -30,8 +30,6 @@ from safedpa.safety.barriers.limits import SpeedBarrier
 from safedpa.safety.barriers.stopping import Braking, stopping_distance
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["Shape", "WheeledFieldBarrier", "WheeledObstacleBarrier", "wheeled_barriers"]
-
 _STATES = ("x", "y", "yaw", "speed", "turn_rate")
 _SPEED = 3
 

@@ -10,8 +10,6 @@ from safedpa.effects.friction import REST_SPEED, resistance
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 
-__all__ = ["EFFECTS", "Payload", "RollingResistance", "TrackError", "UnequalWheels", "WheelRadius", "WheelSlip"]
-
 EFFECTS = (
     ChannelEffect(  # a slow link: all commands arrive late
         "differential_drive", "actuator_delay", EVERY, "delay", Parameter("seconds", "s", 0.0, 0.5, 0.1),

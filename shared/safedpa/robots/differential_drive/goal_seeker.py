@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
 
-__all__ = ["WheeledSeeker"]
-
 _FASTEST, _FASTEST_TURN = 0.5, 1.9
 _TURN_GAIN = 2.5
 """1/s"""

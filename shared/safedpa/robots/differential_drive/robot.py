@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from safedpa.safety.settings import FilterSettings
     from safedpa.stand_in import AbstractStandIn
 
-__all__ = ["ROBOT", "DifferentialDrive"]
-
 _STAND_IN = "safedpa_sim.differential_drive.stand_in"
 _RADIUS = 0.17
 """m; radius of the body, when a state has no footprint."""

@@ -8,8 +8,6 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa.ros.face import AbstractFace, Numbers
 
-__all__ = ["DifferentialDriveFace"]
-
 _TWIST, _TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _PATHS = {_TWIST: ("linear.x", "angular.z"), _TWIST_STAMPED: ("twist.linear.x", "twist.angular.z")}
 

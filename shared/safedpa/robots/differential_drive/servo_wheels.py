@@ -10,8 +10,6 @@ from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 from safedpa.robots.differential_drive.system import DIFFERENTIAL_DRIVE, TRACK
 
-__all__ = ["ServoWheels"]
-
 
 @final
 class ServoWheels(AbstractBase):

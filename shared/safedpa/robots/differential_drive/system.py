@@ -6,8 +6,6 @@ from math import inf
 
 from safedpa.systems.system import System, Variable
 
-__all__ = ["DIFFERENTIAL_DRIVE", "TRACK"]
-
 TRACK = 0.233
 """m between the wheels; default of the models."""
 

@@ -10,18 +10,6 @@ from safedpa.effects.friction import REST_RATE, resistance
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 
-__all__ = [
-    "EFFECTS",
-    "AngleOffset",
-    "Backlash",
-    "CoulombFriction",
-    "Spring",
-    "StribeckFriction",
-    "TipMass",
-    "ViscousFriction",
-    "Wind",
-]
-
 EFFECTS = (
     ChannelEffect(
         "pendulum", "torque_delay", "torque", "delay", Parameter("seconds", "s", 0.0, 0.2, 0.02),

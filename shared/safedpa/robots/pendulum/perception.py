@@ -8,9 +8,6 @@ from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
 from safedpa.policy.perception import ObservationModel, checked_state
 
-__all__ = ["PERCEPTION", "observe_pendulum", "pendulum_observation_length"]
-
-
 _FAST = 10.0
 """rad/s; scale of the rate."""
 

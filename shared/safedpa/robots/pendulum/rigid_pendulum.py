@@ -10,8 +10,6 @@ from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 from safedpa.robots.pendulum.system import PENDULUM
 
-__all__ = ["RigidPendulum"]
-
 
 @final
 class RigidPendulum(AbstractBase):

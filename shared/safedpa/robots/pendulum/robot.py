@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
 
-__all__ = ["ROBOT", "Pendulum"]
-
 _EDGE = 1.0
 """rad from the pendulum to the edges of a random corridor; any value would do."""
 

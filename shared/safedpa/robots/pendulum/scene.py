@@ -12,8 +12,6 @@ from safedpa.safety.barriers.limits import CorridorBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["PendulumScene"]
-
 _STATES = 2
 
 

@@ -8,8 +8,6 @@ from typing import Final
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.simulator_export import SimulatorExport
 
-__all__ = ["simulator_export"]
-
 _MJCF_CANNOT: Final[Mapping[str, str]] = {
     "stribeck_friction": "MuJoCo's dry friction does not fade with the rate; add it as a control",
     "torque_delay": "delay the control signal",

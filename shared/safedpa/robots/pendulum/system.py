@@ -6,8 +6,6 @@ from math import inf
 
 from safedpa.systems.system import System, Variable
 
-__all__ = ["PENDULUM"]
-
 PENDULUM = System(
     name="pendulum",
     state=(

@@ -8,8 +8,6 @@ from safedpa.effects.channel_effects import EVERY, ChannelEffect
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["EFFECTS", "ConstantForce", "Payload", "QuadraticDrag", "ViscousDrag"]
-
 EFFECTS = (
     ChannelEffect(  # a slow link: all commands arrive late
         "point", "actuator_delay", EVERY, "delay", Parameter("seconds", "s", 0.0, 0.5, 0.1), called="action",

@@ -20,8 +20,6 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import MessageError
 
-__all__ = ["PointSeeker", "goal_seeking_action"]
-
 _CRUISE = 0.7
 """m/s."""
 _SECONDS = 0.25

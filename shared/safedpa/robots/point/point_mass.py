@@ -10,8 +10,6 @@ from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 from safedpa.robots.point.system import POINT
 
-__all__ = ["PointMass"]
-
 
 @final
 class PointMass(AbstractBase):

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from safedpa.runtime.scene import AbstractScene
     from safedpa.safety.settings import FilterSettings
 
-__all__ = ["ROBOT", "Point"]
-
 
 @final
 class Point(ShippedRobot):

@@ -24,9 +24,6 @@ from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBa
 from safedpa.safety.barriers.stopping import Motion, StoppingBarrier, nearer_end, stop_seconds, stopping_action
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["PointScene", "motion_of"]
-
-
 _HEADINGS: Final = 0.5 * np.pi * np.arange(4)
 _LEAST_SLOPE, _MOST_SLOPE = 1e-6, 0.5
 """Bounds of the share of the speed lost to drag in a period; identified values are clipped to them."""

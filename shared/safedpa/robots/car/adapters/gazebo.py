@@ -5,8 +5,6 @@ from __future__ import annotations
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.simulator_export import SimulatorExport
 
-__all__ = ["simulator_export"]
-
 _FILE = "car.gazebo.sdf"
 _INSTEAD = {
     "payload": "multiply the mass of the chassis by 1 + mass_ratio",

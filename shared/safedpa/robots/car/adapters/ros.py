@@ -13,8 +13,6 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa.ros.face import AbstractFace, Numbers
 
-__all__ = ["CarFace", "ThrottleCarFace"]
-
 _STAMPED, _PLAIN = "ackermann_msgs/msg/AckermannDriveStamped", "ackermann_msgs/msg/AckermannDrive"
 _TWIST, _TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _PATHS = {

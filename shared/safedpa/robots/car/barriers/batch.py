@@ -16,9 +16,6 @@ from safedpa.safety.barriers.limits import SpeedBarrier
 from safedpa.safety.batch.barriers import CompiledBatchBarriers
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["barriers_of_cars"]
-
-
 _BODY, _ROOM = (0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0)
 
 

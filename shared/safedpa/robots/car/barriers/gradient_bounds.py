@@ -12,8 +12,6 @@ from safedpa.operations import FLOATS
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["largest_gradients"]
-
 
 def largest_gradients(settings: FilterSettings, footprint: Sequence[float], scale: FloatArray) -> dict[str, float]:
     """Returns sup |d(h)/d(v)|_1 by kind of barrier, over all states with a speed within the settings' limits.

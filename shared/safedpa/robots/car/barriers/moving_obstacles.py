@@ -19,8 +19,6 @@ from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import Braking
 
-__all__ = ["MovingObstacleBarrier"]
-
 _BODY = 4
 """Number of shared parameters of the body, as in ``body_of``."""
 _OWN = 11

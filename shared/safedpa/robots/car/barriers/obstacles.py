@@ -24,17 +24,6 @@ from safedpa.safety.barriers.limits import SpeedBarrier
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.settings import FilterSettings
 
-__all__ = [
-    "FieldBarrier",
-    "Footprint",
-    "ObstacleBarrier",
-    "braking_of",
-    "car_barriers",
-    "checked_footprint",
-    "swept_capsule",
-    "with_towed_load",
-]
-
 Footprint = tuple[float, float, float]
 """(rear, front, radius) [m]: the body is the segment p - rear e .. p + front e, thickened by the radius."""
 

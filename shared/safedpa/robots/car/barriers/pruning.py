@@ -33,8 +33,6 @@ from safedpa.errors import InputError
 from safedpa.robots.car.dynamics.limits import PerformanceLimits
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 
-__all__ = ["below", "discs_near", "fastest_of", "irrelevance_distance", "moving_near"]
-
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 Disc: TypeAlias = tuple[float, float, float]
 Moving: TypeAlias = tuple[float, float, float, float, float]

@@ -10,8 +10,6 @@ from safedpa.errors import InputError
 from safedpa.reversing import distance_reversed
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 
-__all__ = ["ReverseOdometer"]
-
 _LONGEST_GAP = 0.5
 """s; after a longer gap between states the motion in between counts as unknown."""
 _MOST = 1.0

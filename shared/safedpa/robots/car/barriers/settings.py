@@ -6,8 +6,6 @@ from typing import Final
 
 from safedpa.barrier_setting import BarrierSetting
 
-__all__ = ["BARRIER_SETTINGS"]
-
 BARRIER_SETTINGS: Final = (
     BarrierSetting("braking_deceleration", "m/s2", 2.0, "guaranteed braking with every load", positive=True),
     BarrierSetting("braking_gain", "1/s", 2.5, "least gain of the speed servo, with every load", positive=True),

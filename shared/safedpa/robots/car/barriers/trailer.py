@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from math import cos, sin
 from typing import final
 
-__all__ = ["TrailerEnvelope"]
-
 
 @final
 @dataclass(frozen=True)

@@ -42,14 +42,6 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, MessageError
 from safedpa.robots.car.dynamics.throttle import throttle_for
 
-__all__ = [
-    "GoalSeeker",
-    "GoalSeekerSettings",
-    "InverseDynamicsGoalSeeker",
-    "SpeedCompensation",
-    "ThrottledGoalSeeker",
-]
-
 
 @dataclass(frozen=True)
 class GoalSeekerSettings:

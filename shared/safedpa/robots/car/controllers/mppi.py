@@ -30,9 +30,6 @@ from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError, MessageError
 from safedpa.robots.car.controllers.time_to_goal import TimeToGo, clearance
 
-__all__ = ["DriveCosts", "Planner", "PlannerSettings"]
-
-
 _FIXED = (
     (1.0, 0.0),
     (1.0, 1.0),

@@ -18,9 +18,6 @@ from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.operations import NUMPY
 from safedpa.robots.car.dynamics.limits import ReversalBraking
 
-__all__ = ["ClearanceSettings", "Clearances", "VisibleObstacles", "visible_obstacles"]
-
-
 _SPEEDS: Final[FloatArray] = np.linspace(0.0, 2.0, 41)
 """m/s; speeds at which the required clearance is tabulated."""
 _WEDGE: Final = 1.0

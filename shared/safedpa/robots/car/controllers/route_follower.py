@@ -31,9 +31,6 @@ from safedpa.robots.car.controllers.goal_seeker import GoalSeekerSettings, Speed
 from safedpa.robots.car.controllers.route_cost import Clearances, ClearanceSettings, VisibleObstacles, visible_obstacles
 from safedpa.robots.car.controllers.time_to_goal import TimeToGoMap
 
-__all__ = ["RouteFollower", "RouteFollowerSettings"]
-
-
 _STEP: Final = 0.15
 """m between evaluated positions on an arc."""
 _FEWEST: Final = 3

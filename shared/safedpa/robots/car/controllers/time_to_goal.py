@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray
 from safedpa.robots.car.controllers.route_cost import Clearances, VisibleObstacles
 
-__all__ = ["ANGLES", "HEADINGS", "PlanningGrid", "TimeToGo", "TimeToGoMap", "clearance", "grid_distances", "shifts"]
-
 _NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
 _DIAGONAL = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 

@@ -11,8 +11,6 @@ from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
-__all__ = ["Drive", "KinematicBicycle"]
-
 Drive = Literal["speed_servo", "throttle"]
 
 _WHEELBASE = Parameter("wheelbase", "m", 0.01, 10.0, 0.32, neutral=None, meaning="front axle to rear axle")

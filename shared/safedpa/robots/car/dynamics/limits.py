@@ -20,14 +20,6 @@ from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.settings import FilterSettings
 
-__all__ = [
-    "IS_STATIONARY",
-    "ORDINARY",
-    "PerformanceLimits",
-    "ReversalBraking",
-    "performance_limits",
-]
-
 _SPEEDS = 9
 _MARGIN, _MARGIN_OF_REACH = 1.25, 1.05
 """Safety factors on the bounds, because they are evaluated on a grid of states only."""

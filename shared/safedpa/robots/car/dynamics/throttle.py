@@ -13,9 +13,6 @@ from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.safety.barriers.stopping import Braking
 
-__all__ = ["BrakingByThrottle", "throttle_for"]
-
-
 _SPEED: Final = 3
 """Index of the speed in the state x, y, yaw, speed."""
 _HALVINGS: Final = 12

@@ -3,8 +3,6 @@
 from safedpa.effects.channel_effects import EVERY, ChannelEffect
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["EFFECTS"]
-
 _DRIVE = ("throttle", "target_speed")
 """A car has one of them: a motor's throttle, or the command of a speed servo."""
 _DART = "Lyons et al., DART, IEEE Intelligent Vehicles Symposium 2024"

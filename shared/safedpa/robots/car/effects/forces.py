@@ -8,18 +8,6 @@ from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.friction import REST_SPEED, resistance
 from safedpa.effects.parameter import Parameter
 
-__all__ = [
-    "BackEmf",
-    "BatterySag",
-    "ConstantForce",
-    "Payload",
-    "QuadraticDrag",
-    "RollingResistance",
-    "TowedLoad",
-    "TurningDrag",
-    "ViscousDrag",
-]
-
 
 @final
 class BackEmf(RateEffect):

@@ -8,8 +8,6 @@ from safedpa.effects.effect import CommandEffect, Context, Named, RateEffect, Se
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
 
-__all__ = ["CrosswindDrift", "SpeedSensorScale", "SteeringAsymmetry", "TyreSlip", "Understeer"]
-
 
 @final
 class CrosswindDrift(RateEffect):

@@ -12,9 +12,6 @@ from safedpa.robots.car.system import CAR
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["SMALL_CAR", "barriers_around"]
-
-
 SMALL_CAR = (0.08, 0.40, 0.12)
 """m; footprint of the 1:10 car: extent behind and ahead of the rear axle, and radius."""
 _AROUND = (0.5, 2.5)

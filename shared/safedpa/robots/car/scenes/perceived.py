@@ -25,8 +25,6 @@ from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBa
 from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["CarScene"]
-
 generated(GENERATED_MODULE)  # imported now, because the import takes a tick and would delay the first decision
 _PATIENCE = 0.2
 """s; the harder brake may act this much longer than braking from full speed takes."""

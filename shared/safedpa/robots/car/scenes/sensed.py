@@ -26,8 +26,6 @@ from safedpa.safety.barriers.stack import CompiledBarrierSet
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["MOST_ROWS", "SensedBarriers", "reversal_braking", "sensed_barriers"]
-
 Far: TypeAlias = Callable[[AbstractEquationBarrier], float]
 """Returns the value of h above which a disc of a barrier is irrelevant."""
 
