@@ -128,7 +128,7 @@ class RobotView:
         entries += body_entries(state, self._display)
         if self._display.is_pendulum:
             entries += phase_state(state, self._display)
-        entries += self._trail(state)
+        entries += self._driven_path(state)
         if residual is not None:
             entries.append(residual_entry(residual))
         self._drawn = state
@@ -141,7 +141,7 @@ class RobotView:
         planar = self._display.is_planar and len(values) >= 2 and drawable(*values[:2])
         return (values[0], values[1]) if planar else None
 
-    def _trail(self, state: StateMessage) -> list[TimelineEntry]:
+    def _driven_path(self, state: StateMessage) -> list[TimelineEntry]:
         """Returns the path since the last drawn state, in the colour of the verdict."""
         ends = [self._point(known.values) for known in (self._drawn, state) if known is not None]
         if len(ends) != 2 or ends[0] is None or ends[1] is None:

@@ -114,7 +114,7 @@ async def _announce_when_ready(
 
 
 def _add_page(path: str, title: str, style: str, tab: Callable[[], AbstractTab]) -> None:
-    """Serves a page; ``tab`` builds it anew for each browser tab."""
+    """Serves a page; ``tab`` builds it for each browser tab."""
 
     @ui.page(path, title=title)
     async def shown(client: Client) -> None:
