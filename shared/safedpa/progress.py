@@ -59,7 +59,7 @@ def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]
 
 
 def _console() -> Console | None:
-    """Returns the console that shows a bar, or None where nobody would see one."""
+    """Returns the console that shows a bar, or None where none can be shown."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -22,7 +22,7 @@ def test_an_example_prints_what_its_docstring_says(name: str, user_folder: Path)
     examples = doctest.DocTestFinder().find(getattr(safedpa, name), name, module=False, globs=names)
     assert any(found.examples for found in examples), "wanted an example"
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
-    said: list[str] = []
+    reported: list[str] = []
     for found in examples:
-        runner.run(found, out=said.append)
-    assert not runner.failures, "".join(said)
+        runner.run(found, out=reported.append)
+    assert not runner.failures, "".join(reported)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from safedpa.comparison.comparison import with_distinct_names
 from safedpa.dynamics import PhysicsModel, load_model, load_user_file
@@ -22,8 +22,15 @@ Model: TypeAlias = PhysicsModel | str | Path
 """A model, its file, or the name of one that ships."""
 Logs: TypeAlias = Run | str | Path | Sequence[Run | str | Path]
 """One or several recordings: runs or files."""
-Columns: TypeAlias = ColumnMap | Mapping[str, Any] | str | Path | None
-"""A column map, ``[columns]`` of one as a dictionary, its file or shipped name, or None for native names."""
+
+
+class _HasColumnMap(Protocol):
+    @property
+    def column_map(self) -> ColumnMap: ...
+
+
+Columns: TypeAlias = ColumnMap | _HasColumnMap | Mapping[str, Any] | str | Path | None
+"""A column map, the result of ``columns()``, ``[columns]`` of a map as a dictionary, a file or shipped name, or None."""
 
 
 def read_log(log: str | Path, model: Model | System, columns: Columns = None) -> Run:

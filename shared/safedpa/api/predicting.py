@@ -65,7 +65,7 @@ class PredictedRun(AbstractPlottedResult):
         for index, (panel, state) in enumerate(zip(panels, states, strict=True)):
             for t, measured, _ in self.run.parts():
                 panel.plot(t - zero, measured[:, index], color=COLOURS["measured"], linewidth=0.8)
-            # Starts a horizon apart: overlapping predictions could not be told apart.
+            # Starts a horizon apart: overlapping predictions would hide each other.
             last = -float("inf")
             for start in starts:
                 if start >= last + self.horizon:
