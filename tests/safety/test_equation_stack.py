@@ -16,9 +16,8 @@ from safedpa.equations.rows import RowGroup, RowTape
 from safedpa.equations.scalar_rows import scalar_rows
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations
-from safedpa.robots.car.barriers.body import GENERATED_MODULE
+from safedpa.robots.car.barriers.body import GENERATED_MODULE, TrailerEnvelope
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.safety import FilterSettings, FunctionBarrier
 from safedpa.safety.barriers.base import AbstractBarrier, Barriers
 from safedpa.safety.barriers.equation import AbstractEquationBarrier

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.networks import Layer, dense_stack, frame_of
-from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
-from safedpa.robots.car.barriers.obstacles import braking_of, car_barriers
+from safedpa.robots.car.barriers.obstacles import braking_of, car_barriers, largest_gradients
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.theory.bound import ErrorConstants, barrier_error_bound, scaled_gradient
 from safedpa_lab.theory.measure import affine_parts, error_constants, largest_slope, lipschitz_bound

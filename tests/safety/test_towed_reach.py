@@ -14,7 +14,7 @@ from safedpa.dynamics import load_model
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers.body import body_of, grad_bound, hitch_of
+from safedpa.robots.car.barriers.body import TrailerEnvelope, body_of, grad_bound, hitch_of
 from safedpa.robots.car.barriers.obstacles import (
     FieldBarrier,
     ObstacleBarrier,
@@ -24,7 +24,6 @@ from safedpa.robots.car.barriers.obstacles import (
     with_towed_load,
 )
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.robots.pendulum.scene import PendulumScene
 from safedpa.runtime import scene as scenes

@@ -9,10 +9,10 @@ import pytest
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import (
     IS_STATIONARY,
     ORDINARY,

@@ -12,10 +12,10 @@ from safedpa.bus.messages.messages import LatentMessage, NominalMessage, Verdict
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.operations import FLOATS
 from safedpa.perception import PerceptionNode
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.pruning import irrelevance_distance
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import (
     IS_STATIONARY,
     ORDINARY,

@@ -13,8 +13,8 @@ from safedpa.bus.messages.messages import ActionMessage
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
 from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers

@@ -2,8 +2,7 @@
 
 ``dynamics`` holds base model and limits, ``effects`` its effects, ``barriers`` the barrier equations and ``scenes`` the
 barriers of a scene. ``controllers`` are goal seeker, route follower and MPPI planner, ``observation`` and
-``perception`` the input of a learned policy, ``adapters`` ROS and Gazebo. ``robot_throttle`` is the variant with a
-throttle.
+``perception`` the input of a learned policy, ``adapters`` ROS and Gazebo.
 """
 
 from safedpa.robots.car.robot import ROBOT, Car

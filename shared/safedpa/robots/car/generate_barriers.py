@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 from safedpa.equations.rows import RowTape
 from safedpa.equations.scalar_rows import scalar_class
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import FieldBarrier, ObstacleBarrier
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import ReversalBraking
 from safedpa.safety.barriers.equation import AbstractEquationBarrier, pattern_of, tape_of
 from safedpa.safety.barriers.limits import SpeedBarrier

@@ -24,7 +24,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
-from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
+from safedpa.robots.car.barriers.obstacles import largest_gradients
 from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.safety import FilterSettings
 from safedpa.safety.barriers.base import AbstractBarrier

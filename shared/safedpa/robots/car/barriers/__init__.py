@@ -1,6 +1,5 @@
 """Barrier equations of the car; read ``obstacles`` first, then ``body`` for the swept capsule.
 
-``moving_obstacles`` treats movers and hidden areas, ``trailer`` and ``reverse_odometer`` a towed load. ``pruning``
-drops irrelevant discs, ``batch`` stacks barriers of many cars, ``gradient_bounds`` bounds gradients, ``settings``
-declares the settings.
+``moving_obstacles`` treats movers and hidden areas, ``reverse_odometer`` a towed load. ``pruning`` drops irrelevant
+discs, ``batch`` stacks barriers of many cars.
 """

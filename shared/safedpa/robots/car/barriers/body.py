@@ -7,7 +7,9 @@ so that no h decreases under the braking action (the docs page on safety has the
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Any, NamedTuple, final
 
 from safedpa.equations import Given
 from safedpa.operations import Operations, Scalar
@@ -90,3 +92,27 @@ def grad_bound(given: Given, operations: Operations) -> list[Any]:
         place = 1.0 + given.shared[_LENGTHS + 1]
         change = change * place
     return [place, place, arm, change, *(0.0 for _ in given.state[4:])]
+
+
+@final
+@dataclass(frozen=True)
+class TrailerEnvelope:
+    """The parameters of the equations of ``hitch_of``; all lengths [m].
+
+    After driving backwards by ``begin`` a load may start to leave the footprint, after ``end`` > ``begin`` it may be at
+    any angle and then needs ``most`` beyond the footprint's radius. ``way`` is the distance driven backwards at
+    ``pose`` (x, y, yaw). docs/robot.md has measurements.
+    """
+
+    begin: float
+    end: float
+    most: float
+    way: float
+    pose: tuple[float, float, float]
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """begin, growth per distance, most, way, x, y, cos yaw, sin yaw."""
+        x, y, yaw = self.pose
+        rate = self.most / (self.end - self.begin)
+        return self.begin, rate, self.most, self.way, x, y, cos(yaw), sin(yaw)

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
-from safedpa.robots.car.barriers.body import GENERATED_MODULE, SweptBody, body_of, hitch_of
+from safedpa.robots.car.barriers.body import GENERATED_MODULE, SweptBody, TrailerEnvelope, body_of, hitch_of
 from safedpa.robots.car.barriers.body import grad_bound as steepest_of_body
 from safedpa.robots.car.barriers.obstacles import Footprint
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import Braking

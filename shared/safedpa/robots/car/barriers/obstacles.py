@@ -1,6 +1,7 @@
 """The car's barriers: obstacles and walls around a body extended by its stopping distance, and speed limits.
 
-Each is one equation; ``python -m safedpa.generate`` generates ``generated_barriers.py`` from them.
+Each is one equation; ``python -m safedpa.generate`` generates ``generated_barriers.py`` from them. ``barriers_around``
+draws random ones to calibrate margins from logs, ``largest_gradients`` bounds their gradients.
 """
 
 from __future__ import annotations
@@ -12,12 +13,20 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
-from safedpa.robots.car.barriers.body import GENERATED_MODULE, body_of, grad_bound, hitch_of, to_segment
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.barriers.body import (
+    GENERATED_MODULE,
+    TrailerEnvelope,
+    body_of,
+    grad_bound,
+    hitch_of,
+    to_segment,
+)
+from safedpa.robots.car.system import CAR
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.limits import SpeedBarrier
@@ -215,3 +224,47 @@ def _checked_clearance(clearance: float) -> float:
     if not (isfinite(clearance) and clearance >= 0.0):
         raise InputError(f"clearance: got {clearance}, wanted a finite number >= 0 in m")
     return clearance
+
+
+def largest_gradients(settings: FilterSettings, footprint: Sequence[float], scale: FloatArray) -> dict[str, float]:
+    """Returns sup |d(h)/d(v)|_1 by kind of barrier, over all states with a speed within the settings' limits.
+
+    ``scale`` (4,) holds s_along, s_across [m], s_yaw [rad], s_speed [m/s] of an increment v. For obstacle and field,
+    with a unit vector (c, s), arm t and derivative of the stopping distance D', the gradient is (c, s) in position, t s
+    in yaw and D' c in speed, in any frame of the position, so that
+
+        |d(h)/d(v)|_1 <= sqrt(s_along^2 + s_across^2) + sqrt((t s_yaw)^2 + (D' s_speed)^2).
+
+    t and D' are at most the values of ``ObstacleBarrier.grad_bound`` at the ends of the speed's range. The gradient of
+    the speed limits is s_speed. Raises InputError for an invalid footprint.
+    """
+    shared = ObstacleBarrier((), footprint, braking_of(settings)).shared
+    speeds = settings.barrier("speed_low"), settings.barrier("speed_high"), 0.0
+    bounds = [ObstacleBarrier.grad_bound(Given((0.0, 0.0, 0.0, speed), shared, ()), FLOATS) for speed in speeds]
+    _, _, arm, slope = np.max(bounds, axis=0).tolist()
+    body = float(np.hypot(scale[0], scale[1]) + np.hypot(arm * scale[2], slope * scale[3]))
+    return {"obstacle": body, "field": body, "speed": float(scale[3])}
+
+
+SMALL_CAR = (0.08, 0.40, 0.12)
+"""m; footprint of the 1:10 car: extent behind and ahead of the rear axle, and radius."""
+_AROUND = (0.5, 2.5)
+"""m; range of the obstacles' distances."""
+_RADII = (0.2, 0.35)
+"""m"""
+_OBSTACLES = 3
+_ROOM = 4.0
+"""m; largest distance of a wall."""
+
+
+def barriers_around(
+    state: FloatArray, settings: FilterSettings, footprint: tuple[float, ...], draw: np.random.Generator
+) -> list[AbstractBarrier]:
+    """Draws obstacles and four walls around a state; ``footprint`` (3,) or empty for ``SMALL_CAR``."""
+    assert len(state) == len(CAR.state)
+    distance, angle = draw.uniform(*_AROUND, _OBSTACLES), draw.uniform(-np.pi, np.pi, _OBSTACLES)
+    x, y = state[0] + distance * np.cos(angle), state[1] + distance * np.sin(angle)
+    obstacles: Any = np.column_stack([x, y, draw.uniform(*_RADII, _OBSTACLES)])
+    low, high = draw.uniform(0.5, _ROOM, 2), draw.uniform(0.5, _ROOM, 2)
+    field = (state[0] - low[0], state[0] + high[0], state[1] - low[1], state[1] + high[1])
+    return car_barriers(settings, footprint if len(footprint) == 3 else SMALL_CAR, obstacles, field)

@@ -8,7 +8,7 @@ from math import inf, isfinite
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
 from safedpa.reversing import distance_reversed
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 
 _LONGEST_GAP = 0.5
 """s; after a longer gap between states the motion in between counts as unknown."""

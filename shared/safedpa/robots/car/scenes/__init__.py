@@ -1,4 +1,1 @@
-"""The car's scenes: ``perceived`` builds barriers from each state message, ``sensed`` from perceived surroundings.
-
-``calibration`` draws random barriers for calibrating margins from logs.
-"""
+"""The car's scenes: ``perceived`` builds barriers from each state message, ``sensed`` from perceived surroundings."""

@@ -14,10 +14,10 @@ from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.equations import Given
 from safedpa.operations import NUMPY
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import Footprint, ObstacleBarrier, checked_footprint
 from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
-from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ORDINARY, PerformanceLimits, ReversalBraking
 from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
