@@ -16,9 +16,13 @@ from safedpa.bus.messages.codec import encode
 from safedpa.bus.messages.topics import key_of
 from safedpa.calibration import from_runs as live_margin_module
 from safedpa.calibration.from_drives import DriveTick, barrier_residuals
-from safedpa.calibration.from_recordings import RecordedTransitions, calibration_from_recordings
+from safedpa.calibration.from_recordings import (
+    RecordedBound,
+    RecordedTransitions,
+    calibration_from_recordings,
+    recorded_bound,
+)
 from safedpa.calibration.from_runs import calibration_from_runs, live_margin
-from safedpa.calibration.theorem1 import RecordedBound, recorded_bound
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError

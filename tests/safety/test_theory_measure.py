@@ -10,7 +10,7 @@ from hypothesis import strategies as some
 from numpy.typing import NDArray
 from tests.safety.node_steps import asked, latent_at, state_at
 
-from safedpa.calibration.theorem1 import own_errors, recorded_bound
+from safedpa.calibration.from_recordings import own_errors, recorded_bound
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Description, LearnedNetworks, Weights, dense_stack, frame_of

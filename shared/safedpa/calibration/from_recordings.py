@@ -1,5 +1,7 @@
-"""Margin calibration from recordings of the bus, which contain the filter's inputs, actions and the resulting
-states."""
+"""Margins from recordings of the bus, which contain the filter's inputs, actions and the resulting states.
+
+They are split conformal quantiles, and next to them those of Theorem 1, from norms of one-step errors.
+"""
 
 from __future__ import annotations
 
@@ -15,31 +17,25 @@ from numpy.typing import NDArray
 from safedpa.arrays import FloatArray
 from safedpa.bus import LatentMessage, StateMessage
 from safedpa.calibration.from_drives import DriveTick, barrier_residuals, calibration_from_drives, covered_shares
-from safedpa.calibration.theorem1 import recorded_bound
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
+from safedpa.networks import frame_of
 from safedpa.records import read_messages
 from safedpa.runtime.scene import scene_of
 from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors
-from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.conformal import smallest_sample, split_conformal_margin
 from safedpa.safety.margins.error_clipping import ErrorClip
 from safedpa.safety.settings import FilterSettings
+from safedpa.systems.robots import robot_like
 
-# Transitions per block, 5 s at 20 Hz. Neighbouring transitions are correlated, so data are split by whole blocks.
+# Transitions per block, 5 s at 20 Hz. Neighbouring transitions are correlated, so data are split by whole blocks. The
+# first of every ten blocks determines the scales of Theorem 1.
 _BLOCK = 100
 # Every fifth block or drive is held out.
 _SHARE = 5
 
 # Robot and epoch.
 _Start = tuple[str, int]
-
-
-@dataclass(frozen=True)
-class _RecordedTransition:
-    before: StateMessage
-    after: StateMessage
-    latent: tuple[float, ...]
-    drive: int
 
 
 @final
@@ -52,15 +48,16 @@ class RecordedTransitions:
     """
 
     def __init__(self, drives: Sequence[Sequence[DriveTick]]) -> None:
-        found = [transition for number, ticks in enumerate(drives) for transition in _transitions(number, ticks)]
+        found = [(number, *pair) for number, ticks in enumerate(drives) for pair in _transitions(ticks)]
         if not found:
             raise InputError("recordings: no transition with an action of the filter and a latent; record more")
-        self.drive = np.array([transition.drive for transition in found])
-        self.state = np.array([transition.before.values for transition in found])
-        self.action = np.array([transition.after.applied for transition in found])
-        self.following = np.array([transition.after.values for transition in found])
-        self.latent = np.array([transition.latent for transition in found])
-        self.footprints = {transition.before.footprint for transition in found}
+        self.drive = np.array([number for number, _, _, _ in found])
+        self.state = np.array([before.values for _, before, _, _ in found])
+        self.action = np.array([after.applied for _, _, after, _ in found])
+        self.following = np.array([after.values for _, _, after, _ in found])
+        self.latent = np.array([latent.values for _, _, _, latent in found])
+        self.footprints = {before.footprint for _, before, _, _ in found}
+        """(rear, front, radius) [m] of the robots."""
 
     def __len__(self) -> int:
         return len(self.drive)
@@ -81,7 +78,8 @@ def calibration_from_recordings(
     InputError for too few transitions or drives, latents of another model, or robots of several periods.
     """
     scene_of(model, settings)  # raises for settings of another robot before reading the recordings
-    drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
+    own, clip = fingerprint(model), ErrorClip.of_settings(settings)
+    drives = [ticks for path in recordings for ticks in _drives(path, own)]
     period = _period_of(drives, model)
     walked = [(ticks, barrier_residuals(model, settings, ticks)) for ticks in drives]
     along = [heights for _, heights in walked if heights]
@@ -89,15 +87,17 @@ def calibration_from_recordings(
     if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
         if len(along) < _SHARE:
             raise InputError(f"drives: got {len(along)}, wanted at least {_SHARE} to hold one of them out; record more")
-        made = _over_drives(along, settings, coverage, date, fingerprint(model))
+        used = [heights for number, heights in enumerate(along) if number % _SHARE != _SHARE - 1]
+        made = calibration_from_drives(used, coverage, date, own, clip)
     else:
-        made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
+        old = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, settings.eta).items()}
+        made = calibration_from_errors(old, coverage, date, own)
     made = replace(made, period=period)
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model.with_period(period), settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
     made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants})
-    return replace(made, covered=_covered(made, along, ErrorClip.of_settings(settings), by_drives=by_drives))
+    return replace(made, covered=_covered(made, along, clip, by_drives=by_drives))
 
 
 def _period_of(drives: Sequence[Sequence[DriveTick]], model: PhysicsModel) -> float:
@@ -107,20 +107,6 @@ def _period_of(drives: Sequence[Sequence[DriveTick]], model: PhysicsModel) -> fl
         reported = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
         raise InputError(f"recordings: got steps of {reported} s, wanted one period; calibrate for each separately")
     return periods[0]
-
-
-def _over_drives(
-    along: Sequence[Mapping[str, FloatArray]], settings: FilterSettings, coverage: float, date: str, own: str
-) -> MarginCalibration:
-    used = [heights for number, heights in enumerate(along) if number % _SHARE != _SHARE - 1]
-    return calibration_from_drives(used, coverage, date, own, ErrorClip.of_settings(settings))
-
-
-def _over_blocks(
-    along: Sequence[Mapping[str, FloatArray]], eta: float, coverage: float, date: str, own: str
-) -> MarginCalibration:
-    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, eta).items()}
-    return calibration_from_errors(used, coverage, date, own)
 
 
 def _all_errors(
@@ -170,9 +156,60 @@ def _drives(path: Path, model: str) -> list[list[DriveTick]]:
     ]
 
 
-def _transitions(drive: int, ticks: Sequence[DriveTick]) -> Iterator[_RecordedTransition]:
-    """Yields pairs of consecutive states with the latent of the first one."""
-    for before, after in pairwise(ticks):
-        wanted = after.state.tick == before.state.tick + 1 and after.state.applied_by == "filter"
-        if wanted and before.latent is not None:
-            yield _RecordedTransition(before.state, after.state, before.latent.values, drive)
+def _transitions(ticks: Sequence[DriveTick]) -> Iterator[tuple[StateMessage, StateMessage, LatentMessage]]:
+    """Yields consecutive states, the second one reached under the filter's action, with the latent of the first."""
+    for (before, latent), (after, _) in pairwise(ticks):
+        if after.tick == before.tick + 1 and after.applied_by == "filter" and latent is not None:
+            yield before, after, latent
+
+
+_SMALLEST_SCALE = 1e-6
+
+
+@final
+@dataclass(frozen=True)
+class RecordedBound:
+    """Margins by kind of barrier, and the constants of which they are products; both empty except for the car."""
+
+    margins: dict[str, float]
+    constants: dict[str, float]
+
+
+def recorded_bound(
+    model: PhysicsModel, settings: FilterSettings, found: RecordedTransitions, used: NDArray[np.bool_], coverage: float
+) -> RecordedBound:
+    """Returns epsilon = P eps with eps the split conformal quantile of |v - v^|_sup over the ``used`` (n,) transitions.
+
+    With the latent in use as the definition of z, eps_z is 0, and eps_f + eps_g |u|_1 + eps_r equals |v - v^|_sup,
+    which can be measured. Its product with the largest gradient of h is the margin of Theorem 1, as far as a recording
+    shows it. The bound holds for any scaling of the state's entries. Here each entry is scaled by its own errors on
+    some transitions that are then left out, so that the error of one entry does not dominate the others.
+
+    P is the largest gradient over the recorded footprints. Raises InputError for too few transitions for the coverage.
+    """
+    robot = robot_like(model.system)
+    if robot is None or not robot.theorem_margins:
+        return RecordedBound({}, {})
+    errors = np.abs(own_errors(model, found))
+    scaling = used & (np.arange(len(used)) // _BLOCK % 10 == 0)
+    scale = np.maximum(np.quantile(errors[scaling], coverage, axis=0), _SMALLEST_SCALE)
+    steps = (errors[used & ~scaling] / scale).max(axis=-1)
+    step = split_conformal_margin(steps, coverage)
+    if not np.isfinite(step):
+        raise InputError(f"transitions: got {len(steps)}, too few for a coverage of {coverage}; record more")
+    tables = [robot.largest_gradients(settings, footprint, scale) for footprint in found.footprints]
+    gradients = {kind: max(table[kind] for table in tables) for kind in tables[0]}
+    constants = {
+        "step": step,
+        **{f"scale.{name}": float(value) for name, value in zip(model.system.state_names, scale, strict=True)},
+        **{f"gradient.{kind}": value for kind, value in gradients.items()},
+    }
+    return RecordedBound({kind: value * step for kind, value in gradients.items()}, constants)
+
+
+def own_errors(model: PhysicsModel, found: RecordedTransitions) -> FloatArray:
+    """Returns measured minus predicted increment (n, states) in the robot's own frame, in SI units."""
+    frame = frame_of(model.system.name)
+    expected = model.step(found.state, found.action, found.latent)
+    measured = frame.own_increment(found.state, found.following)
+    return np.asarray(measured - frame.own_increment(found.state, expected))
