@@ -23,8 +23,7 @@ from safedpa.comparison.rollout_error import (
 )
 from safedpa.comparison.side_by_side import StackedMechanics
 from safedpa.comparison.windows import check_runs, windows_of
-from safedpa.diagnosis.fit.multiple_shooting import folds_of
-from safedpa.diagnosis.fit.variable_projection import VariableProjection
+from safedpa.diagnosis.fit.multiple_shooting import VariableProjection, folds_of
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import CommandEffect, effect, effects_of, robots
 from safedpa.effects.effect import Context

@@ -26,8 +26,7 @@ from safedpa.diagnosis.fit.data_checks import (
 from safedpa.diagnosis.fit.horizon import HorizonData, data_at_horizon, data_at_other_horizons, displayed_windows
 from safedpa.diagnosis.fit.trial import values_of
 from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, FittedValue, Report, Unexplained, Verdict
-from safedpa.diagnosis.residuals.match_effects import LibraryMatcher
-from safedpa.diagnosis.residuals.unmodelled import alternative_formula, find_unexplained_structure
+from safedpa.diagnosis.residuals.unmodelled import LibraryMatcher, alternative_formula, find_unexplained_structure
 from safedpa.diagnosis.search.conditional import conditions_of
 from safedpa.diagnosis.search.forward_selection import ReportProgress, run_search
 from safedpa.diagnosis.search.nearest_candidates import (

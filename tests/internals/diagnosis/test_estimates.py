@@ -14,7 +14,7 @@ from safedpa.diagnosis.fit.kalman import _whitened
 from safedpa.diagnosis.fit.multiple_shooting import _row_weights, _trimmed_scale, shooting_of
 from safedpa.diagnosis.fit.trial import fit_trial
 from safedpa.diagnosis.residuals.dependence import Dependences
-from safedpa.diagnosis.residuals.match_effects import _block_statistic
+from safedpa.diagnosis.residuals.unmodelled import _block_statistic
 from safedpa.diagnosis.residuals.weak_sindy import _sizes
 from safedpa.diagnosis.search.conditional import _fit_law
 from safedpa.diagnosis.search.conditional_screen import ConditionalCandidate, _NormalEquations

@@ -12,8 +12,8 @@ from safedpa.diagnosis.fit import cross_validation as held
 from safedpa.diagnosis.fit import least_squares as fitting
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.fit.least_squares import Fit, objectives, regularized_inverse
+from safedpa.diagnosis.fit.multiple_shooting import VariableProjection
 from safedpa.diagnosis.fit.trial import standardized_gains
-from safedpa.diagnosis.fit.variable_projection import VariableProjection
 from safedpa.diagnosis.search import search_state
 from safedpa.diagnosis.search.search_state import SearchState, accept_trial
 from safedpa.dynamics import Setting, load_model

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
-from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.variable_projection import ProjectedProducts
+from safedpa.diagnosis.fit.multiple_shooting import ProjectedProducts, Shooting
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter

@@ -2,5 +2,5 @@
 
 Read ``unmodelled`` first: it looks for a region of the floor, then a short formula, then a dependence on one variable.
 ``weak_sindy`` finds formulas by sparse regression, ``dependence`` computes missing rates and fits a function of one
-variable, and ``match_effects`` checks whether an effect of the library says the same.
+variable.
 """

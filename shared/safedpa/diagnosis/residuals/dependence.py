@@ -10,11 +10,10 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.residual_inputs import residual_inputs
 from safedpa.diagnosis.fit.trial import EffectTrial
 from safedpa.diagnosis.report_schema import Dependence, Profile, RateMap
 from safedpa.diagnosis.residuals.weak_sindy import TIME, Regression, regression_of
-from safedpa.diagnosis.search.regions import clip_outliers
+from safedpa.diagnosis.search.regions import clip_outliers, residual_inputs
 from safedpa.effects.effect import Named
 from safedpa.operations import Operations, Scalar
 from safedpa.systems import System

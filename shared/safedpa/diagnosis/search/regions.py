@@ -1,13 +1,14 @@
 """Regions of the floor that brake: a circle or a strip, as effects that are fitted like any other.
 
-They are not in the library of effects. They are what an engineer would look for on a map of the residual.
+They are not in the library of effects. They are what an engineer would look for on a map of the residual. The map shows
+residual inputs: the constant rate, window by window, that a model would need to agree with the measurements.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -16,12 +17,52 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.residual_inputs import residual_inputs
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, with_effect_at
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.friction import REST_SPEED, direction_of
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Scalar
+
+# Step of the difference quotient: small against any real disturbance, far above rounding.
+_STEP = 0.01
+
+
+@final
+class _ConstantRate(RateEffect):
+    """d(state)/dt += amount."""
+
+    name = "push"
+    robot = ""
+    stage = Stage.MOTION
+    equation = "d(state)/dt += amount"
+    parameters = (Parameter("amount", "1/s", -1e6, 1e6, 1.0),)
+    signature = "anything"
+    source = "a disturbance that is constant over a window"
+
+    def __init__(self, state: str, robot: str) -> None:
+        self.state = state
+        self.robot = robot  # type: ignore[misc]
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:
+        del context
+        return {**rates, self.state: rates[self.state] + parameters["amount"]}
+
+
+def residual_inputs(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> FloatArray:
+    """Returns the constant rates (windows, states), in state units per second, by least squares in each window."""
+    model = trial.fit.model
+    now = shooting.residuals([model])[0]
+    columns = []
+    for state in states:
+        disturbed = with_effect_at(model, _ConstantRate(state, model.system.name), {"amount": _STEP})
+        columns.append((shooting.residuals([disturbed])[0] - now) / _STEP)
+    reduced = shooting.eliminated(np.stack([now, *columns], axis=-1), trial.fit.scale)
+    residual, slopes = reduced[..., 0], reduced[..., 1:]
+    # The ridge covers windows in which a rate does not show, for example one with a single counted row.
+    gram = np.einsum("wip,wiq->wpq", slopes, slopes) + 1e-9 * np.eye(len(states))
+    right = np.einsum("wip,wi->wp", slopes, residual)
+    return -np.asarray(np.linalg.solve(gram, right[..., None])[..., 0])
+
 
 # Width [m] over which the resistance sets in: small against any region worth reporting, smooth enough for a fit.
 _EDGE = 0.1
