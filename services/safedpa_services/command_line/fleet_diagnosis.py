@@ -96,9 +96,8 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
         results_folder(given or new_folder("fleet", model), written, read, options["force"]) as out,
         progress(f"diagnosing {len(found.robots)} robots") as report_progress,
     ):
-        document = diagnose_fleet(
-            Fleet(found, known, out.resolve()), _workers(options), report_progress, again=options["again"]
-        )
+        fleet = Fleet(found, known, out.resolve())
+        document = diagnose_fleet(fleet, _workers(options), report_progress, again=options["again"])
     if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
     else:
@@ -131,29 +130,21 @@ def _workers(options: dict[str, Any]) -> Workers:
     jobs: int | None = options["jobs"]
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs: got {jobs}, wanted at least 1")
-    if options["ray"] is None:
-        return partial(_in_processes, jobs)
-    return partial(_on_cluster, options["ray"], jobs)
+    return partial(_run, jobs, options["ray"])
 
 
-def _in_processes(
-    jobs: int | None, work: Callable[[Job], Answer], items: Sequence[Job], failed: Callable[[Job, str], Answer]
-) -> Iterator[Answer]:
-    from safedpa.fleet.workers import available_cores, in_processes
-
-    return in_processes(work, items, min(jobs or available_cores(), max(1, len(items))), failed)
-
-
-def _on_cluster(
-    address: str,
+def _run(
     jobs: int | None,
+    cluster: str | None,
     work: Callable[[Job], Answer],
     items: Sequence[Job],
     failed: Callable[[Job, str], Answer],
 ) -> Iterator[Answer]:
-    from safedpa.fleet.workers import on_cluster
+    from safedpa.fleet.workers import available_cores, in_processes, on_cluster
 
-    return on_cluster(work, items, address, failed, jobs) if items else iter(())
+    if cluster is None:
+        return in_processes(work, items, min(jobs or available_cores(), max(1, len(items))), failed)
+    return on_cluster(work, items, cluster, failed, jobs) if items else iter(())
 
 
 def _show(document: dict[str, Any], out: Path) -> None:
@@ -174,10 +165,8 @@ def _show(document: dict[str, Any], out: Path) -> None:
         if robot["kind"] in ("unreadable", "failed", "no_verdict"):
             console.print(f"  {robot['robot']}: {robot['reason']}", style="dim", markup=False, soft_wrap=True)
         elif robot["unreadable_files"]:
-            text = (
-                f"  {robot['robot']}: {robot['unreadable_files']} of its files could not be read (result.json says why)"
-            )
-            console.print(text, style="dim", markup=False, soft_wrap=True)
+            lost = f"{robot['unreadable_files']} of its files could not be read (result.json says why)"
+            console.print(f"  {robot['robot']}: {lost}", style="dim", markup=False, soft_wrap=True)
     for item in document["left_out"]:
         console.print(f"  left out: {item['path']} ({item['reason']})", style="dim", markup=False, soft_wrap=True)
     console.print(discovery_sentence(document), style="dim", markup=False, soft_wrap=True)

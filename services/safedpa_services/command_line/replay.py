@@ -15,7 +15,6 @@ from safedpa_services.command_line.options import PATH, as_json_option, effects_
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
-    from safedpa.replay.replay import Replay
     from safedpa.replay.tape import RobotTape
     from safedpa.replay.what_if import WhatIfChange
     from safedpa.safety.margins.calibration import MarginCalibration
@@ -87,12 +86,10 @@ def _check_out(options: dict[str, Any]) -> None:
         return
     require_writable_folder(out.parent, create=True)
     folders = [run.resolve() for run in options["runs"] if run.is_dir()]
-    if out.resolve() in [file.resolve() for file in files_of(options["runs"])] or (
-        out.suffix == ".mcap" and out.resolve().parent in folders
-    ):
-        raise InputError(
-            f"--out {out}: got a place where it would count as a recording of this run; choose another folder"
-        )
+    is_input = out.resolve() in [file.resolve() for file in files_of(options["runs"])]
+    if is_input or (out.suffix == ".mcap" and out.resolve().parent in folders):
+        what = "a place where it would count as a recording of this run"
+        raise InputError(f"--out {out}: got {what}; choose another folder")
 
 
 def _window(options: dict[str, Any]) -> tuple[float, float]:
@@ -140,10 +137,6 @@ def _compare(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> in
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
         print_plain("\n".join(lines_of(tape, found, gaps, assumed)))
-    return _exit_code(found)
-
-
-def _exit_code(found: Replay) -> int:
     return 0 if found.agrees and any(part.compared for part in found.services) else 1
 
 
@@ -155,7 +148,11 @@ def _what_if(tape: RobotTape, change: WhatIfChange, assumed: list[str], options:
     summary, changed = summary_of(decisions), _change_text(options)
     if options["out"] is not None:
         write_decisions(decisions, options["out"])
-    driven = _drive_again(tape, change, options) if options["closed_loop"] else None
+    driven: dict[str, Any] | None = None
+    if options["closed_loop"]:
+        from safedpa_sim.recorded_drive import drive_again
+
+        driven = drive_again(tape, change, _folders(options))
     if options["as_json"]:
         document = what_if_document(summary, decisions, changed) | {"assumed": assumed}
         document["findings"] = [asdict(finding) for finding in tape.findings]
@@ -172,12 +169,6 @@ def _change_text(options: dict[str, Any]) -> str:
     given = [f"{name} {options[name]}" for name in ("model", "eta", "margin") if options[name] is not None]
     given += ["the filter on"] if options["filtered"] else []
     return ", ".join(given) or "nothing changed"
-
-
-def _drive_again(tape: RobotTape, change: WhatIfChange, options: dict[str, Any]) -> dict[str, Any]:
-    from safedpa_sim.recorded_drive import drive_again
-
-    return drive_again(tape, change, _folders(options))
 
 
 def _driven_lines(driven: dict[str, Any]) -> list[str]:
@@ -199,7 +190,6 @@ def _draw(tape: RobotTape, path: Path) -> None:
     if not filters:
         raise InputError("--rrd: got a recording without the setup of a safety filter, which the drawing needs")
     setup = filters[0][1]
-    draw_recording(
-        tape.files, display_settings(model_of_document(setup.document), parse_settings(setup.settings)), path
-    )
+    model, settings = model_of_document(setup.document), parse_settings(setup.settings)
+    draw_recording(tape.files, display_settings(model, settings), path)
     click.echo(f"{path}: open it with 'rerun {path}'", err=True)

@@ -14,7 +14,7 @@ from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.robot import AbstractRobot
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
-from safedpa.systems.robots import robot_like
+from safedpa.systems.robots import Robot, robot_like
 
 Wind = tuple[float, float]
 """Wind in m/s towards positive angles, and upward."""
@@ -64,9 +64,6 @@ def _learned_wind_reader(base: LearnedBase) -> Callable[[Sequence[float]], Wind 
     return read
 
 
-_WHEELBASE = "base.wheelbase"
-
-
 @dataclass(frozen=True)
 class DisplaySettings:
     """Names, units and sizes for drawing."""
@@ -114,9 +111,8 @@ class DisplaySettings:
 
 def display_settings(model: PhysicsModel, settings: FilterSettings) -> DisplaySettings:
     """Returns the display settings; the model's action limits are used if those of the filter do not fit the model."""
-    actions = len(model.system.action)
-    fits = len(settings.action_low) == actions
-    wheelbase = model.settings.get(_WHEELBASE)
+    robot, wheelbase = robot_like(model.system), model.settings.get("base.wheelbase")
+    fits = len(settings.action_low) == len(model.system.action)
     return DisplaySettings(
         system=model.system,
         latent_names=model.latent_names,
@@ -127,21 +123,13 @@ def display_settings(model: PhysicsModel, settings: FilterSettings) -> DisplaySe
         wheelbase=wheelbase.value if wheelbase else 0.0,
         corridor_seconds=settings.barriers.get("corridor_seconds", 0.0),
         wind=wind_reader(model),
-        swept=_swept(model, settings),
-        drawn=_drawn(model),
+        swept=(lambda _state: None) if robot is None else (lambda state: robot.swept(state, settings)),
+        drawn=_drawn(robot),
     )
 
 
-def _swept(
-    model: PhysicsModel, settings: FilterSettings
-) -> Callable[[StateMessage], tuple[float, float, float] | None]:
-    robot = robot_like(model.system)
-    return (lambda state: None) if robot is None else (lambda state: robot.swept(state, settings))
-
-
-def _drawn(model: PhysicsModel) -> Callable[[StateMessage], Mapping[str, Shape]] | None:
+def _drawn(robot: Robot | None) -> Callable[[StateMessage], Mapping[str, Shape]] | None:
     """Returns the drawing function of a user's own robot, whose errors are ignored; None if it declares none."""
-    robot = robot_like(model.system)
     if robot is None or type(robot).draw is AbstractRobot.draw:
         return None
     own: Callable[[StateMessage], Mapping[str, Shape]] = robot.draw

@@ -35,11 +35,6 @@ _MIN_FREE_BYTES = 64 << 20
 """Free disk space that a view needs. A view has a few MB, and Rerun's file writer does not report a full disk."""
 
 
-def _require_disk_space(path: Path) -> None:
-    if shutil.disk_usage(path.parent).free < _MIN_FREE_BYTES:
-        raise RecordingError(f"{path.parent}: cannot be written (the disk is full: free some space)")
-
-
 def write_view(session: Session, path: Path) -> None:
     """Writes the measured and predicted states of the chosen run to a Rerun recording.
 
@@ -50,7 +45,8 @@ def write_view(session: Session, path: Path) -> None:
     import rerun.blueprint as rrb
 
     windows = _from_start(session)
-    _require_disk_space(path)
+    if shutil.disk_usage(path.parent).free < _MIN_FREE_BYTES:
+        raise RecordingError(f"{path.parent}: cannot be written (the disk is full: free some space)")
     stream = rr.RecordingStream("safedpa workbench")
     try:
         stream.set_sinks(rr.FileSink(path))
