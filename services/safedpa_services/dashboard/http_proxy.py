@@ -5,6 +5,9 @@ machine (DNS rebinding) and read the data. The proxy therefore checks the host n
 before it forwards it to Rerun's server, which listens at a random loopback address. HTTP/2 without TLS is forwarded
 unchecked: only the native viewer uses it, browsers cannot. Each connection carries one request, because further ones
 would be forwarded unchecked. The viewer's page is served in the same way.
+
+Uvicorn would not close a connection whose request head never ends, and adds 84 modules to the start of the dashboard;
+the TrustedHostMiddleware of Starlette compares names, and cannot allow numeric addresses.
 """
 
 from __future__ import annotations
