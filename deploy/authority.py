@@ -36,37 +36,33 @@ def issue_to_services(authority: Authority, issued: Path, days: float, routers: 
 
     ``routers`` are further routers, linked to the first one, with the role ``router.NAME`` under the host name NAME.
     """
-    linked = {f"{ROUTER}.{name}": (*HOSTS, name) for name in routers}
-    hosts = {ROUTER: HOSTS, **linked}
-    for role in (*roles_of(()), *linked):
-        folder = issued / role
-        if not folder.is_dir() or _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
-            continue
-        _issue_into(authority, folder, role, days, hosts.get(role, ()))
+    hosts = {ROUTER: HOSTS, **{f"{ROUTER}.{name}": (*HOSTS, name) for name in routers}}
+    for role in dict.fromkeys((*roles_of(()), *hosts)):
+        _issue_into(authority, issued / role, role, days, hosts.get(role, ()))
 
 
 def issue_to_gateway(authority: Authority, folder: Path, robot: str, days: float, *, with_policy: bool) -> None:
     """Gives the gateway of a robot that speaks ROS 2 that robot's certificate, and the policy's with ``with_policy``.
 
-    What an earlier start gave it for another robot, or for nominal actions that it shall not have any more, is taken
-    away.
+    Removes the certificates of an earlier start for another robot, or for nominal actions that it may no longer send.
     """
-    if not folder.is_dir():
-        return
     roles = (f"robot.{robot}", *((POLICY,) if with_policy else ()))
     for path in folder.glob("*.pem"):
         if path.name.removesuffix(".pem").removesuffix(".key") not in (*roles, "authority"):
             path.unlink()
     for role in roles:
-        if not _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
-            _issue_into(authority, folder, role, days)
+        _issue_into(authority, folder, role, days)
 
 
 def _issue_into(authority: Authority, folder: Path, role: str, days: float, hosts: tuple[str, ...] = ()) -> None:
+    """Issues a certificate into an existing folder, unless there is a good one."""
+    trusted = authority.folder / "authority.pem"
+    if not folder.is_dir() or _is_good(folder / f"{role}.pem", trusted, days):
+        return
     authority.issue(role, days, hosts)
     for name in (f"{role}.key.pem", f"{role}.pem"):
         shutil.move(authority.folder / name, folder / name)
-    shutil.copy(authority.folder / "authority.pem", folder / "authority.pem")
+    shutil.copy(trusted, folder / "authority.pem")
     log_event("authority.issued", f"a certificate for {role}, good for {days:g} days", service=role)
 
 
@@ -108,13 +104,6 @@ def robot_role(container: str) -> str:
     return f"robot.robot-{number_in(container)}"
 
 
-class Server(socketserver.ThreadingTCPServer):
-    """One thread a request."""
-
-    allow_reuse_address = True
-    daemon_threads = True
-
-
 def main() -> None:
     """Makes what is missing, then serves for ever."""
     parser = argparse.ArgumentParser(prog="safedpa-authority")
@@ -124,20 +113,17 @@ def main() -> None:
     parser.add_argument("--days", type=float, default=90.0)
     parser.add_argument("--router", action="append", default=[], metavar="NAME", help="a further, linked router")
     parser.add_argument("--gateway", default="", metavar="ROBOT", help="a robot that speaks ROS 2, by a gateway")
-    parser.add_argument(
-        "--with-policy", choices=("0", "1"), default="0", help="1: its own policy requests by the gateway"
-    )
+    parser.add_argument("--with-policy", choices=("0", "1"), default="0", help="1: its own policy sends by the gateway")
     options = parser.parse_args()
     authority = Authority(options.folder, options.fleet)
     issue_to_services(authority, options.issued, options.days, tuple(options.router))
     if options.gateway:
         check_names(options.fleet, (options.gateway,))
-        with_policy = options.with_policy == "1"
-        issue_to_gateway(
-            authority, options.issued / "ros_gateway", options.gateway, options.days, with_policy=with_policy
-        )
+        folder, with_policy = options.issued / "ros_gateway", options.with_policy == "1"
+        issue_to_gateway(authority, folder, options.gateway, options.days, with_policy=with_policy)
     Enrolment.authority, Enrolment.days = authority, options.days
-    with Server(("0.0.0.0", PORT), Enrolment) as server:
+    socketserver.ThreadingTCPServer.allow_reuse_address = True
+    with socketserver.ThreadingTCPServer(("0.0.0.0", PORT), Enrolment) as server:
         READY.touch()  # for the health check: who depends on certificates may start
         server.serve_forever()
 

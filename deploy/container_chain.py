@@ -55,9 +55,8 @@ def account(microseconds: list[float], sent: int, rate: float) -> dict[str, floa
         raise TimeoutError(f"none of {sent} messages came back")
     ordered = sorted(microseconds)
     shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
-    found = {
-        name: round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 1) for name, share in shares.items()
-    }
+    most = len(ordered) - 1
+    found = {name: round(ordered[min(most, int(share * len(ordered)))], 1) for name, share in shares.items()}
     return {**found, "late_share": 1.0 - sum(value <= 1e6 / rate for value in ordered) / sent}
 
 

@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +56,7 @@ def measured(seconds: float, rate: float) -> dict[str, Any]:
         "rate_hz": rate,
         "seconds": seconds,
         "loop_us": loop["latency_us"],
-        "ticks": loop["ticks"],
-        "watchdog_ticks": loop["watchdog_ticks"],
-        "collisions": loop["collisions"],
+        **{name: loop[name] for name in ("ticks", "watchdog_ticks", "collisions")},
         "bare_chain_us": [before, after],
         "ratio_p99": round(loop["latency_us"]["p99"] / max(before["p99"], after["p99"]), 2),
         "load_average": os.getloadavg(),
@@ -81,7 +80,8 @@ def account_in(lines: Sequence[str]) -> dict[str, Any]:
 @contextmanager
 def _project(rate: float) -> Iterator[list[str]]:
     os.environ |= {"SAFEDPA_RATE": f"{rate:g}", "SAFEDPA_LOAD": "box"}
-    program = ["docker", "compose"] if _answers("docker", "compose", "version") else ["docker-compose"]
+    plugin = subprocess.run(("docker", "compose", "version"), capture_output=True, check=False).returncode == 0
+    program = ["docker", "compose"] if plugin else ["docker-compose"]
     files = ("docker-compose.yml", "docker-compose.plain.yml")
     compose = [*program, "--project-name", PROJECT, *[word for file in files for word in ("-f", str(ROOT / file))]]
     down = (*compose, "down", "--volumes", "--remove-orphans", "--timeout", "3")
@@ -94,18 +94,14 @@ def _project(rate: float) -> Iterator[list[str]]:
 
 
 def _chain(image: str, seconds: float, rate: float) -> dict[str, float]:
-    links = [_started(image, f"bare/{_HOPS[place]}", f"bare/{_HOPS[place + 1]}") for place in range(len(_HOPS) - 1)]
+    relay = ("docker", "run", "--detach", *_guest(image), "relay")
+    links = [_run(*relay, f"bare/{source}", f"bare/{target}") for source, target in pairwise(_HOPS)]
     try:
         ends = ("send", f"bare/{_HOPS[0]}", f"bare/{_HOPS[-1]}", f"{seconds:g}", f"{rate:g}")
-        notice = _run("docker", "run", "--rm", *_guest(image), *ends).splitlines()
-        found: dict[str, float] = json.loads(notice[-1])
+        found: dict[str, float] = json.loads(_run("docker", "run", "--rm", *_guest(image), *ends).splitlines()[-1])
         return found
     finally:
         _run("docker", "rm", "--force", *links)
-
-
-def _started(image: str, source: str, target: str) -> str:
-    return _run("docker", "run", "--detach", *_guest(image), "relay", source, target)
 
 
 def _guest(image: str) -> list[str]:
@@ -117,10 +113,6 @@ def _guest(image: str) -> list[str]:
 
 def _container(compose: Sequence[str], service: str) -> str:
     return _run(*compose, "ps", "-q", service).splitlines()[0]
-
-
-def _answers(*phrase: str) -> bool:
-    return subprocess.run(phrase, capture_output=True, check=False).returncode == 0
 
 
 def _run(*phrase: str) -> str:

@@ -13,7 +13,6 @@ much statuses and actions differ from the first folder's. Times are those of pro
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import os
 import subprocess
@@ -21,7 +20,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +35,7 @@ EDGE = 0.05
 
 def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Values, Values, Values, Any]]:
     """State, nominal action, latent and barriers of each decision."""
-    try:
-        from safedpa.robots.car.barriers.obstacles import car_barriers
-    except ImportError:  # a tree of before robots had folders of their own
-        car_barriers = importlib.import_module("safedpa.safety.car_barriers").car_barriers
+    from safedpa.robots.car.barriers.obstacles import car_barriers
 
     random, drawn = np.random.default_rng(seed), list[tuple[Values, Values, Values, Any]]()
     for _ in range(scenes):
@@ -109,7 +105,9 @@ class Tree:
         command = [sys.executable, __file__, "--decide", *arguments]
         where = {**os.environ, "PYTHONPATH": folder, "OMP_NUM_THREADS": "1"}
         self.name = name
-        self._process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._process: Any = subprocess.Popen(
+            command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         compiled, reported = self._answer()
         self.phrase = f"{name} ({compiled} modules compiled)"
         self.statuses = np.array([status for status, _, _ in reported])
@@ -119,23 +117,17 @@ class Tree:
 
     def round(self) -> None:
         """All problems again."""
-        _open(self._process.stdin).write("\n")
-        _open(self._process.stdin).flush()
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
         self.best = np.minimum(self.best, self._answer())
 
     def close(self) -> None:
         """Ends the process."""
-        _open(self._process.stdin).close()
+        self._process.stdin.close()
         self._process.wait()
 
     def _answer(self) -> Any:
-        return json.loads(_open(self._process.stdout).readline())
-
-
-def _open(stream: IO[str] | None) -> IO[str]:
-    if stream is None:
-        raise RuntimeError("the process was started without a pipe")
-    return stream
+        return json.loads(self._process.stdout.readline())
 
 
 def report(trees: list[Tree]) -> list[str]:

@@ -71,10 +71,6 @@ def total(flows: dict[str, Flow], copies: dict[str, int], overhead: float) -> Fl
     return Flow(payload.messages, payload.octets + overhead * payload.messages)
 
 
-def _report(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-
-
 def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(prog="fleet_budget", description="what a large fleet costs on the network")
@@ -89,11 +85,11 @@ def main() -> None:
     centre = {name: readers(name, CENTRE) for name in flows}
     link = {name: min(1, centre[name]) for name in flows}
     each = options.robots / options.regions
-    _report("one robot and what serves it, payload:")
+    lines = ["one robot and what serves it, payload:"]
     for name, flow in flows.items():
         read_by = f"readers {inside[name]} next to it, {centre[name]} in the centre"
-        _report(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
-    _report(f"{options.robots} robots in {options.regions} regions, on the wire:")
+        lines.append(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
+    lines.append(f"{options.robots} robots in {options.regions} regions, on the wire:")
     for label, copies, robots in (
         (f"a region's {ROUTER} takes", once, each),
         (f"a region's {ROUTER} hands on inside", inside, each),
@@ -102,7 +98,8 @@ def main() -> None:
         (f"the centre's {ROUTER} hands on", centre, options.robots),
     ):
         flow = total(flows, copies, options.overhead).times(robots)
-        _report(f"  {label:34} {flow.messages:9.0f} messages/s {8e-6 * flow.octets:9.1f} Mbit/s")
+        lines.append(f"  {label:34} {flow.messages:9.0f} messages/s {8e-6 * flow.octets:9.1f} Mbit/s")
+    sys.stdout.write("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ that each link agrees on again: what came over the old link seems to be read by 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
+import subprocess
 import sys
 import tempfile
 import time
@@ -54,12 +54,6 @@ class Heard:
         return notice
 
 
-def spin() -> None:
-    """Keeps a core busy."""
-    while True:
-        pass
-
-
 def measure(seconds: float, sessions: int) -> list[str]:
     """The lines that are printed."""
     endpoint = f"tls/127.0.0.1:{ports.free_port()}"
@@ -69,11 +63,8 @@ def measure(seconds: float, sessions: int) -> list[str]:
             authority.issue(role, 1.0, HOSTS if role == "router" else ())
         router = ZenohTransport(ZenohSettings("router", (endpoint,), (), Certificates(Path(folder), "router")))
         card = Certificates(Path(folder), "recorder")
-        members = [
-            ZenohTransport(ZenohSettings("client", (), (endpoint,), card, connect_timeout=30.0))
-            for _ in range(sessions)
-        ]
-        return notice(router, members, seconds)
+        settings = ZenohSettings("client", (), (endpoint,), card, connect_timeout=30.0)
+        return notice(router, [ZenohTransport(settings) for _ in range(sessions)], seconds)
 
 
 def notice(router: ZenohTransport, members: list[ZenohTransport], seconds: float) -> list[str]:
@@ -106,9 +97,7 @@ def main() -> None:
     parser.add_argument("--sessions", type=int, default=16)
     parser.add_argument("--busy", type=int, default=3, help="processes that compute meanwhile")
     options = parser.parse_args()
-    others = [multiprocessing.Process(target=spin, daemon=True) for _ in range(options.busy)]
-    for other in others:
-        other.start()
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)]
     sys.stdout.write("\n".join(measure(options.seconds, options.sessions)) + "\n")
     for other in others:
         other.kill()
