@@ -12,14 +12,7 @@ from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
-from safedpa.records.column_map.form import (
-    DERIVED,
-    QuantityForm,
-    guess_columns,
-    lines_of,
-    map_text,
-    units_for,
-)
+from safedpa.records.column_map.form import DERIVED, QuantityForm, guess_columns, lines_of, map_text, units_for
 from safedpa.records.readers.preview import raw_rows
 from safedpa.robots.car.system import CAR
 from safedpa.systems import systems

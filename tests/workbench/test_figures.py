@@ -6,13 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa_services.workbench.live.panels import (
-    drive_table,
-    error_bars,
-    error_figure,
-    evidence_figure,
-    field_figure,
-)
+from safedpa_services.workbench.live.panels import drive_table, error_bars, error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.live.store import RobotHistory, TimelineMark
 from safedpa_services.workbench.panels import error_map, prediction
 from safedpa_services.workbench.panels.theme import LIGHT
