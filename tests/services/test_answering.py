@@ -1,6 +1,5 @@
 """``--json``: every command that ends by itself has it, and prints one JSON document."""
 
-import importlib
 import json
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from safedpa_services.command_line.group import COMMANDS, safedpa
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_json(name: str) -> None:
-    command = importlib.import_module(f"safedpa_services.command_line.{name.replace('-', '_')}").command
+    command = safedpa.get_command(click.Context(safedpa), name)
     if not isinstance(command, click.Group):
         assert "--json" in {option for item in command.params for option in item.opts}
 
