@@ -5,18 +5,15 @@
 ``loop`` runs one robot on the bus, ``fleet`` many. ``python -m safedpa_sim.robots`` is the command.
 """
 
-from safedpa_sim.robots.car.contacts import Collision
-from safedpa_sim.robots.car.loads import LOADS, Load, footprint, load_named
-from safedpa_sim.robots.car.robot import BRAKE, CarRobot
+from safedpa_sim.robots.car.loads import LOADS, footprint, load_named
+from safedpa_sim.robots.car.robot import BRAKE, CHANGES, CarRobot, PlannedChange
 from safedpa_sim.robots.car.scene import GOAL_RADIUS, Scene
-from safedpa_sim.robots.car.shared_field import CarContact, SharedField
+from safedpa_sim.robots.car.shared_field import SharedField
 from safedpa_sim.robots.car.world import CarWorld
-from safedpa_sim.robots.changes import CHANGES, PlannedChange
 from safedpa_sim.robots.guard import ActionGuard
-from safedpa_sim.robots.pendulum.robot import TASKS, PendulumRobot, PendulumTask, Violation, task_named
+from safedpa_sim.robots.pendulum.robot import TASKS, PendulumRobot, task_named
 from safedpa_sim.robots.pendulum.world import PendulumWorld, wind_towards
-from safedpa_sim.robots.robot import SimulatedRobot
-from safedpa_sim.robots.run_summary import TracedPeriod, TraceWriter, read_trace
+from safedpa_sim.robots.run_summary import TraceWriter, read_trace
 
 __all__ = [
     "BRAKE",
@@ -25,21 +22,14 @@ __all__ = [
     "LOADS",
     "TASKS",
     "ActionGuard",
-    "CarContact",
     "CarRobot",
     "CarWorld",
-    "Collision",
-    "Load",
     "PendulumRobot",
-    "PendulumTask",
     "PendulumWorld",
     "PlannedChange",
     "Scene",
     "SharedField",
-    "SimulatedRobot",
     "TraceWriter",
-    "TracedPeriod",
-    "Violation",
     "footprint",
     "load_named",
     "read_trace",

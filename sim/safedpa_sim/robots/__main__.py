@@ -20,7 +20,7 @@ from safedpa.bus.service.process import (
 from safedpa.dynamics.user_files import load_user_files
 from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.car.loads import LOADS
-from safedpa_sim.robots.changes import CHANGES
+from safedpa_sim.robots.car.robot import CHANGES
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
 from safedpa_sim.robots.pendulum.robot import TASKS

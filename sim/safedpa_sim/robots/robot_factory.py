@@ -10,9 +10,8 @@ from safedpa.stand_in import world_number
 from safedpa.systems.robots import robot_named
 from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, THROTTLE_CAR
-from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.robot import CarRobot, PlannedChange
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.pendulum.robot import PendulumRobot, task_named
 from safedpa_sim.robots.pendulum.world import PendulumParameters, wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards

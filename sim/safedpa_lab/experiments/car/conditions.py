@@ -22,9 +22,8 @@ from safedpa.safety import FilterSettings
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.robots.car.loads import Load, footprint, load_named
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, CarParameters
-from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
+from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands, PlannedChange
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.robots.changes import PlannedChange
 
 CONFIGURATIONS = {"box": "Box", "chair": "Chair", "none": "Car", "large_chair": "Large Chair"}
 """Name of the load and the paper's name of the configuration, in the order of the paper's table."""

@@ -34,9 +34,8 @@ from safedpa_lab.experiments.common.workers import each_result
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.robot import CarRobot, PlannedChange
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.robots.changes import PlannedChange
 
 CASES: Final = {"hitch": "towed_load", "headwind": "constant_force", "steering_offset": "steering_offset"}
 """What changes, and the effect of the library that says so."""

@@ -1,23 +1,26 @@
-"""The simulated car as a robot, independent of the bus: state messages, watchdog, goals and collisions."""
+"""The simulated car as a robot, independent of the bus: state messages, watchdog, goals, collisions and changes.
+
+Changes of the car during a drive are those that its model is not informed of.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, hypot, inf, isfinite
+from math import ceil, cos, hypot, inf, isfinite, sin
 from typing import Any, final
 
 from safedpa.bus.messages.messages import ScanMessage, StateMessage
-from safedpa.errors import InputError
+from safedpa.errors import InputError, did_you_mean
 from safedpa.reversing import distance_reversed
 from safedpa_sim.robots.car.actuators import ThrottleMotor
 from safedpa_sim.robots.car.contacts import Collision
-from safedpa_sim.robots.car.loads import Load, footprint, towed_reach
+from safedpa_sim.robots.car.loads import LOADS, Load, footprint, towed_reach
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.car.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.car.world import CarWorld
-from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.sensing.people import Person
@@ -235,3 +238,64 @@ def _split(seconds: float, longest: float) -> Iterator[float]:
     parts = ceil(seconds / longest - _ROUNDING) if longest < inf else int(seconds > 0.0)
     for _ in range(parts):
         yield seconds / parts
+
+
+_WIND = 1.0
+"""m/s2; a force of a tenth of the car's weight."""
+_OFFSET = 0.08
+"""rad; a linkage bent by an impact."""
+_DRIVING = 0.8
+"""m/s; changes wait until the car is at least this fast, so that a headwind has a direction."""
+_AHEAD_SECONDS = 1.0
+"""The distance covered in this time must be free ahead of the nose: the load widens and slows the car at once, and the
+car should be able to continue."""
+_ROOM = 0.1
+"""m around the footprint with load that must be free when it is hitched."""
+
+CHANGES = ("hitch", "headwind", "steering_offset")
+"""A chair is hitched; a steady wind starts against the current heading; the steering linkage is bent."""
+
+
+@dataclass(frozen=True)
+class PlannedChange:
+    """One of ``CHANGES``, applied at the first tick from ``after`` [s] on at which the car drives and has room.
+
+    Raises InputError for another name.
+    """
+
+    name: str
+    after: float
+
+    def __post_init__(self) -> None:
+        if self.name not in CHANGES:
+            raise InputError(f"change '{self.name}': {did_you_mean(self.name, CHANGES)}")
+
+    def try_apply(self, robot: CarRobot) -> bool:
+        """Applies the change if it is due and possible; returns whether it did."""
+        _, _, yaw, speed = robot.values
+        if robot.tick * robot.period < self.after - 1e-9 or speed < _DRIVING:
+            return False
+        if self.name == "hitch":
+            return _try_hitch(robot)
+        if self.name == "headwind":
+            robot.world.wind = (-_WIND * cos(yaw), -_WIND * sin(yaw))
+        else:
+            robot.world.steering_offset = _OFFSET
+        return True
+
+
+def _try_hitch(robot: CarRobot) -> bool:
+    load = LOADS["chair"]
+    x, y, yaw, speed = robot.values
+    rear, front, radius = footprint(load)
+    behind, ahead = rear + load.drawbar + load.side, front + _AHEAD_SECONDS * speed
+    west, east, south, north = robot.scene.field
+    for part in range(9):
+        along = -behind + part / 8 * (behind + ahead)
+        px, py = x + along * cos(yaw), y + along * sin(yaw)
+        room = min(px - west, east - px, py - south, north - py)
+        room = min([room, *(hypot(px - ox, py - oy) - size for ox, oy, size in robot.scene.obstacles)])
+        if room < radius + _ROOM:
+            return False
+    robot.hitch(load)
+    return True

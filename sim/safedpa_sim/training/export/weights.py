@@ -48,14 +48,21 @@ def normalise_latent(networks: AffineNetworks, cars: BatchedSimulator, seed: int
 
 
 def export_weights(
-    networks: AffineNetworks, cars: BatchedSimulator, configuration: Configuration, trained_on: Mapping[str, Any]
+    networks: AffineNetworks,
+    cars: BatchedSimulator,
+    configuration: Configuration,
+    trained_on: Mapping[str, Any],
+    states: tuple[str, ...] = (),
 ) -> Weights:
-    """Returns the weights of mu, f and g; their description holds configuration, date and ``trained_on``."""
+    """Returns the weights of mu, f and g; their description holds configuration, date and ``trained_on``.
+
+    ``states`` names the entries that the networks see and predict, by default those of the robot's state.
+    """
     system, latents = cars.model.system, networks.sizes.latents
     described = Description(
         robot=system.name,
         period=cars.model.period,
-        states=system.state_names,
+        states=states or system.state_names,
         actions=system.action_names,
         latents=latents,
         history=configuration.history if latents else 0,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 from typing import Any, final
@@ -49,7 +48,7 @@ def train_affine(
     interrupted training resumes from there, with a bit-identical result on the same kind of processor and with the same
     number of threads.
     """
-    training = _AffineTraining.begin(configuration, variant, training_device(device), alone)
+    training = _AffineTraining(configuration, variant, training_device(device), alone)
     digest = f"{variant} {configuration.digest('phase_1a', 'ablations')}"
     checkpoint = Checkpoint(out / f"checkpoint_{variant}.pt", digest)
     training.run(checkpoint.read(training.restore) or 0, checkpoint, report_progress)
@@ -66,34 +65,24 @@ def train_affine(
 
 
 @final
-@dataclass
 class _AffineTraining:
-    configuration: Configuration
-    variant: str
-    cars: BatchedSimulator
-    networks: AffineNetworks
-    optimiser: torch.optim.Adam
-    generator: torch.Generator
-    pairs: int
-    alone: torch.Tensor | None
-    """The only environment (entries,) of Fix."""
-    curve: list[list[float]] = field(default_factory=list)
-    losses: list[torch.Tensor] = field(default_factory=list)
-    """Losses since the last point of the curve. They stay tensors: reading each value would wait for the device."""
-
-    @staticmethod
-    def begin(
-        configuration: Configuration, variant: str, device: torch.device, alone: Mapping[str, float] | None
-    ) -> _AffineTraining:
-        cars = BatchedSimulator(configuration, device)
+    def __init__(
+        self, configuration: Configuration, variant: str, device: torch.device, alone: Mapping[str, float] | None
+    ) -> None:
+        self.configuration, self.variant = configuration, variant
+        self.cars = cars = BatchedSimulator(configuration, device)
         phase, ablations = configuration.phase_1a, configuration.ablations
         whole = variant == "1a"
-        networks = _networks(cars, configuration, phase.hidden if whole else ablations.hidden, whole).to(device)
-        optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
-        generator = cars.generator(configuration.seed * 10 + _STREAMS["training"])
-        pairs = phase.pairs if whole else ablations.pairs
-        fixed = None if alone is None else _environment(cars, alone)
-        return _AffineTraining(configuration, variant, cars, networks, optimiser, generator, pairs, fixed)
+        hidden = phase.hidden if whole else ablations.hidden
+        self.networks = _networks(cars, configuration, hidden, whole).to(device)
+        self.optimiser = torch.optim.Adam(self.networks.parameters(), phase.learning_rate, fused=True)
+        self.generator = cars.generator(self.seed("training"))
+        self.pairs = phase.pairs if whole else ablations.pairs
+        self.alone = None if alone is None else _environment(cars, alone)
+        """The only environment (entries,) of Fix."""
+        self.curve: list[list[float]] = []
+        self.losses: list[torch.Tensor] = []
+        """Losses since the last point of the curve. They stay tensors: reading each value would wait for the device."""
 
     @property
     def steps(self) -> int:

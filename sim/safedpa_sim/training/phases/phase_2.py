@@ -13,7 +13,7 @@ Source: Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, section III.B; Ross
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
@@ -26,7 +26,7 @@ from safedpa_sim.training.data.drives import policy_drives, random_drives
 from safedpa_sim.training.data.transitions import TransitionSequence, concatenate
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.environments.policy_task import TASKS, BatchedEnvironment, task_of
-from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
+from safedpa_sim.training.networks.modules import HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.networks.prediction_errors import ALONG, along, explained, latents_along
 from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
@@ -53,7 +53,7 @@ def train_history_encoder(
     held-out drives, and the prediction errors with mu's latent and with phi's.
     """
     del out
-    training = _HistoryTraining.begin(configuration, weights, training_device(device))
+    training = _HistoryTraining(configuration, weights, training_device(device))
     for index in range(configuration.phase_2.rounds):
         training.add_drives()
         training.learn(index, report_progress)
@@ -62,43 +62,32 @@ def train_history_encoder(
 
 
 @final
-@dataclass
 class _HistoryTraining:
-    configuration: Configuration
-    weights: Weights
-    cars: BatchedSimulator
-    driving: BatchedEnvironment | None
-    """Robots that the policy drives; None without a policy."""
-    networks: AffineNetworks
-    encoder: HistoryNetwork
-    optimiser: torch.optim.Adam
-    generator: torch.Generator
-    spread: Tensor
-    """Standard deviation of each entry of z = mu(e), (latents,)."""
-    known: list[TransitionSequence] = field(default_factory=list)
-    """Training data, one item per round."""
-    pairs: int = 0
-    """Transitions of all rounds."""
-    losses: list[float] = field(default_factory=list)
-
-    @staticmethod
-    def begin(configuration: Configuration, weights: Weights, device: torch.device) -> _HistoryTraining:
-        cars = BatchedSimulator(configuration, device)
-        generator = cars.generator(configuration.seed * 10 + _STREAM)
-        networks = affine_networks(weights).requires_grad_(False).to(device)
-        sizes = networks.sizes
+    def __init__(self, configuration: Configuration, weights: Weights, device: torch.device) -> None:
+        self.configuration, self.weights = configuration, weights
+        phase, seed = configuration.phase_2, configuration.seed * 10 + _STREAM
+        self.cars = cars = BatchedSimulator(configuration, device)
+        self.generator = cars.generator(seed)
+        self.networks = affine_networks(weights).requires_grad_(False).to(device)
+        sizes = self.networks.sizes
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(configuration.seed * 10 + _STREAM)
+            torch.manual_seed(seed)
             row = sizes.features + sizes.states + sizes.actions
-            encoder = HistoryNetwork(row, configuration.history, sizes.latents).to(device)
-        optimiser = torch.optim.Adam(encoder.parameters(), configuration.phase_2.learning_rate)
-        spread = networks.encode(cars.draw_environments(_SAMPLES, generator)).std(0).clamp_min(1e-3)
-        driving = None
+            self.encoder = HistoryNetwork(row, configuration.history, sizes.latents).to(device)
+        self.optimiser = torch.optim.Adam(self.encoder.parameters(), phase.learning_rate)
+        drawn = cars.draw_environments(_SAMPLES, self.generator)
+        self.spread = self.networks.encode(drawn).std(0).clamp_min(1e-3)
+        """Standard deviation of each entry of z = mu(e), (latents,)."""
+        self.driving: BatchedEnvironment | None = None
+        """Robots that the policy drives; None without a policy."""
         if weights.has("policy"):
-            seed = configuration.seed * 10 + _STREAM
-            count = max(1, round(configuration.phase_2.driven * configuration.phase_2.cars))
-            driving = task_of(configuration.robot).make_environment(configuration, weights, count, seed)
-        return _HistoryTraining(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
+            count = max(1, round(phase.driven * phase.cars))
+            self.driving = task_of(configuration.robot).make_environment(configuration, weights, count, seed)
+        self.known: list[TransitionSequence] = []
+        """Training data, one item per round."""
+        self.pairs = 0
+        """Transitions of all rounds."""
+        self.losses: list[float] = []
 
     def add_drives(self) -> None:
         """Simulates the drives of the next round with the current phi."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -137,7 +137,7 @@ def tune_on_drives(
     """
     if not weights.has("phi"):
         raise InputError("weights: no history encoder (phi) in them, wanted one to tune; run phase 2 first")
-    training = _Tuning.begin(configuration, weights, drives, what, training_device(device))
+    training = _Tuning(configuration, weights, drives, what, training_device(device))
     before = training.held_out_errors()
     corrected = training.add_simulated(report_progress)
     training.learn(report_progress)
@@ -164,37 +164,31 @@ def tune_on_drives(
 
 
 @final
-@dataclass
 class _Tuning:
-    configuration: Configuration
-    untuned: Weights
-    networks: AffineNetworks
-    encoder: HistoryNetwork
-    drives: Sequence[TuningDrive]
-    """The recorded training drives."""
-    recorded: TransitionSequence
-    held_out: TransitionSequence
-    fitted: list[nn.Parameter]
-    generator: torch.Generator
-    simulated: TransitionSequence | None = None
-    judges: list[TransitionSequence] = field(default_factory=list)
-    """The held-out parts of the recorded and of the simulated data."""
-
-    @staticmethod
-    def begin(
-        configuration: Configuration, weights: Weights, drives: Sequence[TuningDrive], what: What, device: torch.device
-    ) -> _Tuning:
-        networks, encoder = affine_networks(weights).to(device), history_network(weights).to(device)
-        networks.requires_grad_(False)
-        encoder.requires_grad_(False)
-        fitted = _fitted(networks, encoder, what)
-        for parameter in fitted:
+    def __init__(
+        self,
+        configuration: Configuration,
+        weights: Weights,
+        drives: Sequence[TuningDrive],
+        what: What,
+        device: torch.device,
+    ) -> None:
+        self.configuration, self.untuned = configuration, weights
+        self.networks, self.encoder = affine_networks(weights).to(device), history_network(weights).to(device)
+        self.networks.requires_grad_(False)
+        self.encoder.requires_grad_(False)
+        self.fitted = _fitted(self.networks, self.encoder, what)
+        for parameter in self.fitted:
             parameter.requires_grad_(True)
-        parts = split(drives, weights.description.history)
-        recorded, held_out = (concatenate([_sequence(networks, drive, device) for drive in part]) for part in parts)
-        generator = torch.Generator(device).manual_seed(configuration.seed * 10 + _STREAM)
-        known = (networks, encoder, parts[0], recorded, held_out, fitted, generator)
-        return _Tuning(configuration, weights, *known, judges=[held_out])
+        self.drives, kept_apart = split(drives, weights.description.history)
+        self.recorded, self.held_out = (
+            concatenate([_sequence(self.networks, drive, device) for drive in part])
+            for part in (self.drives, kept_apart)
+        )
+        self.generator = torch.Generator(device).manual_seed(configuration.seed * 10 + _STREAM)
+        self.simulated: TransitionSequence | None = None
+        self.judges = [self.held_out]
+        """The held-out parts of the recorded and of the simulated data."""
 
     @property
     def history(self) -> int:

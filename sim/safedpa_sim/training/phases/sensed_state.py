@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import torch
 
-from safedpa.networks import Description, Weights
+from safedpa.networks import Weights
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.layout import FIELD, GOAL_RADIUS
 from safedpa_sim.point.observation import ENTRIES, GROUPS, SENSED_FRAME, sensed, without_goal
@@ -23,7 +22,7 @@ from safedpa_sim.point.simulation import LARGEST_TURN, PointSimulation, controls
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.transitions import Transitions, TransitionSequence, concatenate, transition_sequence
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
-from safedpa_sim.training.export.weights import normalise_latent
+from safedpa_sim.training.export.weights import export_weights, normalise_latent
 from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
 from safedpa_sim.training.networks.prediction_errors import evaluate, explained
 from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
@@ -76,24 +75,9 @@ def train_sensed(
     summary["explained"] = [
         share if moves else None for share, moves in zip(summary["explained"], moved.tolist(), strict=True)
     ]
-    described = Description(
-        robot=configuration.robot,
-        period=cars.model.period,
-        states=ENTRIES,
-        actions=cars.model.system.action_names,
-        latents=configuration.latents,
-        history=configuration.history,
-        environment=cars.entries,
-        trained_on={
-            "configuration": configuration.as_table(),
-            "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-            "phase": "17",
-            "pairs": configuration.phase_1a.pairs,
-            "seed": configuration.seed,
-            "loss": summary["loss"],
-        },
-    )
-    return Weights({**tensors_of(networks), **tensors_of(encoder)}, described), summary
+    trained_on = {"phase": "17", "pairs": configuration.phase_1a.pairs, "seed": configuration.seed}
+    made = export_weights(networks, cars, configuration, {**trained_on, "loss": summary["loss"]}, ENTRIES)
+    return made.with_tensors(tensors_of(encoder)), summary
 
 
 def draw_sensed(cars: BatchedSimulator, count: int, generator: torch.Generator) -> Transitions:
