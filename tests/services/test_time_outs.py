@@ -40,7 +40,7 @@ def ask(clock, monkeypatch):
     def run(answers_until, over_at, end=TAKEN, do="accept"):
         asked, before = list[Request](), [clock.now]
 
-        def request(_robot, request, patience):
+        def request(_robot, request, patience, *_kind):
             assert 1.0 <= patience <= 4.0
             asked.append(request)
             assert clock.now - before[0] <= 0.25, "a person waits"

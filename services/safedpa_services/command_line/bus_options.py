@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
 
 
-_ANSWER_SECONDS = 2.0
+ANSWER_SECONDS = 2.0
 
 _C = TypeVar("_C", bound=Callable[..., Any])
 
@@ -61,7 +61,7 @@ def request_answer(bus: Bus, robot: str, request: Request, kind: str, no_answer:
     Raises InputError if the request is refused, and SafedpaError with the text ``no_answer`` if no answer arrives
     within 2 s.
     """
-    answer = bus.request(robot, request, _ANSWER_SECONDS, kind)
+    answer = bus.request(robot, request, ANSWER_SECONDS, kind)
     if answer is None:
         raise SafedpaError(f"fleet '{bus.fleet}': {no_answer}")
     if not answer.ok:

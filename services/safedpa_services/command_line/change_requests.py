@@ -9,16 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from safedpa.errors import InputError, SafedpaError
-from safedpa_services.command_line.bus_options import bus_of, listening_options, who_option
+from safedpa.errors import SafedpaError
+from safedpa_services.command_line.bus_options import (
+    ANSWER_SECONDS,
+    bus_of,
+    listening_options,
+    request_answer,
+    who_option,
+)
 from safedpa_services.command_line.names import complete_effects
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
-    from safedpa.bus import Answer, Bus, Request
+    from safedpa.bus import Answer, Bus
 
 
-_TIMEOUT_SECONDS = 2.0
+_NO_ANSWER = "no diagnosis answers for this robot; start 'safedpa up', and name its endpoint with --connect"
 _LONGEST_CHANGE_SECONDS = 120.0
 """Building the accepted model takes some seconds; the diagnosis itself gives up after a minute."""
 _POLL_SECONDS = 0.1
@@ -70,34 +76,17 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
     Raises InputError if the request is refused, and SafedpaError if no diagnosis answers or the change is dropped.
     """
     from safedpa.bus import Request
+    from safedpa.bus.messages.requests import REQUEST
 
     with bus_of(options) as bus:
-        seen = _request(bus, robot, Request(do="status"))
-        if not seen.ok:
-            raise InputError(seen.sentence)
+        seen = request_answer(bus, robot, Request(do="status"), REQUEST, _NO_ANSWER)
         who = options["who"] or getpass.getuser()
         request = Request(do=do, effect=effect, model=seen.fingerprint, finding=seen.finding, who=who)
-        answer = _request(bus, robot, request)
-        if not answer.ok:
-            raise InputError(answer.sentence)
+        answer = request_answer(bus, robot, request, REQUEST, _NO_ANSWER)
         end = answer if do == "reject" else _await_end(bus, robot, answer)
     _report(robot, end, as_json=options["as_json"])
     if do != "reject" and end.fingerprint == seen.fingerprint:
         raise SafedpaError(end.sentence)
-
-
-def _request(bus: Bus, robot: str, request: Request) -> Answer:
-    answer = bus.request(robot, request, _TIMEOUT_SECONDS)
-    if answer is None:
-        raise _no_answer(bus, robot)
-    return answer
-
-
-def _no_answer(bus: Bus, robot: str) -> SafedpaError:
-    return SafedpaError(
-        f"robot '{robot}' of fleet '{bus.fleet}': no diagnosis answers; start 'safedpa up', and name its "
-        "endpoint with --connect"
-    )
 
 
 def _await_end(bus: Bus, robot: str, started: Answer) -> Answer:
@@ -107,13 +96,13 @@ def _await_end(bus: Bus, robot: str, started: Answer) -> Answer:
     last_answer = time.monotonic()
     give_up = last_answer + _LONGEST_CHANGE_SECONDS
     while time.monotonic() < give_up:
-        status = bus.request(robot, Request(do="status"), _TIMEOUT_SECONDS)
+        status = bus.request(robot, Request(do="status"), ANSWER_SECONDS)
         if status is not None:
             last_answer = time.monotonic()
             if not status.pending or status.change != started.change:
                 return status
         elif time.monotonic() - last_answer > _SILENCE_SECONDS:
-            raise _no_answer(bus, robot)
+            raise SafedpaError(f"fleet '{bus.fleet}': {_NO_ANSWER}")
         time.sleep(_POLL_SECONDS)
     raise SafedpaError(
         f"change {started.change} is not over after {_LONGEST_CHANGE_SECONDS:.0f} s; check that the robot drives"

@@ -15,6 +15,7 @@ from safedpa_services.command_line.options import PATH, as_json_option, effects_
 from safedpa_services.plain_output import print_plain
 
 if TYPE_CHECKING:
+    from safedpa.replay.driver import ReplayedStep
     from safedpa.replay.tape import RobotTape
     from safedpa.replay.what_if import WhatIfChange
     from safedpa.safety.margins.calibration import MarginCalibration
@@ -123,16 +124,15 @@ def _change(options: dict[str, Any]) -> WhatIfChange:
 
 def _compare(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.replay import TOLERANCE, replay
-    from safedpa.replay.report import ReplayOutputs, document_of, lines_of
+    from safedpa.replay.report import document_of, lines_of, write_outputs
     from safedpa.replay.tape import gaps_of
 
-    saved = ReplayOutputs()
-    wanted = options["out"] is not None
-    report_progress = saved.take if wanted else saved.leave
+    steps: list[ReplayedStep] = []
+    report_progress = steps.append if options["out"] is not None else lambda _step: None
     found = replay(tape, _window(options), 0.0 if options["exact"] else TOLERANCE, _folders(options), report_progress)
     gaps = gaps_of(tape)
-    if wanted:
-        saved.write(tape, options["out"])
+    if options["out"] is not None:
+        write_outputs(tape, steps, options["out"])
     if options["as_json"]:
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
