@@ -25,9 +25,9 @@ from safedpa.bus import (
     encode,
     topic_of,
 )
+from safedpa.bus.messages.codec import pack_bundle, split_into_bundles, unpack_bundle
 from safedpa.bus.messages.topics import BUNDLE, NO_ROBOT
 from safedpa.bus.security.access_control import ROBOT, ROLES, access_control, check_names, may_write
-from safedpa.bus.transport.batching import pack_bundle, split_into_bundles, unpack_bundle
 from safedpa.bus.transport.inbox import InboxReceiver
 from safedpa.errors import InputError, MessageError
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from safedpa.bus import HEALTH, STATE, Inbox, Topic
+from safedpa.bus.messages.codec import pack_bundle
 from safedpa.bus.messages.topics import BUNDLE
-from safedpa.bus.transport.batching import pack_bundle
 from safedpa.bus.transport.inbox import InboxReceiver, RejectedMessage
 
 

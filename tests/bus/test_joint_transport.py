@@ -17,8 +17,8 @@ from safedpa.bus import (
     decode,
     encode,
 )
+from safedpa.bus.messages.codec import pack_bundle
 from safedpa.bus.messages.topics import BUNDLE
-from safedpa.bus.transport.batching import pack_bundle
 from safedpa.bus.transport.memory import JointTransport
 from safedpa.errors import BusError
 

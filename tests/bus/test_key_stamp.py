@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.logging import counted_events
-from safedpa.bus.messages.key_stamp import STAMP_BYTES, is_misrouted, key_stamp
+from safedpa.bus.logging import EVENT_LOG
+from safedpa.bus.messages.topics import STAMP_BYTES, is_misrouted, key_stamp
 from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuration
 
 MINE, OTHERS = "safedpa/f/mine/state", "safedpa/f/others/state"
@@ -71,7 +71,7 @@ def test_a_misrouted_message_is_not_delivered_and_is_logged(network: Network, ga
     subscription = other.subscribe(MINE, lambda key, payload: heard.append((key, payload)))
     if gathers:
         subscription.gather()
-    reported = counted_events().get("bus.misrouted", 0)
+    reported = EVENT_LOG.counts().get("bus.misrouted", 0)
 
     def notice() -> bool:
         raw.put(MINE, b"of another robot", attachment=key_stamp(OTHERS))
@@ -82,7 +82,7 @@ def test_a_misrouted_message_is_not_delivered_and_is_logged(network: Network, ga
         return {b"of a program that knows of no stamps", b"its own"} <= {payload for _, payload in heard}
 
     assert until(notice)
-    assert until(lambda: subscription.collect() or counted_events().get("bus.misrouted", 0) > reported)
+    assert until(lambda: subscription.collect() or EVENT_LOG.counts().get("bus.misrouted", 0) > reported)
     assert set(heard) == {(MINE, b"of a program that knows of no stamps"), (MINE, b"its own")}
 
 
@@ -111,11 +111,11 @@ def test_misrouted_questions_and_answers_are_ignored(network: Network) -> None:
             query.reply(query.key_expr, b"about another robot", attachment=key_stamp("safedpa/f/others/agreed"))
 
     retained = raw.declare_queryable("safedpa/f/mine/agreed", mistaken)
-    reported = counted_events().get("bus.misrouted", 0)
+    reported = EVENT_LOG.counts().get("bus.misrouted", 0)
 
     def refused() -> bool:
         assert one.ask("safedpa/f/mine/agreed", b"?", 1.0) is None
-        return counted_events().get("bus.misrouted", 0) > reported
+        return EVENT_LOG.counts().get("bus.misrouted", 0) > reported
 
     assert until(refused)
     retained.undeclare()

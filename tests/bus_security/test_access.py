@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
-from safedpa.bus.messages.key_stamp import STAMP_BYTES
+from safedpa.bus.messages.topics import STAMP_BYTES
 from safedpa.bus.security.access_control import ROLES, access_control, may_write, rate_limits, roles_of, size_limits
 from safedpa.errors import InputError
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.bus.logging import EventLog, counted_events, log_event
+from safedpa.bus.logging import EVENT_LOG, EventLog, log_event
 
 
 class Bench:
@@ -42,7 +42,7 @@ class Bench:
 
 
 def test_a_line_is_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
-    before = counted_events().get("test.line", 0)
+    before = EVENT_LOG.counts().get("test.line", 0)
     log_event("test.line", "two\nlines", robot="r1", tick=7, service="policy", key="a/b", size=3)
     written = capsys.readouterr().err
     assert written.count("\n") == 1
@@ -58,7 +58,7 @@ def test_a_line_is_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
         "key": "a/b",
         "size": 3,
     }
-    assert counted_events()["test.line"] == before + 1
+    assert EVENT_LOG.counts()["test.line"] == before + 1
 
 
 def test_what_does_not_apply_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,4 +164,4 @@ def test_a_line_is_out_when_it_is_written(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_broken_standard_error_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", None)
     log_event("test.broken", "no one reads this")
-    assert counted_events()["test.broken"] == 1
+    assert EVENT_LOG.counts()["test.broken"] == 1

@@ -17,10 +17,8 @@ from safedpa.dynamics import load_model, write_model
 from safedpa.errors import InputError, RecordingError
 from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
 from safedpa.fleet.fleet_diagnosis import clear_others, has_current_result, read_result, write_result
-from safedpa.fleet.inputs import options_digest
-from safedpa.fleet.one_robot import RobotResult, Task, diagnose_robot, failed_result
-from safedpa.fleet.robot_recordings import robots_in, split_recording
-from safedpa.fleet.robots import DiscoveredRobots, robots_in_folder, robots_of_files
+from safedpa.fleet.one_robot import RobotResult, Task, diagnose_robot, failed_result, options_digest
+from safedpa.fleet.robots import DiscoveredRobots, robots_in, robots_in_folder, robots_of_files, split_recording
 from safedpa.records import McapRecorder, read_run_from_mcap
 from safedpa.robots.car.system import CAR
 from safedpa_lab.hidden import Case, write_cases

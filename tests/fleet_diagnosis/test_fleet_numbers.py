@@ -19,10 +19,9 @@ from safedpa.fleet.common import (
     corrected_settings,
     together_effects,
 )
-from safedpa.fleet.discovery import FALSE_SHARE, believed, chance, upper_tail
 from safedpa.fleet.document import analyse_fleet, fleet_document
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of, outcome_of
-from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
+from safedpa.fleet.pooled_evidence import FALSE_SHARE, believed, chance, evidence_over, pooled_number, upper_tail
 from safedpa.fleet.similar_robots import connected_components, differ_significantly, same_effects, with_one_name
 from safedpa.fleet.summary import common_sentence, discovery_sentence, group_title, headline, listed, range_text
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.fleet.inputs import Options, options_digest
-from safedpa.fleet.one_robot import Task, diagnose_robot
+from safedpa.fleet.one_robot import Options, Task, diagnose_robot, options_digest
 from safedpa.fleet.robots import RobotLogs
 from safedpa_lab.experiments.fleet.diagnosis import judged_fleet
 from safedpa_services.command_line.group import safedpa

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from tests.replay.conftest import driven
 
 from safedpa.bus import SCAN, SURROUNDINGS, ReceivedMessage, ScanMessage, SurroundingsMessage, decode, encode
-from safedpa.bus.logging import counted_events
+from safedpa.bus.logging import EVENT_LOG
+from safedpa.replay.driver import ReplayedStep
 from safedpa.replay.replay import Replay, ServiceReplay, replay
-from safedpa.replay.report import ReplayOutputs
+from safedpa.replay.report import write_outputs
 from safedpa.replay.setups import complete_setups
 from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
@@ -169,9 +170,9 @@ def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any
 
 def replayed_again(tape: RobotTape, path: Path) -> tuple[Replay, RobotTape]:
     """A replay, and what it writes as a recording."""
-    saved = ReplayOutputs()
-    found = replay(tape, report_progress=saved.take)
-    saved.write(tape, path)
+    steps: list[ReplayedStep] = []
+    found = replay(tape, report_progress=steps.append)
+    write_outputs(tape, steps, path)
     return found, read_tape([path])
 
 
@@ -179,14 +180,14 @@ def test_what_was_replayed_with_scans_can_be_replayed(fleet: Any, tmp_path: Path
     driven(fleet, 15)
     fleet.order("zone wet=on", who="Ada")
     tape = read_tape([driven(fleet, 15).record(tmp_path / "seen.mcap")])
-    before = counted_events()
+    before = EVENT_LOG.counts()
     _, again = replayed_again(tape, tmp_path / "again.mcap")
     assert len(again.scans) == len(tape.scans) > 20
     found = replay(again)
     assert found.exact
     assert of_perception(found).compared["surroundings"] == 30
     assert reported(again)[20].ordered == "zone wet on, by Ada"
-    assert counted_events() == before, "what was switched then is no news"
+    assert EVENT_LOG.counts() == before, "what was switched then is no news"
 
 
 def test_as_many_borders_are_sent_as_fit_into_a_message() -> None:

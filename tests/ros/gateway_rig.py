@@ -21,8 +21,7 @@ from safedpa.bus import (
     Topic,
 )
 from safedpa.robots.car.adapters.ros import CarFace
-from safedpa_services.ros_gateway.gateway import Gateway
-from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa_services.ros_gateway.gateway import Gateway, HealthPublisher
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     CommandTopic,

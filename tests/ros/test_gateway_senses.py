@@ -17,7 +17,7 @@ from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
-from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa_services.ros_gateway.gateway import HealthPublisher
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     LocalisationTopic,

@@ -8,7 +8,7 @@ import pytest
 
 from safedpa.bus import VerdictMessage
 from safedpa.robots.car.adapters.ros import CarFace
-from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa_services.ros_gateway.gateway import HealthPublisher
 
 STATES = ((1.0, 2.0, 0.5, 0.1), (1.5, 2.5, 0.5, 0.1))
 

@@ -182,7 +182,8 @@ class FleetCollector:
         now = self._fleet.clock()
         for _, robot in sorted(self._fleet.robots.items()):
             yield from _of_robot(robot, now)
-        alive = Counter(known.name for known in self._fleet.services.values() if _is_working(known, now))
+        processes = self._fleet.services.values()
+        alive = Counter(known.name for known in processes if known.age(now) <= _SILENT_SECONDS and not known.failing)
         for name in sorted({known.name for known in self._fleet.services.values()}):
             yield "safedpa_service_processes", (name,), float(alive[name])
         for _, service in sorted(self._fleet.services.items()):
@@ -224,10 +225,6 @@ def _of_finding(robot: RobotOverview) -> Iterator[Sample]:
     yield "safedpa_findings_total", (robot.name,), float(finding.number)
     for stage in _STAGES:
         yield "safedpa_diagnosis_stage", (robot.name, stage), float(stage == finding.stage)
-
-
-def _is_working(service: ServiceOverview, now: float) -> bool:
-    return service.age(now) <= _SILENT_SECONDS and not service.failing
 
 
 def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:

@@ -3,5 +3,4 @@
 Read ``gateway.py`` first: its loop publishes states and sends the filter's actions to the robot's driver.
 ``__main__.py`` builds it from the robot's file (``robot_file.py``). ``sensor_inputs.py`` receives messages,
 ``publisher_monitor.py`` detects second publishers.
-``health_publisher.py`` sends diagnostics and markers.
 """

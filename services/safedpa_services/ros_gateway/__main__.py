@@ -32,8 +32,7 @@ from safedpa.ros.link import RosLink
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
-from safedpa_services.ros_gateway.gateway import Gateway, Limits
-from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa_services.ros_gateway.gateway import Gateway, HealthPublisher, Limits
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
 from safedpa_services.ros_gateway.sensor_inputs import (

@@ -26,12 +26,56 @@ from safedpa.bus.messages.messages import (
     VerdictMessage,
 )
 from safedpa.bus.messages.service_info import software_version
+from safedpa.ros.encoding import stamp_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
-from safedpa_services.ros_gateway.health_publisher import HealthPublisher
+from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 from safedpa_services.ros_gateway.robot_file import RobotFile
 from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist, SensorInputs
+
+_MARKER_SECONDS = 0.1
+"""Shortest time between two markers [s]."""
+
+
+@final
+class HealthPublisher:
+    """Publishes on the topics for diagnostics and markers, if the robot's file names them."""
+
+    def __init__(
+        self,
+        robot: str,
+        frame: str,
+        face: AbstractFace,
+        diagnostics: RosPublisher | None,
+        markers: RosPublisher | None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._robot, self._frame, self._face, self._clock = robot, frame, face, clock
+        self._diagnostics, self._markers = diagnostics, markers
+        self._next_marker = clock()
+
+    def head(self, nanoseconds: int = 0) -> dict[str, Any]:
+        """Returns a message header in the frame of the surroundings, stamped with the given time (0: now)."""
+        return {"stamp": stamp_of(nanoseconds or time.time_ns()), "frame_id": self._frame}
+
+    def verdict(self, verdict: VerdictMessage) -> None:
+        """Publishes a verdict of the filter, and the predicted path."""
+        if self._diagnostics is not None:
+            self._diagnostics.put(diagnostics_of(self.head(), self._robot, verdict))
+        if self._markers is not None and verdict.predicted and self._clock() >= self._next_marker:
+            self._next_marker = self._clock() + _MARKER_SECONDS
+            try:
+                places = [self._face.planar(row)[:2] for row in verdict.predicted]
+            except IndexError:  # states of another model: a marker must not end the drive
+                return
+            self._markers.put({"markers": [path_marker(self.head(), places)]})
+
+    def gateway(self, why: str, facts: dict[str, str]) -> None:
+        """Publishes the state of the gateway; ``why`` it brakes, empty if the filter drives."""
+        if self._diagnostics is not None:
+            self._diagnostics.put(gateway_diagnostics(self.head(), self._robot, why, facts))
+
 
 _DEADLINE_SHARE = 0.9
 _LARGEST_AGE_PERIODS = 2.0
@@ -83,7 +127,8 @@ class Gateway:
         """Why the gateway brakes; empty while the filter drives."""
         self._intruder = ""
         self._next_heartbeat = clock()
-        sensor_inputs.driver.answer = self._answer
+        # At once after a command of another publisher, so that it acts for a moment only.
+        sensor_inputs.driver.answer = lambda: self._send(None)
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Drives until ``stopped``, then sends braking commands for a second."""
@@ -107,7 +152,8 @@ class Gateway:
         why = self._refusal(age)
         action = None
         if not why:
-            pose = self._in_surroundings_frame(PoseAndTwist.of(numbers, self._robot_file.odometry.ahead))
+            pose, localised = PoseAndTwist.of(numbers, self._robot_file.odometry.ahead), self._sensor_inputs.localised
+            pose = pose if localised is None else pose.seen_from(localised.read()[0])
             if math.isfinite(pose.x + pose.y + pose.yaw):
                 self._publish(pose, age)
                 action = self._await_action(published, begin + _DEADLINE_SHARE * self.period)
@@ -135,11 +181,6 @@ class Gateway:
                 because = f"; {self._sensor_inputs.localised.why}" if self._sensor_inputs.localised.why else ""
                 return f"the transform from {topic.frame} to {self._robot_file.wire.frame} is {state}{because}"
         return ""
-
-    def _in_surroundings_frame(self, pose: PoseAndTwist) -> PoseAndTwist:
-        """Returns the pose in the frame of the surroundings."""
-        localised = self._sensor_inputs.localised
-        return pose if localised is None else pose.seen_from(localised.read()[0])
 
     def _publish(self, pose: PoseAndTwist, age: float) -> None:
         robot_file, around = self._robot_file, self._robot_file.surroundings
@@ -250,10 +291,6 @@ class Gateway:
             values["header"] = self._health_publisher.head(now)
         self._command.put(values)
         return now
-
-    def _answer(self) -> None:
-        """Sends a braking command at once after a command of another publisher, so that it acts for a moment only."""
-        self._send(None)
 
     def _report_gateway(self, sent: int, age: float, stamp: int, seconds: float) -> None:
         facts = {

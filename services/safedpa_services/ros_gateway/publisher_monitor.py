@@ -57,11 +57,10 @@ class CommandEchoMonitor:
         self._topic, self._clock = topic, clock
         self._last = (-math.inf, "")
         self._answered = -math.inf
-        self.answer: Callable[[], None] = _nothing
+        self.answer: Callable[[], object] = lambda: None
 
     def take(self, data: bytes, attachment: Attachment | None = None) -> None:
         """Takes a message of another session, on the network's thread."""
-        del data
         sender = f"sender {attachment.sender.hex()[:8]}" if attachment is not None else "unknown sender"
         now = self._clock()
         self._last = now, sender
@@ -76,7 +75,3 @@ class CommandEchoMonitor:
         if self._clock() - at > _SILENT_SECONDS:
             return ""
         return f"an unannounced publisher ({sender}) sends on {self._topic}, too; find and end it"
-
-
-def _nothing() -> None:
-    """Default of ``answer``."""

@@ -190,14 +190,11 @@ class LogFile:
         chunk = os.pread(self.descriptor, _CHUNK_BYTES, self._read)
         self._read += len(chunk)
         if chunk or behind > self._most_unread:
-            self._release()
+            size = ctypes.c_int64(self._read)
+            ctypes.CDLL(None).fallocate(self.descriptor, _PUNCH_HOLE | _KEEP_SIZE, ctypes.c_int64(0), size)
         *lines, rest = (self._rest + chunk).split(b"\n")
         self._rest = rest[-_LONGEST_LINE:]
         return [line.decode(errors="replace").rstrip() for line in lines]
-
-    def _release(self) -> None:
-        size = ctypes.c_int64(self._read)
-        ctypes.CDLL(None).fallocate(self.descriptor, _PUNCH_HOLE | _KEEP_SIZE, ctypes.c_int64(0), size)
 
 
 def _read(file: LogFile, hear: Callable[[str], None]) -> None:

@@ -273,8 +273,3 @@ def log_event(
     event |= {name: value for name, value in (("robot", robot), ("service", service)) if value}
     event |= {"tick": tick} if tick >= 0 else {}
     EVENT_LOG.log(event | more)
-
-
-def counted_events() -> dict[str, int]:
-    """Returns the number of events of this process by kind, for status and metrics."""
-    return EVENT_LOG.counts()

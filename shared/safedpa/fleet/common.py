@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,11 +13,9 @@ from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import SafedpaError
-from safedpa.fleet.discovery import upper_tail
-from safedpa.fleet.inputs import Options
-from safedpa.fleet.one_robot import read_runs
+from safedpa.fleet.one_robot import Options, read_runs
 from safedpa.fleet.outcome import EffectEvidence, RobotOutcome, neutral_of
-from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, pooled_numbers
+from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, pooled_numbers, upper_tail
 from safedpa.fleet.robots import RobotLogs
 from safedpa.fleet.similar_robots import APART, connected_components, differ_significantly
 
@@ -120,18 +118,14 @@ def _shows(item: PooledEvidence, judged: Sequence[RobotOutcome]) -> bool:
 
 
 def _strong(name: str, count: int, judged: Sequence[RobotOutcome], robot: str) -> FleetEffect:
-    own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
+    of_this = [(outcome, tuple(item for item in outcome.found if item.effect == name)) for outcome in judged]
+    own = [replace(outcome, found=found) for outcome, found in of_this if found]
     largest = max(connected_components(own, lambda one, other: differ_significantly(one, other, robot)), key=len)
     notice = {outcome.name: outcome.found[0] for outcome in own}
     numbers = pooled_numbers([outcome.found[0] for outcome in largest])
     wide = any(_wide(robot, name, parameter, item) for parameter, item in numbers.items())
     rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in notice.values()))))
     return FleetEffect(name, numbers, notice, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
-
-
-def _only(outcome: RobotOutcome, name: str) -> RobotOutcome:
-    retained = tuple(item for item in outcome.found if item.effect == name)
-    return RobotOutcome(outcome.name, outcome.status, outcome.reason, retained)
 
 
 def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:

@@ -10,9 +10,16 @@ from typing import Any
 import numpy as np
 
 from safedpa.fleet.common import Confirmation, FleetEffect, common_effects, together_effects
-from safedpa.fleet.discovery import FALSE_SHARE, believed, chance
 from safedpa.fleet.outcome import RobotOutcome
-from safedpa.fleet.pooled_evidence import PooledEvidence, evidence_over, pooled_number, pooled_numbers
+from safedpa.fleet.pooled_evidence import (
+    FALSE_SHARE,
+    PooledEvidence,
+    believed,
+    chance,
+    evidence_over,
+    pooled_number,
+    pooled_numbers,
+)
 from safedpa.fleet.similar_robots import SimilarRobots, same_effects, with_one_name
 
 # Robust standard deviations of log(error) from which a robot is an outlier, and the minimum ratio to the fleet's error.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,12 +27,20 @@ from safedpa.fleet.common import (
     corrected_settings,
 )
 from safedpa.fleet.document import Analysis, analyse_fleet, fleet_document
-from safedpa.fleet.inputs import Options, file_stamp, options_digest, same_files
-from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, diagnose_robot, failed_result
+from safedpa.fleet.one_robot import (
+    FORMAT,
+    Options,
+    RobotResult,
+    Task,
+    diagnose_robot,
+    failed_result,
+    file_stamp,
+    options_digest,
+    same_files,
+)
 from safedpa.fleet.outcome import outcome_of
 from safedpa.fleet.page import write_fleet_page
-from safedpa.fleet.robot_recordings import robots_in, split_recording
-from safedpa.fleet.robots import DiscoveredRobots, RobotLogs
+from safedpa.fleet.robots import DiscoveredRobots, RobotLogs, robots_in, split_recording
 from safedpa.records.writers.tables import atomic_path
 
 Job = TypeVar("Job")
@@ -89,11 +98,7 @@ def _errors(
         CorrectionTask(task.robot, task.options, corrected_settings(analysis.robot, common, task.robot.name))
         for task in (judged[index] for index in picked)
     ]
-    return dict(workers(corrected_error, jobs, _not_tried))
-
-
-def _not_tried(task: CorrectionTask, _reason: str) -> tuple[str, float]:
-    return task.robot.name, float("nan")
+    return dict(workers(corrected_error, jobs, lambda task, _reason: (task.robot.name, math.nan)))
 
 
 def _save(model: PhysicsModel, path: Path) -> None:
@@ -200,7 +205,10 @@ def diagnose_fleet(
     """
     options, out = fleet.options, fleet.out
     given = load_model(options.model)
-    _refuse_given(Path(options.model), out)
+    if Path(options.model).resolve() == (out / "model.toml").resolve():
+        raise InputError(
+            f"--out {out}: contains the given model; choose another folder, because model.toml is written there"
+        )
     digest = options_digest(options)
     tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
     clear_others(tasks, out)
@@ -219,14 +227,6 @@ def diagnose_fleet(
         temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     write_fleet_page(document, analysis, out)
     return document
-
-
-def _refuse_given(model: Path, out: Path) -> None:
-    """Raises InputError if the corrected model would overwrite the given one."""
-    if model.resolve() == (out / "model.toml").resolve():
-        raise InputError(
-            f"--out {out}: contains the given model; choose another folder, because model.toml is written there"
-        )
 
 
 def _about(fleet: Fleet, diagnosed: int) -> dict[str, Any]:

@@ -1,26 +1,99 @@
 """The diagnosis of one robot of a fleet, which runs in a worker process.
 
-The result consists of a few texts and is small, whatever the length of the recordings.
+The result consists of a few texts and is small, whatever the length of the recordings. It is current as long as model,
+options and recordings are the same: a recording with unchanged size and modification time counts as unchanged,
+otherwise its contents are compared.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import resource
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa.fleet.inputs import Options, file_stamp
 from safedpa.fleet.robots import RobotLogs
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.report_schema import Report
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
+
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the diagnosis of every robot: model, column map and user effects by path or name."""
+
+    model: str
+    columns: str | None = None
+    horizon: float = 1.0
+    effects: str | None = None
+    scripts: str = "../../plotly.min.js"
+    """Relative path from a robot's page to plotly.js, which the whole fleet shares."""
+
+
+def options_digest(options: Options) -> str:
+    """Returns a hex digest of all inputs but the recordings, including the version of the program."""
+    digest = hashlib.sha256(f"{version('safedpa')} {options.horizon!r}".encode())
+    for source in (options.model, options.columns, options.effects):
+        files = _files_of(source)
+        digest.update(f"|{'' if files else source}|".encode())
+        for path in files:
+            digest.update(f"{path.name} {path.stat().st_size} ".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _files_of(source: str | None) -> list[Path]:
+    """Returns the named file and, for a model, the weights next to it; empty for the name of a shipped file."""
+    path = Path(source) if source else None
+    if path is None or not path.is_file():
+        return []
+    weights = sorted(path.parent.glob("*.safetensors")) if path.suffix == ".toml" else []
+    return [path, *weights]
+
+
+def file_stamp(path: Path) -> dict[str, Any]:
+    """Returns path, size, modification time and SHA-256 of a file. Raises OSError if it cannot be read."""
+    status = path.stat()
+    with path.open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return {
+        "path": str(path),
+        "bytes": status.st_size,
+        "modified_ns": status.st_mtime_ns,
+        "sha256": digest.hexdigest(),
+    }
+
+
+def same_files(stamps: Iterable[Mapping[str, Any]], paths: Iterable[Path]) -> bool:
+    """Whether the files are the stamped ones, possibly in another folder."""
+    before, now = list(stamps), list(paths)
+    if [Path(item["path"]).name for item in before] != [path.name for path in now]:
+        return False
+    try:
+        return all(_same(item, path) for item, path in zip(before, now, strict=True))
+    except OSError:
+        return False
+
+
+def _same(stamp: Mapping[str, Any], path: Path) -> bool:
+    status = path.stat()
+    if status.st_size != stamp["bytes"]:
+        return False
+    untouched = status.st_mtime_ns == stamp["modified_ns"] and str(path) == stamp["path"]
+    return bool(untouched or file_stamp(path)["sha256"] == stamp["sha256"])
+
 
 FORMAT = 1
 Status = Literal["diagnosed", "no_verdict", "unreadable", "failed"]

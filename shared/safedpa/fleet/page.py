@@ -120,7 +120,8 @@ def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effe
     lanes = _lanes(document, effect)
     title = parameter + (f" [{unit}]" if unit not in ("", "1") else "")
     at = panels.add(effect if effect != "base" else "free in the given model", title, "")
-    rest = _rest(document, lanes, numbers)
+    in_lanes = {name for lane in lanes for name in document["groups"][lane]["robots"]}
+    rest = [name for name in numbers if name not in in_lanes]
     ticks = [_counted(len(document["groups"][lane]["robots"])) for lane in lanes] + (["the others"] if rest else [])
     count = len(ticks)
     for row, lane in enumerate(lanes):
@@ -137,11 +138,6 @@ def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effe
 
 def _counted(count: int) -> str:
     return f"{count} robot{'' if count == 1 else 's'}"
-
-
-def _rest(document: Mapping[str, Any], lanes: Sequence[int], numbers: Mapping[str, Number]) -> list[str]:
-    own = {name for lane in lanes for name in document["groups"][lane]["robots"]}
-    return [name for name in numbers if name not in own]
 
 
 def _numbers(analysis: Analysis, effect: str, parameter: str) -> tuple[dict[str, Number], str]:

@@ -10,8 +10,17 @@ Values x_i with standard deviations s_i, which differ between robots by a spread
     Q = sum w_i (x_i - sum(w x) / sum(w))^2,  w_i = 1 / s_i^2,   t^2 = max(0, (Q - n + 1) / (sum w - sum w^2 / sum w))
     mean = sum(v x) / sum(v),  v_i = 1 / (s_i^2 + t^2)
 
+The false discovery rate over the robots is controlled with
+
+    p_i = min(1, m_i Q(z_i)),
+
+Q the upper tail of the normal distribution, z_i the gain of the best candidate, and m_i the number of candidates among
+which it was chosen (Bonferroni). Of n robots, the k findings with the smallest p are accepted, with the largest k for
+which p_(k) <= q k / n. The expected share of false findings among them is then at most q. Without an effect, gains on
+unseen blocks are negative on average, so that p is conservative.
+
 Sources: Stouffer et al., The American Soldier, 1949, vol. 1, p. 45; DerSimonian and Laird, Controlled Clinical Trials
-7, 1986.
+7, 1986; Benjamini and Hochberg, Journal of the Royal Statistical Society B 57, 1995.
 """
 
 from __future__ import annotations
@@ -22,7 +31,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safedpa.arrays import FloatArray
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
+
+FALSE_SHARE = 0.05
+"""Maximum expected share of false findings among the accepted ones."""
+
+
+def upper_tail(deviate: float) -> float:
+    """Returns Q(z) = erfc(z / sqrt 2) / 2."""
+    return 0.5 * math.erfc(deviate / math.sqrt(2.0))
+
+
+def chance(evidence: float, trials: int) -> float:
+    """Returns the p-value of the best of ``trials`` candidates, at most 1; 1 without evidence."""
+    return min(1.0, trials * upper_tail(evidence)) if not math.isnan(evidence) else 1.0
+
+
+def believed(chances: Sequence[float], share: float = FALSE_SHARE) -> tuple[list[bool], float]:
+    """Returns which of n findings are accepted, and the largest accepted p-value (0 without any)."""
+    p: FloatArray = np.asarray(chances, dtype=np.float64)
+    if not len(p):
+        return [], 0.0
+    order = np.sort(p)
+    below = np.flatnonzero(order <= share * np.arange(1, len(p) + 1) / len(p))
+    limit = float(order[below[-1]]) if len(below) else 0.0
+    return [bool(value <= limit and len(below)) for value in p], limit
+
 
 # Rounding error of the sum of weights, relative to it.
 _ROUNDING = 1e-12

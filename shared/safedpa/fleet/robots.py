@@ -1,15 +1,23 @@
-"""Assigns recordings to the robots of a fleet: by folder, by file, or by the robot's name in a recording."""
+"""Assigns recordings to the robots of a fleet: by folder, by file, or by the robot's name in a recording.
+
+A recording of many robots is split into one per robot first, so that the diagnosis of every robot does not read the
+recording of the whole fleet.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from safedpa.errors import InputError
-from safedpa.fleet.robot_recordings import robots_in
+from safedpa.bus.messages.topics import STATE, topic_of
+from safedpa.errors import InputError, SafedpaError
+from safedpa.records.earlier_format import current_key
+from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
 
 By = Literal["auto", "folder", "file", "robot"]
 _ENDINGS = (".csv", ".parquet", ".mcap")
@@ -73,17 +81,12 @@ def _recordings_below(folder: Path) -> list[Path]:
     """Returns all recordings in order, without the output of an earlier diagnosis of a fleet."""
     found = []
     for place, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and not _own(Path(place) / name))
-        found += [Path(place) / name for name in sorted(names) if _is_recording(name)]
+        folders[:] = sorted(
+            name for name in folders if not name.startswith(".") and not (Path(place) / name / "fleet.json").exists()
+        )
+        recordings = (name for name in names if name.lower().endswith(_ENDINGS) and not name.startswith("."))
+        found += [Path(place) / name for name in sorted(recordings)]
     return found
-
-
-def _own(folder: Path) -> bool:
-    return (folder / "fleet.json").exists()
-
-
-def _is_recording(name: str) -> bool:
-    return name.lower().endswith(_ENDINGS) and not name.startswith(".")
 
 
 def _grouped(files: Sequence[Path], base: Path, by: By) -> DiscoveredRobots:
@@ -96,17 +99,13 @@ def _grouped(files: Sequence[Path], base: Path, by: By) -> DiscoveredRobots:
         if by == "folder" and len(parts) == 1:
             left.append((path, "lies next to the robots' folders"))
             continue
-        name = parts[0] if by == "folder" else _joined(path.relative_to(base).with_suffix("").parts)
+        name = parts[0] if by == "folder" else "_".join(path.relative_to(base).with_suffix("").parts)
         if by == "file" and name in groups:
-            name = _joined(path.relative_to(base).parts)  # the same name with another ending
+            name = "_".join(path.relative_to(base).parts)  # the same name with another ending
         groups.setdefault(name, []).append(path)
     if not groups:
         raise InputError(f"{base}: by folder: got files only; wanted one folder for each robot, or --by file")
     return DiscoveredRobots(tuple(RobotLogs(name, tuple(groups[name])) for name in sorted(groups)), by, tuple(left))
-
-
-def _joined(parts: Iterable[str]) -> str:
-    return "_".join(parts)
 
 
 def _by_robot(files: Sequence[Path]) -> DiscoveredRobots:
@@ -123,3 +122,75 @@ def _by_robot(files: Sequence[Path]) -> DiscoveredRobots:
         raise InputError(f"{path}: {why}; wanted MCAP recordings of robots, or --by file")
     robots = (RobotLogs(name, tuple(groups[name]), name) for name in sorted(groups))
     return DiscoveredRobots(tuple(robots), "robot", tuple(left))
+
+
+def robots_in(path: Path) -> tuple[list[str], str]:
+    """Returns the sorted names of the robots with states in a recording, and why there are none (else empty)."""
+    try:
+        # The index at the end; None if the recording was not closed, or is damaged.
+        channels = channels_at_end(path)
+        robots = (
+            (robot for _, robot, _ in _states(path, headers=True)) if channels is None else map(_state_robot, channels)
+        )
+        names = set(filter(None, robots))
+    except (SafedpaError, OSError) as error:
+        return [], str(error)
+    return sorted(names), "" if names else "contains no states of robots"
+
+
+def split_recording(path: Path, folder: Path) -> dict[str, Path]:
+    """Copies each robot's states without decoding into ``folder/ROBOT.mcap``; returns the files by robot.
+
+    Memory does not grow with the recording. Stops at the first damage. Raises RunError if the file is not a recording,
+    OSError if the folder cannot be written.
+    """
+    from mcap.writer import CompressionType, Writer
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths: dict[str, Path] = {}
+    writers: dict[str, Any] = {}
+    channels: dict[tuple[str, str], int] = {}
+    with ExitStack() as stack:
+        for key, robot, record in _states(path):
+            if robot not in writers:
+                paths[robot] = folder / f"{robot}.mcap"
+                file = stack.enter_context(paths[robot].open("wb"))
+                writers[robot] = Writer(file, chunk_size=1 << 18, compression=CompressionType.ZSTD)
+                writers[robot].start()
+                stack.callback(writers[robot].finish)
+            if (robot, key) not in channels:
+                channels[robot, key] = writers[robot].register_channel(key, "msgpack", schema_id=0)
+            channel, times = channels[robot, key], (record.log_time, record.publish_time)
+            writers[robot].add_message(channel, times[0], record.data, times[1], record.sequence)
+    return paths
+
+
+def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, Any]]:
+    """Yields (key, robot, record) of every state, or with ``headers`` of the channels only."""
+    from mcap.records import Channel, Message
+
+    known: dict[int, tuple[str, str]] = {}
+    for record in _records(path):
+        if isinstance(record, Channel):
+            robot = _state_robot(record)
+            if robot:
+                known[record.id] = (record.topic, robot)
+                if headers:
+                    yield record.topic, robot, record
+        elif isinstance(record, Message) and not headers and record.channel_id in known:
+            yield *known[record.channel_id], record
+
+
+def _state_robot(channel: Any) -> str:
+    """Returns the robot whose states a channel contains; empty for other channels."""
+    try:
+        _, robot, topic = topic_of(current_key(channel.topic))
+    except InputError:
+        return ""
+    return robot if topic == STATE and channel.message_encoding == "msgpack" else ""
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Yields the records up to the end or the first damage. Raises InputError if the file is not a recording."""
+    with contextlib.suppress(DamageError):
+        yield from records_of(path, validate=False)

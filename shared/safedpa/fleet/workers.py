@@ -82,19 +82,15 @@ def _started(address: str, cores: int | None) -> Any:
     environment = {"env_vars": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own}}
     settings: dict[str, Any] = {"runtime_env": environment, "log_to_driver": False, "logging_level": "error"}
     if address == "local":
-        _patiently(ray, {"address": "local", "num_cpus": cores or available_cores(), **_LOCAL, **settings})
+        local = {"address": "local", "num_cpus": cores or available_cores(), **_LOCAL, **settings}
+        try:
+            _begun(ray, local)
+        except InputError:  # Ray's limit of half a minute may be too short: a second attempt
+            ray.shutdown()
+            _begun(ray, local)
     else:
         _begun(ray, {"address": address, **settings})
     return ray
-
-
-def _patiently(ray: Any, settings: dict[str, Any]) -> None:
-    """Starts a local instance, with a second attempt: Ray's limit of half a minute may be too short."""
-    try:
-        _begun(ray, settings)
-    except InputError:
-        ray.shutdown()
-        _begun(ray, settings)
 
 
 def _begun(ray: Any, settings: dict[str, Any]) -> None:

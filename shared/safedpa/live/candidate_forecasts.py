@@ -87,14 +87,11 @@ def forecast_with(settings: str) -> PredictEffect:
             return f"its margin cannot be read: {error}"
         unknown = verdict is None or (verdict.status in _WITHOUT_H and verdict.h_now == verdict.h_next == 0.0)
         h = {} if verdict is None or unknown else dict.fromkeys(new, verdict.h_now)
-        return margin_change(old, new, h, known.eta) or f"the margin stays as it is: {_listed(new)}"
+        same = ", ".join(f"{kind} {value:.3g}" for kind, value in sorted(new.items()))
+        return margin_change(old, new, h, known.eta) or f"the margin stays as it is: {same}"
 
     return predict_effect
 
 
 def _epsilon(text: str, settings: FilterSettings) -> dict[str, float]:
     return dict(margin_from_text(text).epsilon if text else settings.epsilon)
-
-
-def _listed(margins: dict[str, float]) -> str:
-    return ", ".join(f"{kind} {value:.3g}" for kind, value in sorted(margins.items()))

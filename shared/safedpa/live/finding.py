@@ -62,13 +62,9 @@ class DriveHistory:
         # A stretch ends before the row whose action is not known.
         stretches = [Stretch(int(begin), int(end)) for begin, end in zip(starts, ends, strict=True) if end - begin > 1]
         for index in range(2, len(self._system.state)):
-            if index in self._system.angles:
-                states[:, index] = _unwrapped(states[:, index])
+            if index in self._system.angles and rows:
+                states[:, index] = np.unwrap(states[:, index])
         return Run(name, self._system, t, states, actions, tuple(stretches))
-
-
-def _unwrapped(angles: FloatArray) -> FloatArray:
-    return np.asarray(np.unwrap(angles)) if len(angles) else angles
 
 
 FIRST_SEARCH: Final = 15.0

@@ -8,11 +8,10 @@ restarted, a new node when the process restarted. Model changes are applied at t
 from __future__ import annotations
 
 import contextlib
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 from safedpa.bus import (
     AbstractNode,
@@ -29,6 +28,7 @@ from safedpa.bus import (
     Topic,
     VerdictMessage,
 )
+from safedpa.bus.messages.messages import header
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode
 from safedpa.replay.tape import RecordedMessage, RobotTape, Stamp
@@ -362,10 +362,7 @@ class ModelChange:
         if sent is not None and (sent.epoch != state.epoch or sent.from_tick <= state.tick):
             return sent
         return ModelMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
+            **header(state),
             step="take",
             change=offer.change,
             fingerprint=offer.fingerprint,
@@ -382,15 +379,8 @@ class ModelChange:
 
 def _pending(status: Answer, state: StateMessage) -> Answer:
     """Converts a status into a pending change to the same model, to be taken now."""
-    return Answer(
-        ok=True,
-        sentence=status.sentence,
-        change=status.change,
-        pending="take",
-        pending_fingerprint=status.fingerprint,
-        pending_document=status.document,
-        pending_margin=status.margin,
-        fingerprint=" ",
-        epoch=state.epoch,
-        from_tick=state.tick,
-    )
+    pending: dict[str, Any] = {
+        f"pending_{name}": getattr(status, name) for name in ("fingerprint", "document", "margin")
+    }
+    none: dict[str, Any] = {"fingerprint": " ", "document": "", "margin": ""}
+    return replace(status, pending="take", epoch=state.epoch, from_tick=state.tick, **none, **pending)

@@ -168,16 +168,13 @@ def replay(
     """
     found = []
     reconstructed: dict[tuple[Topic, int, int], Message] = {}
-    for service in (*((PerceptionNode.name,) if _scans_are_recorded(tape) else ()), *REPLAYED):
+    # Without the scans that perception used, its outputs are accepted as recorded.
+    scans_are_recorded = "scans" in tape.fields.get(SurroundingsMessage, frozenset())
+    for service in (*((PerceptionNode.name,) if scans_are_recorded else ()), *REPLAYED):
         if tape.computed[service] and tape.setups.get(service):
             steps = Driver(tape, service, lambda setup: node_of(setup, folders), reconstructed=reconstructed).run()
             found.append(_OutputComparison(tape, service, window, tolerance).compare(steps, report_progress))
     return Replay(found)
-
-
-def _scans_are_recorded(tape: RobotTape) -> bool:
-    """Whether perception recorded the scans that it used; otherwise its outputs are accepted as recorded."""
-    return "scans" in tape.fields.get(SurroundingsMessage, frozenset())
 
 
 _StepDifferences = list[tuple[Topic, list[Difference]]]

@@ -25,7 +25,7 @@ from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode
 from safedpa.records import McapRecorder
 from safedpa.replay.driver import ReplayedStep
-from safedpa.replay.replay import Difference, Replay, ServiceReplay, UnknownStateSpan
+from safedpa.replay.replay import Replay, ServiceReplay, UnknownStateSpan
 from safedpa.replay.tape import RobotTape, TickGap
 from safedpa.replay.what_if import DecisionPair, WhatIfSummary
 
@@ -34,13 +34,15 @@ _MAX_SHOWN = 10
 
 def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> Iterator[str]:
     """Lines of a report: agreement, or the first differences."""
-    begin, end = tape.seconds()
-    yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_file_names(tape)}"
+    (begin, end), files = tape.seconds(), ", ".join(map(str, tape.files))
+    yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {files}"
     yield from note_lines(tape, assumed)
     yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
     for part in found.services:
         yield from _service_lines(part)
-    differing = sorted((item for part in found.services for item in part.differing), key=_order)
+    differing = sorted(
+        (item for part in found.services for item in part.differing), key=lambda item: (item.robot_time, item.tick)
+    )
     for item in differing[:_MAX_SHOWN]:
         yield (
             f"  tick {item.tick} ({item.robot_time:.2f} s) {item.topic}.{item.field}: "
@@ -55,10 +57,6 @@ def note_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
     """Lines with findings about the recording and the assumptions that replace missing data."""
     yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
     yield from (f"  assumed: {sentence}" for sentence in assumed)
-
-
-def _file_names(tape: RobotTape) -> str:
-    return ", ".join(str(path) for path in tape.files)
 
 
 def _service_lines(part: ServiceReplay) -> Iterator[str]:
@@ -89,10 +87,6 @@ def _conclusion(found: Replay) -> str:
     if any(part.differing for part in found.services):
         return "DIFFERENT"
     return "not confirmed: data are missing, so the memory of a service is unknown to the end"
-
-
-def _order(item: Difference) -> tuple[float, int]:
-    return item.robot_time, item.tick
 
 
 def _short(value: Any) -> str:
@@ -182,44 +176,32 @@ def _side(decision: DecisionPair, *, now: bool) -> dict[str, Any]:
 _COLUMNS = ("status", "h_now", "h_next", "margin", "slack")
 
 
-class ReplayOutputs:
-    """Collects replayed steps, and writes them as a recording."""
+def write_outputs(tape: RobotTape, steps: Sequence[ReplayedStep], path: Path) -> None:
+    """Writes recorded states and setups with the replayed outputs, as a recording that can be replayed itself.
 
-    def __init__(self) -> None:
-        self._steps: list[ReplayedStep] = []
+    Raises InputError unless ``path`` ends in .mcap.
+    """
+    if path.suffix != ".mcap":
+        raise InputError(f"--out {path}: wanted .mcap; a table (.csv) is written with --model, --eta or --margin")
+    with McapRecorder(path) as recorder:
+        for at, topic, message in sorted(_output_messages(tape, steps), key=lambda item: item[0]):
+            key = key_of("replay", tape.robot, topic, getattr(message, "service", ""))
+            recorder.write(key, encode(message), at, _nanoseconds(message))
 
-    def take(self, step: ReplayedStep) -> None:
-        """Collects a step."""
-        self._steps.append(step)
 
-    def leave(self, step: ReplayedStep) -> None:
-        """Ignores a step; used if no output is written."""
-
-    def write(self, tape: RobotTape, path: Path) -> None:
-        """Writes recorded states and setups with the replayed outputs, as a recording that can be replayed itself.
-
-        Raises InputError unless ``path`` ends in .mcap.
-        """
-        if path.suffix != ".mcap":
-            raise InputError(f"--out {path}: wanted .mcap; a table (.csv) is written with --model, --eta or --margin")
-        with McapRecorder(path) as recorder:
-            for at, topic, message in sorted(self._messages(tape), key=lambda item: item[0]):
-                key = key_of("replay", tape.robot, topic, getattr(message, "service", ""))
-                recorder.write(key, encode(message), at, _nanoseconds(message))
-
-    def _messages(self, tape: RobotTape) -> Iterable[tuple[int, Topic, Message]]:
-        """Yields log time, topic and message; outputs of perception are the recorded ones if it was not replayed."""
-        yield from ((at, SETUP, setup) for setups in tape.setups.values() for at, setup in setups)
-        yield from ((_nanoseconds(message), MODEL, message) for message in tape.models)
-        yield from ((_nanoseconds(state), STATE, state) for state in tape.states.values())
-        yield from ((_nanoseconds(scan), SCAN, scan) for scan in map(tape.scan, tape.scans) if scan is not None)
-        if not any(isinstance(step.recorded, SurroundingsMessage) for step in self._steps):
-            recorded = (entry.message for entry in tape.computed[PerceptionNode.name])
-            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in recorded)
-        for step in self._steps:
-            for topic, message in step.outputs.items():
-                traced = _traced(message, step.recorded)
-                yield _nanoseconds(traced), topic, traced
+def _output_messages(tape: RobotTape, steps: Sequence[ReplayedStep]) -> Iterable[tuple[int, Topic, Message]]:
+    """Yields log time, topic and message; outputs of perception are the recorded ones if it was not replayed."""
+    yield from ((at, SETUP, setup) for setups in tape.setups.values() for at, setup in setups)
+    yield from ((_nanoseconds(message), MODEL, message) for message in tape.models)
+    yield from ((_nanoseconds(state), STATE, state) for state in tape.states.values())
+    yield from ((_nanoseconds(scan), SCAN, scan) for scan in map(tape.scan, tape.scans) if scan is not None)
+    if not any(isinstance(step.recorded, SurroundingsMessage) for step in steps):
+        recorded = (entry.message for entry in tape.computed[PerceptionNode.name])
+        yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in recorded)
+    for step in steps:
+        for topic, message in step.outputs.items():
+            traced = _traced(message, step.recorded)
+            yield _nanoseconds(traced), topic, traced
 
 
 def _traced(message: Message, recorded: ComputedMessage | None) -> Message:

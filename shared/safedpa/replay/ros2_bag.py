@@ -57,15 +57,16 @@ def export_bag(recording: Path, out: Path, robot: str | None = None) -> Exported
     diagnostics of every verdict; markers of obstacles and of the predicted path. Raises InputError if ``out`` exists,
     RunError if the recording cannot be used, and RecordingError if the bag cannot be written.
     """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
     if out.exists():
         raise InputError(f"{out}: exists already; name a new folder for the bag")
     findings: list[Finding] = []
     name, first = _robot_in(recording, robot)
     converter = _RosConverter(name, *(_robot_of_setup(recording, name) or (_robot_by_shape(recording, first), None)))
     exported = ExportedBag(name)
-    writer = _writer(out)
     try:
-        with writer:
+        with Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connections: dict[str, Any] = {}
             for topic, message, at, values in _converted(recording, name, converter, findings):
                 if topic not in connections:
@@ -77,12 +78,6 @@ def export_bag(recording: Path, out: Path, robot: str | None = None) -> Exported
         raise RecordingError(f"{out}: cannot be written ({error.strerror}); make room") from error
     exported.findings = [finding.message for finding in findings]
     return exported
-
-
-def _writer(out: Path) -> Any:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    return Writer(out, version=9, storage_plugin=StoragePlugin.MCAP)
 
 
 def _robot_in(recording: Path, robot: str | None) -> tuple[str, StateMessage]:

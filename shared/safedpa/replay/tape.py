@@ -219,14 +219,9 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> RobotTape:
     tape = _select(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
     tape.fields, tape.findings = fields, [*findings, *tape.findings]
     for at, name, setup in setups:
-        if name == tape.robot or _serves(setup, tape.robot):
+        if name == tape.robot or options_of(setup).get("robot", "*") in ("*", tape.robot):
             tape.add_setup(at, setup)
     return tape
-
-
-def _serves(setup: SetupMessage, robot: str) -> bool:
-    """Whether a service serves the robot: all robots, or this one by name."""
-    return options_of(setup).get("robot", "*") in ("*", robot)
 
 
 def options_of(setup: SetupMessage) -> dict[str, Any]:

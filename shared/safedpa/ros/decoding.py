@@ -155,17 +155,19 @@ class Decoder:
             _add_number(program, f"{item.times}{letter}", size, -1)
             return
         for place in [at] if item.times == 0 else [(*at, index) for index in range(item.times)]:
-            self._step()
-            if item.type in NUMBERS:
-                letter, size = NUMBERS[item.type]
-                _add_number(program, letter, size, wanted.get(place, -1))
-            elif item.type == "string":
-                program.append(_Text(wanted.get(place, -1)))
-            elif item.type == "wstring":
-                program.append(_Text(-1, 2))
-            else:
-                for part in self._flatten(item.type, place, wanted):
-                    _append(program, part)
+            self._add_one(program, item.type, place, wanted)
+
+    def _add_one(
+        self, program: list[Any], kind: str, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
+    ) -> None:
+        self._step()
+        if kind in NUMBERS:
+            _add_number(program, *NUMBERS[kind], wanted.get(at, -1))
+        elif kind in ("string", "wstring"):
+            program.append(_Text(wanted.get(at, -1), 1 if kind == "string" else 2))
+        else:
+            for part in self._flatten(kind, at, wanted):
+                _append(program, part)
 
     def _sequence(
         self, item: MessageField, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
@@ -185,14 +187,7 @@ class Decoder:
         self, item: MessageField, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
     ) -> list[Any]:
         program: list[Any] = []
-        self._step()
-        if item.type in NUMBERS:
-            letter, size = NUMBERS[item.type]
-            _add_number(program, letter, size, wanted.get(at, -1))
-        elif item.type in ("string", "wstring"):
-            program.append(_Text(wanted.get(at, -1), 1 if item.type == "string" else 2))
-        else:
-            program = self._flatten(item.type, at, wanted)
+        self._add_one(program, item.type, at, wanted)
         return program
 
     def _step(self) -> None:

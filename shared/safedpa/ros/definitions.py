@@ -122,11 +122,16 @@ def known_fields(ros1: bool = False) -> dict[str, Fields]:
     need("ros", what="reading ROS logs")
     store = importlib.import_module(f"rosbags.typesys.stores.{'ros1_noetic' if ros1 else 'ros2_kilted'}")
     found = {name: _fields(described[1]) for name, described in store.FIELDDEFS.items()}
+    for name, text in shipped_definitions():
+        found.update(parsed(name, text, "ros2msg"))
+    return found
+
+
+def shipped_definitions() -> Iterator[tuple[str, str]]:
+    """Yields name and definition of each message type that is shipped here."""
     for package in sorted((files("safedpa.ros") / "messages").iterdir(), key=lambda folder: folder.name):
         for file in sorted(package.iterdir(), key=lambda item: item.name):
-            name = f"{package.name}/msg/{file.name.removesuffix('.msg')}"
-            found.update(parsed(name, file.read_text(encoding="utf-8"), "ros2msg"))
-    return found
+            yield f"{package.name}/msg/{file.name.removesuffix('.msg')}", file.read_text(encoding="utf-8")
 
 
 def summarize_definition(text: str, form: str) -> tuple[str, int]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import need
 from safedpa.ros.decoding import DecodingError
-from safedpa.ros.definitions import known_fields, plain_type
+from safedpa.ros.definitions import known_fields, plain_type, shipped_definitions
 
 
 @cache
@@ -23,10 +22,8 @@ def type_store() -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_KILTED)
-    for package in sorted((files("safedpa.ros") / "messages").iterdir(), key=lambda folder: folder.name):
-        for file in sorted(package.iterdir(), key=lambda item: item.name):
-            name = f"{package.name}/msg/{file.name.removesuffix('.msg')}"
-            store.register(get_types_from_msg(file.read_text(encoding="utf-8"), name))
+    for name, text in shipped_definitions():
+        store.register(get_types_from_msg(text, name))
     return store
 
 

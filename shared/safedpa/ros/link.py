@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import count
 from typing import Any, Literal, final
 
@@ -76,18 +76,19 @@ class RosLink:
 
     def others_on(self, topic: str, kind: str) -> list[Endpoint]:
         """Queries the endpoints of a topic in other sessions."""
-        own = self.session
-        wanted = f"/{topic.strip('/')}"
-        return [one for one in self.endpoints() if one.topic == wanted and one.kind == kind and one.session != own]
+        return self._others(self.endpoints(), topic, kind)
+
+    def _others(self, endpoints: Iterable[Endpoint], topic: str, kind: str) -> list[Endpoint]:
+        own, wanted = self.session, f"/{topic.strip('/')}"
+        return [one for one in endpoints if one.topic == wanted and one.kind == kind and one.session != own]
 
     def watched(self, topic: str, kind: str) -> list[Endpoint]:
         """Like ``others_on``, but from the tokens received so far; does not block."""
         if self._seen is None:
             self._watch()
-        own, wanted = self.session, f"/{topic.strip('/')}"
         with self._lock:
             seen = list((self._seen or {}).values())
-        return [one for one in seen if one.topic == wanted and one.kind == kind and one.session != own]
+        return self._others(seen, topic, kind)
 
     def _watch(self) -> None:
         import zenoh

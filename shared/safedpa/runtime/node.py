@@ -150,13 +150,10 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
             "stale": stale,
             "time": state.robot_time,
         }
-        ordered = session.ordered = self.orders.reason(robot)
-        if ordered:
-            verdict = session.filter.stop(ordered, state.values, latent, can_stop=session.scene.can_stop, **known)
-        elif state.sources and session.scene.yields_to and not stale:
-            verdict = session.filter.stop(
-                session.scene.yields_to, state.values, latent, can_stop=session.scene.can_stop, **known
-            )
+        session.ordered = self.orders.reason(robot)
+        stops = session.ordered or (session.scene.yields_to if state.sources and not stale else "")
+        if stops:
+            verdict = session.filter.stop(stops, state.values, latent, can_stop=session.scene.can_stop, **known)
         elif holds:
             verdict = session.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:

@@ -60,10 +60,6 @@ def state_too_old(state: StateMessage) -> list[str]:
     return [f"the state (its action acts {state.until_action:g} s later, wanted 0 to {LONGEST_AGE:g} s)"]
 
 
-def _late(state: StateMessage, known: LatentMessage) -> bool:
-    return (state.tick - known.tick) * state.period > _LATENT_TIMEOUT + 0.5 * state.period
-
-
 def _same_scene(one: StateMessage, other: StateMessage) -> bool:
     return not (one.sources or other.sources) and (
         (one.obstacles, one.field, one.footprint, one.corridor, one.towed)
@@ -268,7 +264,8 @@ class RobotSession:
                 return None, [f"the latent (of model {message.model}, the filter has {own})"]
             self.latent = message
         known = self.latent
-        if known is None or known.epoch != state.epoch or _late(state, known):
+        timeout = _LATENT_TIMEOUT + 0.5 * state.period
+        if known is None or known.epoch != state.epoch or (state.tick - known.tick) * state.period > timeout:
             return None, ["the latent (none of the last second has arrived)"]
         latent = np.array(known.values)
         if not isinstance(checked_input("latent", latent, self.filter.tools.latent_range), InvalidInput):
@@ -320,15 +317,7 @@ class RobotSession:
             ahead = self.history.predict(action, known, self.pending, steps)
             after = model.felt(action, self.memory, known, period=state.period)[1] if self.memory else self.memory
             return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
-        step = model.scalar_step(state.period)
-        free = model.latent if latent is None else latent
-        if step is not None and (
-            rows := rollout_held_action(step, state.values, verdict.action, free, state.robot_time, state.period, steps)
-        ):
-            return rows, self.memory
-        values = np.array(state.values)
-        found, memory = model.rollout_held(values, verdict.action, self.memory, latent, steps, period=state.period)
-        return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
+        return self._rollout(state, verdict.action, latent, steps)
 
     def watch_deadlock(self, state: StateMessage, predicted: Rows) -> None:
         """Gives the deadlock detector the predictions under the nominal action and under the sent action."""
@@ -415,17 +404,21 @@ class RobotSession:
 
     def _next(self, state: StateMessage, action: FloatArray, latent: FloatArray | None) -> Rows:
         """Predicts one state under an action; empty if that is not possible."""
-        model = self.model
-        if len(state.values) != len(model.system.state):
-            return ()
-        free = model.latent if latent is None else latent
+        known = len(state.values) == len(self.model.system.state)
+        return self._rollout(state, action, latent, 1)[0] if known else ()
+
+    def _rollout(
+        self, state: StateMessage, action: FloatArray, latent: FloatArray | None, steps: int
+    ) -> tuple[Rows, Any]:
+        model, free = self.model, self.model.latent if latent is None else latent
         step = model.scalar_step(state.period)
         if step is not None and (
-            rows := rollout_held_action(step, state.values, action, free, state.robot_time, state.period, 1)
+            rows := rollout_held_action(step, state.values, action, free, state.robot_time, state.period, steps)
         ):
-            return rows
-        found, _ = model.rollout_held(np.array(state.values), action, self.memory, latent, 1, period=state.period)
-        return tuple(map(tuple, found)) if np.isfinite(found).all() else ()
+            return rows, self.memory
+        values = np.array(state.values)
+        found, memory = model.rollout_held(values, action, self.memory, latent, steps, period=state.period)
+        return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
 
     def last_resort(self, state: StateMessage) -> FloatArray:
         """Returns the action after a failed step: the scene's backup at this state, otherwise the resting action.

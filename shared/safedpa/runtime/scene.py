@@ -59,7 +59,6 @@ class AbstractScene(ABC):
         ``epsilon`` has the active margins by kind; ``late`` [s] passes until an action acts. Both determine which
         objects are too far away to matter.
         """
-        del seen, epsilon, late
         return f"scene (sources {', '.join(state.sources)}: this robot's barriers do not support sensors)"
 
     def follow(self, state: StateMessage) -> None:
@@ -84,17 +83,6 @@ class DeclaredScene(AbstractScene):
         self._latent: FloatArray | None = None
         self.can_stop = robot.can_stop
         self.backup = self._backup
-
-    def around(
-        self,
-        state: StateMessage,
-        seen: SurroundingsMessage,
-        epsilon: Mapping[str, float] | None = None,
-        late: float = 0.0,
-    ) -> AbstractBarrierSet | str:
-        """Not supported: the barriers that a robot declares use the obstacles of its state message."""
-        del seen, epsilon, late
-        return f"scene (sources {', '.join(state.sources)}: this robot's barriers do not support sensors)"
 
     def learn(self, latent: FloatArray | None) -> None:  # noqa: D102
         self._latent = latent
@@ -143,23 +131,14 @@ def _no_names(system: System) -> str:
     )
 
 
-Rows = tuple[tuple[float, ...], ...]
-
-
 def propagate_obstacles(seen: SurroundingsMessage, seconds: float) -> SurroundingsMessage:
     """Enlarges everything that may move by the distance it may travel in ``seconds``, until an action takes effect."""
     if seconds <= 0.0:
         return seen
-    movers, hidden = (tuple(_inflated(row, width, seconds) for row in rows) for rows, width in _propagated(seen))
-    return replace(seen, movers=movers, hidden=hidden)
 
+    def enlarged(row: tuple[float, ...], width: int) -> tuple[float, ...]:
+        # (x, y, radius, ..., speed). A row of another width is left as it is; the scene reports the error.
+        return row if len(row) != width else (*row[:2], row[2] + row[-1] * seconds, *row[3:])
 
-def _propagated(seen: SurroundingsMessage) -> tuple[tuple[Rows, int], tuple[Rows, int]]:
-    """Returns the rows (x, y, radius, ..., speed) of everything that may move, with the required length of a row."""
-    return (seen.movers, 6), (seen.hidden, 4)
-
-
-def _inflated(row: tuple[float, ...], width: int, seconds: float) -> tuple[float, ...]:
-    """Enlarges one row."""
-    # A row of another width is left as it is; the scene reports the error.
-    return row if len(row) != width else (*row[:2], row[2] + row[-1] * seconds, *row[3:])
+    movers, hidden = (enlarged(row, 6) for row in seen.movers), (enlarged(row, 4) for row in seen.hidden)
+    return replace(seen, movers=tuple(movers), hidden=tuple(hidden))

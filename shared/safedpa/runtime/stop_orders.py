@@ -56,7 +56,9 @@ class StopOrders:
         Raises InputError for any other request.
         """
         if request.do == "status":
-            return Answer(ok=True, sentence=self._reported(robot))
+            reason = self.reason(robot)
+            how = f"is stopped, {reason}" if reason else f"may drive{self._others()}"
+            return Answer(ok=True, sentence=f"{_named(robot)} {how}")
         if request.do not in ("stop", "go"):
             raise InputError(f"order '{request.do}': wanted stop, go or status")
         with self._lock:
@@ -79,10 +81,6 @@ class StopOrders:
     def _others(self) -> str:
         single = sorted(name for name in self._active if name != EVERYBODY)
         return f"; still stopped: {', '.join(single)}" if single else ""
-
-    def _reported(self, robot: str) -> str:
-        reason = self.reason(robot)
-        return f"{_named(robot)} is stopped, {reason}" if reason else f"{_named(robot)} may drive{self._others()}"
 
     def _how_long(self, problem: str) -> str:
         if self._path is None:

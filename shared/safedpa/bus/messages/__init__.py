@@ -2,5 +2,5 @@
 
 ``messages`` defines the message types, ``topics`` the table of topics, ``requests`` the questions and answers of
 services, ``codec`` the strict conversion to and from msgpack. ``service_info`` describes a process for recordings and
-``key_stamp`` detects misrouted messages. Read ``messages.py`` and ``topics.py`` first.
+Read ``messages.py`` and ``topics.py`` first.
 """

@@ -41,7 +41,9 @@ def robot_alerts(robot: RobotOverview, now: float) -> list[Alert]:
     # The last heartbeat of a robot that was shut down properly: its silence is not trouble.
     if own is not None and own[0].state == "braked" and robot.silent_for(now) > 0.5:
         return [Alert("attention", "was shut down", robot.name)]
-    found = [*_about_driving(robot, now), *_about_services(robot, now), *_about_model(robot)]
+    found, finding = [*_about_driving(robot, now), *_about_services(robot, now)], robot.finding
+    if finding is not None and finding.stage not in ("learning", "watching"):
+        found.append(Alert("attention", f"{finding.stage}: {finding.sentence}", robot.name, "diagnosis"))
     return sorted(found, key=lambda alert: alert.level != "trouble")
 
 
@@ -131,12 +133,6 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
     if len({model for model in models.values() if model}) > 1:
         reported = ", ".join(f"{service} {model}" for service, model in models.items())
         yield Alert("trouble", f"services use different models: {reported}", robot.name)
-
-
-def _about_model(robot: RobotOverview) -> Iterator[Alert]:
-    finding = robot.finding
-    if finding is not None and finding.stage not in ("learning", "watching"):
-        yield Alert("attention", f"{finding.stage}: {finding.sentence}", robot.name, "diagnosis")
 
 
 def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Alert]:

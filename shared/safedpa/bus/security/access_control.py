@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from safedpa.bus.messages.key_stamp import STAMP_BYTES
 from safedpa.bus.messages.requests import AGREED, ORDER, REQUEST, SENSE, STATUS, request_key
 from safedpa.bus.messages.topics import (
     ACTION,
@@ -23,6 +22,7 @@ from safedpa.bus.messages.topics import (
     NO_ROBOT,
     NOMINAL,
     SCAN,
+    STAMP_BYTES,
     STATE,
     SURROUNDINGS,
     TAKEOVER,
@@ -96,15 +96,9 @@ ROLES: dict[str, Role] = {
 """Every role but the router's own, by name."""
 
 
-@dataclass(frozen=True)
-class _AccessRule:
-    """A right of a role in Zenoh's terms: types of messages that may flow in one direction under some keys."""
-
-    what: str
-    messages: tuple[str, ...]
-    flow: str
-    """``ingress``: from the client to the router; ``egress``: from the router to the client."""
-    keys: tuple[str, ...]
+_Right = tuple[str, tuple[str, ...], str, tuple[str, ...]]
+"""A right in Zenoh's terms: its name, the types of messages that may flow, ``ingress`` from the client to the router or
+``egress`` to the client, and the keys."""
 
 
 def role_of_robot(name: str) -> str:
@@ -143,13 +137,13 @@ def access_control(
     rules: list[dict[str, Any]] = []
     policies = []
     for subject, rights in (*_subjects(fleet, names), *_links(fleet, links)):
-        own = [_rule(f"{subject} {right.what}", right) for right in rights if right.keys]
+        own = [_rule(subject, right) for right in rights if right[3]]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [subject]})
     return {
         "enabled": True,  # without this key, Zenoh 1.10 permits everything, without a warning
         "default_permission": "deny",
-        "rules": [*rules, _rule(_EVERYBODY, _NOTHING)],
+        "rules": [*rules, _rule("", _NOTHING)],
         "subjects": [
             *({"id": name, "cert_common_names": [name]} for name in (*roles_of(names), *links)),
             {"id": _EVERYBODY, "link_protocols": ["tls"]},
@@ -161,10 +155,10 @@ def access_control(
 _EVERYBODY = "everybody"
 # A rule for a key that does not exist, granted to every TLS client. Zenoh's log names the client of a denied message
 # only if at least one rule applies to that client.
-_NOTHING = _AccessRule("", ("query",), _IN, ("safedpa/-/-/nothing",))
+_NOTHING: _Right = (_EVERYBODY, ("query",), _IN, ("safedpa/-/-/nothing",))
 
 
-def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_AccessRule]]]:
+def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_Right]]]:
     for robot in robots:
         yield role_of_robot(robot), _rights(ROLES[ROBOT], fleet, (robot,), robot)
     for role in ROLES.values():
@@ -172,7 +166,7 @@ def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_
             yield role.name, _rights(role, fleet, (*robots, BUNDLE, NO_ROBOT), "*")
 
 
-def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_AccessRule]]]:
+def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_Right]]]:
     yield ROUTER, _rights_of_a_router(fleet, ())
     for name, robots in links.items():
         check_names(fleet, robots)
@@ -181,17 +175,13 @@ def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[s
         yield name, _rights_of_a_router(fleet, robots)
 
 
-def _rule(name: str, right: _AccessRule) -> dict[str, Any]:
-    return {
-        "id": name,
-        "permission": "allow",
-        "messages": list(right.messages),
-        "flows": [right.flow],
-        "key_exprs": list(right.keys),
-    }
+def _rule(subject: str, right: _Right) -> dict[str, Any]:
+    what, messages, flow, keys = right
+    content = {"messages": list(messages), "flows": [flow], "key_exprs": list(keys)}
+    return {"id": f"{subject} {what}".strip(), "permission": "allow", **content}
 
 
-def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) -> list[_AccessRule]:
+def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) -> list[_Right]:
     """Returns the rights of a role that writes for some robots and reads of one robot, or with ``*`` of all."""
     puts = tuple(
         key_of(fleet, robot, topic, role.name)
@@ -212,17 +202,17 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
     lives = (_alive(fleet, writes_for[-1], role.name),) if role.lives else ()
     looks = (_alive(fleet, reads_of, role.name if reads_of != "*" else "*"),) if role.looks else ()
     return [
-        _AccessRule("puts", ("put",), _IN, puts),
-        _AccessRule("learns who reads", ("declare_subscriber",), _OUT, written),
-        _AccessRule("subscribes", ("declare_subscriber",), _IN, reads),
-        _AccessRule("reads", ("put",), _OUT, reads),
-        _AccessRule("asks", ("query",), _IN, asks),
-        _AccessRule("is answered", ("reply", "declare_queryable"), _OUT, asks),
-        _AccessRule("answers", ("reply", "declare_queryable"), _IN, answers),
-        _AccessRule("is asked", ("query",), _OUT, answers),
-        _AccessRule("lives", ("liveliness_token",), _IN, lives),
-        _AccessRule("looks", ("liveliness_query", "declare_liveliness_subscriber"), _IN, looks),
-        _AccessRule("sees", ("liveliness_token",), _OUT, looks),
+        ("puts", ("put",), _IN, puts),
+        ("learns who reads", ("declare_subscriber",), _OUT, written),
+        ("subscribes", ("declare_subscriber",), _IN, reads),
+        ("reads", ("put",), _OUT, reads),
+        ("asks", ("query",), _IN, asks),
+        ("is answered", ("reply", "declare_queryable"), _OUT, asks),
+        ("answers", ("reply", "declare_queryable"), _IN, answers),
+        ("is asked", ("query",), _OUT, answers),
+        ("lives", ("liveliness_token",), _IN, lives),
+        ("looks", ("liveliness_query", "declare_liveliness_subscriber"), _IN, looks),
+        ("sees", ("liveliness_token",), _OUT, looks),
     ]
 
 
@@ -242,7 +232,7 @@ def _alive(fleet: str, robot: str, service: str) -> str:
     return f"safedpa/{fleet}/{robot}/alive/{service}/*"
 
 
-def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule]:
+def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_Right]:
     """Returns the rights of another router of the same fleet, which enforces the rights of its own clients.
 
     With ``robots`` it may forward the messages of these robots only, but still all declarations of its clients.
@@ -250,9 +240,9 @@ def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule
     everything = (f"safedpa/{fleet}/**",)
     brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NO_ROBOT)) if robots else everything
     return [
-        _AccessRule("brings", _DATA, _IN, brings),
-        _AccessRule("wants", _DECLARATIONS, _IN, everything),
-        _AccessRule("takes away", (*_DATA, *_DECLARATIONS), _OUT, everything),
+        ("brings", _DATA, _IN, brings),
+        ("wants", _DECLARATIONS, _IN, everything),
+        ("takes away", (*_DATA, *_DECLARATIONS), _OUT, everything),
     ]
 
 

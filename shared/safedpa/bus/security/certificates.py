@@ -74,15 +74,7 @@ class Certificates:
 
     def tls(self) -> dict[str, str]:
         """Returns Zenoh's settings for these files."""
-        certificate, key = str(self.certificate), str(self.key)
-        # The same certificate for both directions: its extended key usage decides whether it may accept connections.
-        return {
-            "root_ca_certificate": str(self.authority),
-            "listen_private_key": key,
-            "listen_certificate": certificate,
-            "connect_private_key": key,
-            "connect_certificate": certificate,
-        }
+        return _tls_settings(str(self.authority), str(self.certificate), str(self.key))
 
 
 @final
@@ -110,7 +102,7 @@ class PemCredentials:
         except OSError as error:
             raise BusError(f"--card {descriptor}: {error.strerror}; only a supervisor sets this option") from error
         parts = content.split(b"\0")  # PEM is text without NUL
-        if len(parts) != _PARTS or not all(part.startswith(b"-----BEGIN ") for part in parts):
+        if len(parts) != 3 or not all(part.startswith(b"-----BEGIN ") for part in parts):
             raise BusError(
                 f"--card {descriptor}: got {len(content)} bytes, wanted authority, certificate and key in PEM format; "
                 "only a supervisor sets this option"
@@ -130,19 +122,14 @@ class PemCredentials:
 
     def tls(self) -> dict[str, str]:
         """Returns Zenoh's settings for these credentials."""
-        authority, certificate, key = (
-            base64.b64encode(part).decode() for part in (self.authority, self.certificate, self.key)
-        )
-        return {
-            "root_ca_certificate_base64": authority,
-            "listen_private_key_base64": key,
-            "listen_certificate_base64": certificate,
-            "connect_private_key_base64": key,
-            "connect_certificate_base64": certificate,
-        }
+        parts = (base64.b64encode(part).decode() for part in (self.authority, self.certificate, self.key))
+        return {f"{name}_base64": value for name, value in _tls_settings(*parts).items()}
 
 
-_PARTS = 3
+def _tls_settings(authority: str, certificate: str, key: str) -> dict[str, str]:
+    # The same certificate for both directions: its extended key usage decides whether it may accept connections.
+    own = {f"{way}_certificate": certificate for way in ("listen", "connect")}
+    return {"root_ca_certificate": authority, **own, **{f"{way}_private_key": key for way in ("listen", "connect")}}
 
 
 def protect_process_memory() -> bool:

@@ -180,22 +180,13 @@ class ConnectionReaper:
                 log_event("bus.strangers_cut_off", sentence, level="warning", count=self._cut)
                 self._cut, self._reported = 0, self._clock()
 
-    def _connections(self) -> Iterable[tuple[int, Address]]:
+    def _connections(self) -> Iterator[tuple[int, Address]]:
+        """Yields descriptor and remote address of each connection to the watched ports."""
         for descriptor in _sockets():
-            peer = self._peer(descriptor)
-            if peer is not None:
-                yield descriptor, peer
-
-    def _peer(self, descriptor: int) -> Address | None:
-        """Returns the remote address of a connection to the watched ports; None for other descriptors."""
-        try:
-            with _borrowed(descriptor) as found:
+            with contextlib.suppress(OSError, IndexError), _borrowed(descriptor) as found:
                 if found.family in _INTERNET and found.getsockname()[1] in self._ports:
                     address = found.getpeername()
-                    return address[0], address[1]
-        except (OSError, IndexError):
-            return None
-        return None
+                    yield descriptor, (address[0], address[1])
 
 
 _INTERNET = (socket.AF_INET, socket.AF_INET6)

@@ -83,13 +83,15 @@ class ModelVersions(Generic[Held]):
 
     def of(self, robot: str) -> Held:
         """Returns the active model of the robot."""
-        known = self._robots.get(robot)
-        return self._first.held if known is None else known.version.held
+        return self._version(robot).held
 
     def fingerprint(self, robot: str) -> str:
         """Returns the fingerprint of the robot's active model."""
+        return self._version(robot).fingerprint
+
+    def _version(self, robot: str) -> _Version[Held]:
         known = self._robots.get(robot)
-        return self._first.fingerprint if known is None else known.version.fingerprint
+        return self._first if known is None else known.version
 
     def prepared(self, robot: str) -> Held | None:
         """Returns the offered model that is ready but not active yet."""
@@ -98,9 +100,8 @@ class ModelVersions(Generic[Held]):
 
     def agreed(self, robot: str) -> Answer | None:
         """Returns the active model for a service that was restarted; None if it was not agreed with others."""
-        known = self._robots.get(robot)
-        version = None if known is None else known.version
-        if version is None or not version.document:
+        version = self._version(robot)
+        if not version.document:
             return None
         return Answer(
             ok=True,
@@ -219,12 +220,12 @@ class ModelVersions(Generic[Held]):
         offer = known.offer
         if offer is None:
             return
-        if self.submit is not None and not self._has(known, offer):
+        if self.submit is not None and self._loaded(known, offer) is None:
             if known.ticket is None:
-                problem = _too_large(offer)
-                if problem:
+                longest = max(len(offer.document), len(offer.margin))
+                if longest > limit("offer_bytes"):
                     known.offer = None
-                    known.answers.append((offer, "refused", problem))
+                    known.answers.append((offer, "refused", str(too_much("offer_bytes", f"{longest} characters"))))
                     return
                 known.ticket = self.submit(robot, offer)
             outcome = known.ticket.outcome(wait=wait) if wait or self._clock() >= self._next_load else None
@@ -247,16 +248,16 @@ class ModelVersions(Generic[Held]):
             reported = "" if self._predict_effect is None else self._predict_effect(robot, known.prepared.held)
             known.answers.append((offer, "ready", reported[:_LONGEST_REASON]))
 
-    def _has(self, known: _RobotModels[Held], offer: ModelMessage) -> bool:
-        return any(_same(version, offer.fingerprint, offer.margin) for version in (known.version, self._first))
+    def _loaded(self, known: _RobotModels[Held], offer: ModelMessage) -> _Version[Held] | None:
+        """Returns the version that is already loaded for an offer, as in a roll-back to the initial model."""
+        wanted = (offer.fingerprint, offer.margin)
+        both = (known.version, self._first)
+        return next((version for version in both if (version.fingerprint, version.margin) == wanted), None)
 
     def _made(self, robot: str, known: _RobotModels[Held], offer: ModelMessage) -> _Version[Held] | None:
-        for version in (known.version, self._first):
-            if _same(version, offer.fingerprint, offer.margin):
-                # Already loaded, as in a roll-back to the initial model. Only the number of the change is new.
-                return _Version(version.held, offer.fingerprint, offer.margin, offer.change, offer.document)
+        loaded = self._loaded(known, offer)
         try:
-            held = self._load(robot, offer)
+            held = self._load(robot, offer) if loaded is None else loaded.held
             return _Version(held, offer.fingerprint, offer.margin, offer.change, offer.document)
         except Exception as error:  # noqa: BLE001
             # A foreign document may cause any exception. The robot continues with its active model.
@@ -295,16 +296,6 @@ class ModelNode(AbstractNode, Generic[Held]):
         """Prepares an offered model and returns the answer to send, if any; call it in ``afterwards``."""
         answer = self._versions.answer(robot, state)
         return {} if answer is None else {TAKEOVER: answer}
-
-
-def _too_large(offer: ModelMessage) -> str:
-    """Returns why an offer is too large for the sandbox; empty if it is not."""
-    longest = max(len(offer.document), len(offer.margin))
-    return str(too_much("offer_bytes", f"{longest} characters")) if longest > limit("offer_bytes") else ""
-
-
-def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:
-    return (version.fingerprint, version.margin) == (fingerprint, margin)
 
 
 def _is(version: _Version[Held] | None, message: ModelMessage) -> bool:

@@ -76,7 +76,6 @@ class AbstractNode(ABC):
 
     def afterwards(self, robot: str) -> Outputs:
         """Computes outputs of the same tick that are not urgent; called after the outputs of ``step`` were sent."""
-        del robot
         return {}
 
     def hear(self, robot: str, message: Message) -> None:
@@ -89,7 +88,6 @@ class AbstractNode(ABC):
 
     def newest(self, robot: str) -> StateMessage | None:
         """Returns the robot's newest state, at which an offered model is tried; None without one."""
-        del robot
         return None
 
     def adopt_model(self, robot: str, status: Answer | None) -> None:
@@ -104,12 +102,10 @@ class AbstractNode(ABC):
 
         Called on any thread, when another service was restarted and the diagnosis does not answer.
         """
-        del robot
         return None
 
     def model_of(self, robot: str) -> str:
         """Returns the fingerprint of the active model of a robot, for heartbeats; empty without a model."""
-        del robot
         return ""
 
     def begin_shutdown(self) -> None:
@@ -118,7 +114,6 @@ class AbstractNode(ABC):
 
     def at_rest(self, robot: str) -> bool:
         """Whether a robot no longer needs this service; called after ``begin_shutdown``."""
-        del robot
         return True
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
@@ -126,7 +121,6 @@ class AbstractNode(ABC):
 
         It must not depend on what may have failed, such as the node's data of the robot or the model.
         """
-        del robot, state, reason
         return {}
 
     def forget(self, robot: str) -> None:

@@ -203,7 +203,9 @@ def run_process(
     stop = StopSignal()
     stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:
-        _ask_for_real_time(urgency)
+        # SCHED_FIFO needs CAP_SYS_NICE or an rtprio limit. Without it the process works all the same, with more jitter.
+        with contextlib.suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency))
     if options.supervised:
         threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
     try:
@@ -212,13 +214,6 @@ def run_process(
         code = EXIT_NOT_LET_IN if isinstance(error, JoinError) else EXIT_BAD_INPUT
         sys.stderr.write(f"{parser.prog}: {readable(' '.join(str(error).split()), 2000)}\n")
     _leave(code)
-
-
-def _ask_for_real_time(urgency: RealtimePriority) -> None:
-    """Runs this process before ordinary processes and those of lower urgency, if the system permits it."""
-    # SCHED_FIFO needs CAP_SYS_NICE or an rtprio limit. Without it the process works all the same, with more jitter.
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency))
 
 
 def _watch_supervisor(stop: StopSignal) -> None:

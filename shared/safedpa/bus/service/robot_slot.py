@@ -121,8 +121,11 @@ class RobotSlot:
         # No slack in lockstep: experiments must be reproducible, whatever the timing.
         slack = _NO_SLACK if self.state.lockstep else slack
         # Called for every message; a loop takes half the time of `all` with a generator.
-        for topic in topics:  # noqa: SIM110
-            if not _fits(self.inputs.get(topic), self.state, slack.get(topic, 0)):
+        for topic in topics:
+            message = self.inputs.get(topic)
+            if message is None or message.epoch != self.state.epoch:
+                return False
+            if not 0 <= self.state.tick - message.tick <= slack.get(topic, 0):
                 return False
         return True
 
@@ -148,10 +151,6 @@ class RobotSlot:
             else:
                 found[topic] = message
         return found
-
-
-def _fits(message: Message | None, state: StateMessage, slack: int) -> bool:
-    return message is not None and message.epoch == state.epoch and 0 <= state.tick - message.tick <= slack
 
 
 def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: int) -> Message | Stale:

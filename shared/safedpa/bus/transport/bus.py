@@ -7,13 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.codec import Entry, decode, encode, pack_bundle, split_into_bundles
 from safedpa.bus.messages.messages import HealthMessage, Message, header
 from safedpa.bus.messages.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
 from safedpa.bus.messages.service_info import software_version
 from safedpa.bus.messages.topics import BUNDLE, HEALTH, NO_ROBOT, Topic, key_of
 from safedpa.bus.transport.base import AbstractTransport
-from safedpa.bus.transport.batching import Entry, pack_bundle, split_into_bundles
 from safedpa.bus.transport.inbox import Decode, Inbox, InboxReceiver, RequestOutcome
 from safedpa.errors import BusError, InputError, MessageError
 
@@ -154,7 +153,6 @@ class Bus:
         """Answers other services with ``agreed(robot)``, called on any thread; None: this service does not know."""
 
         def on_question(key: str, payload: bytes) -> bytes | None:
-            del payload
             try:
                 answer = agreed(robot_of_request(key))
             except InputError:

@@ -15,12 +15,11 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any, NamedTuple, final
 
-from safedpa.bus.messages.codec import decode
+from safedpa.bus.messages.codec import decode, unpack_bundle
 from safedpa.bus.messages.messages import Message
 from safedpa.bus.messages.requests import Answer
 from safedpa.bus.messages.topics import BUNDLE, TOPICS, Topic, key_of, topic_of
 from safedpa.bus.transport.base import Subscription
-from safedpa.bus.transport.batching import unpack_bundle
 from safedpa.errors import InputError, MessageError
 
 # Limits of one inbox. A service that reads its inbox is far below them: 1000 robots at 20 Hz reach 100 000 messages
@@ -206,12 +205,9 @@ class Inbox:
         self._queued += 1
         self._queued_bytes += len(retained)
         while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
-            self._drop_one()
-
-    def _drop_one(self) -> None:
-        """Drops the oldest message of the key with the most bytes waiting."""
-        self._pop(max(self._queues, key=lambda name: self._queues[name].size))
-        self.dropped += 1
+            # The oldest message of the key with the most bytes waiting.
+            self._pop(max(self._queues, key=lambda name: self._queues[name].size))
+            self.dropped += 1
 
     def _pop(self, key: str) -> tuple[bytes, float]:
         queue = self._queues[key]

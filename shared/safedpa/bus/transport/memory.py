@@ -32,7 +32,6 @@ class MemoryTransport(AbstractTransport):
         self._closed = False
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
-        del never_drop
         if self._closed:
             raise BusError(f"{key}: the bus was closed; open another one to send")
         # A copy: a subscriber may subscribe or close in its callback.
@@ -54,7 +53,6 @@ class MemoryTransport(AbstractTransport):
         self._broker.answerers.append((self, key_expression, on_question))
 
     def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:  # noqa: D102
-        del timeout
         if self._closed:
             raise BusError(f"{key}: the bus was closed; open another one to ask")
         asked = [on_question for _, expression, on_question in self._broker.answerers if _matches(expression, key)]

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.key_stamp import is_misrouted, key_stamp
+from safedpa.bus.messages.topics import is_misrouted, key_stamp
 from safedpa.bus.security.certificates import Certificates, PemCredentials
 from safedpa.bus.security.connection_reaper import ConnectionReaper, cut_off, defer_accept, listening_ports
 from safedpa.bus.transport.base import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription

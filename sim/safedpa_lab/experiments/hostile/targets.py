@@ -24,10 +24,9 @@ import msgpack
 import numpy as np
 
 from safedpa.bus import HealthMessage, ModelMessage, StateMessage
-from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.codec import decode, encode, pack_bundle, unpack_bundle
 from safedpa.bus.messages.requests import Answer, Request
 from safedpa.bus.messages.topics import topic_of
-from safedpa.bus.transport.batching import pack_bundle, unpack_bundle
 from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import SafedpaError
@@ -175,16 +174,9 @@ def _parquet() -> bytes:
 
 
 def _mcap(folder: Path) -> bytes:
-    from mcap.writer import Writer
-
     path = folder / "seed.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=4096)
-        writer.start()
-        channel = writer.register_channel("safedpa/fleet/r1/state", "msgpack", schema_id=0)
-        for tick in range(60):
-            writer.add_message(channel, tick * 50_000_000, encode(state_at(tick)), tick * 50_000_000)
-        writer.finish()
+    key = "safedpa/fleet/r1/state"
+    written([(key, tick * 50_000_000, encode(state_at(tick))) for tick in range(60)], path, 4096)
     return path.read_bytes()
 
 
@@ -334,12 +326,12 @@ def _other_json(chance: random.Random, text: str) -> str:
     return json.dumps(table)
 
 
-def written(messages: Sequence[Recorded], path: Path) -> None:
+def written(messages: Sequence[Recorded], path: Path, chunk: int = 1 << 16) -> None:
     """A recording of these messages, as the recorder writes one."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 16)
+        writer = Writer(file, chunk_size=chunk)
         writer.start()
         channels: dict[str, int] = {}
         for key, at, payload in messages:
