@@ -290,8 +290,8 @@ def test_an_empty_bag_and_an_empty_topic(tmp_path: Path) -> None:
 
 
 def test_a_file_of_another_program_is_named_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_bytes(gzip.compress(b"t,x\n"))
-    assert "is packed by gzip; unpack it: gunzip" in one_line(tmp_path / "a.csv")
+    (tmp_path / "a.ulg.gz").write_bytes(gzip.compress(b"ULog\x01\x12\x35\x01"))
+    assert "is packed by gzip and no CSV file; unpack it: gunzip" in one_line(tmp_path / "a.ulg.gz")
     with zipfile.ZipFile(tmp_path / "a.xlsx", "w") as archive:
         archive.writestr("x", "1")
     assert "is a zip archive, or a spreadsheet" in one_line(tmp_path / "a.xlsx")

@@ -1,5 +1,8 @@
 """Tables as people bring them: stray quotation marks, other encodings, decimal commas, blank lines, nanoseconds."""
 
+import io
+import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -138,3 +141,45 @@ def test_a_shifted_angle_goes_the_short_way_round(tmp_path: Path, whole: float) 
     run = shifted(tmp_path / "drive.csv", rows, "yaw", f"{unit}, shift = 0.02")
     np.testing.assert_allclose(run.states[:, 2], run.t + 0.02, atol=1e-6)
     assert [len(part) for part in run.stretches] == [199]
+
+
+def test_a_named_pipe_and_standard_input_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = written(tmp_path / "drive.csv", [HEADER, *LINES]).read_bytes()
+    os.mkfifo(tmp_path / "pipe.csv")
+    writer = threading.Thread(target=(tmp_path / "pipe.csv").write_bytes, args=(content,))
+    writer.start()
+    piped = load_run(tmp_path / "pipe.csv", CAR)
+    writer.join()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
+    read = load_run("-", CAR)
+    assert (piped.name, read.name, len(piped.t), len(read.t)) == ("pipe", "stdin", 100, 100)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"t,x\n0,1\n")))
+    with pytest.raises(RunError, match=r"^-: column 'y' is missing"):
+        load_run("-", CAR)
+
+
+def two_rates(path: Path, hold: str) -> Run:
+    """A row for each state, and one 5 ms before every fourth with the command alone."""
+    lines = []
+    for number, values in enumerate(ROWS):
+        t, *states, target, steer = map(repr, map(float, values))
+        lines += [f"{float(t) - 0.005},,,,,{target},{steer}"] if number % 4 == 0 else []
+        lines.append(",".join([t, *states, "", ""]))
+    names = [f'{name} = {{ from = "{name}"{hold if name in NAMES[5:] else ""} }}' for name in NAMES]
+    return load_run(
+        written(path, [HEADER, *lines]),
+        CAR,
+        parse_column_map("\n".join(['format = 1\nrobot = "car"\n[columns]', *names])),
+    )
+
+
+@pytest.mark.parametrize(("hold", "rows"), [("", 100), (", hold = 0.3", 100), (", hold = 0.1", 50)])
+def test_columns_of_another_rate_are_held(hold: str, rows: int, tmp_path: Path) -> None:
+    """A command is 5, 55, 105 or 155 ms old; with a hold of 0.1 s two rows of four remain, too few in a row."""
+    if rows < 100:
+        with pytest.raises(RunError, match="no usable stretch"):
+            two_rates(tmp_path / "drive.csv", hold)
+        return
+    run = two_rates(tmp_path / "drive.csv", hold)
+    assert [item.count for item in run.findings if item.kind == "joined_rates"] == [25]
+    assert run.actions[:, 0].tolist() == [ROWS[number - number % 4][5] for number in range(100)]

@@ -1,5 +1,6 @@
 """CSV and Parquet tables: headers, separators, cells that are no numbers, and the limits."""
 
+import gzip
 import struct
 from pathlib import Path
 
@@ -71,9 +72,32 @@ BAD_LINE, COMMENT, COMMA = "malformed_line", "comment_lines", "decimal_comma"
         pytest.param('# a,"b\nt,x\n\n0,1\n1,2\n', [1.0, 2.0], [COMMENT], id="a quotation mark in a comment"),
         pytest.param("t,x,note\n0,1,a\n1,2,b\n", [1.0, 2.0], [], id="a column of words"),
         pytest.param("t,x\n0,05\n0,1\n", [5.0, 1.0], [], id="as many cells as the header"),
+        pytest.param('"t";"x";"a, b"\n0;1;2\n', [1.0], [], id="a name with a comma between semicolons"),
+        pytest.param('t,x\n"0,5","1,5"\n', [1.5], [COMMA], id="quoted decimal commas between commas"),
+        pytest.param(
+            "t;x\n" + "0;1\n" * 99 + "1,5;2,5\n" + "2;3\n" * 99,
+            [1.0] * 99 + [2.5] + [3.0] * 99,
+            [COMMA],
+            id="one decimal comma",
+        ),
+        pytest.param("t,x\n0,1,\n1,2,\n", [1.0, 2.0], [], id="a delimiter at the end of rows"),
+        pytest.param("t,x,\n0,1\n1,2\n", [1.0, 2.0], [], id="a delimiter at the end of the header"),
+        pytest.param(" t , x \n0, 1\n", [1.0], [], id="blanks around names"),
+        pytest.param("t|x\n0|1\n", [1.0], [], id="pipes"),
+        pytest.param("  t    x\n  0  1.5\n 10  2.5 \n", [1.5, 2.5], [], id="columns of blanks"),
+        pytest.param("s t,x\ns,m\n0,1\n".replace("s t", "t"), [1.0], [COMMENT], id="a line of units"),
+        pytest.param("t,x\n0,1\nt,x\n0,2\n1,3\n", [1.0, 2.0, 3.0], [BAD_LINE], id="the header again"),
+        pytest.param("t,x\n0,True\n1,FALSE\n", [1.0, 0.0], [], id="booleans"),
+        pytest.param("t,x\n2026-03-29T00:00:00Z,1\n2026-03-29 01:00:01+01:00,2\n", [1.0, 2.0], [], id="dates"),
+        pytest.param(b"\xef\xbb\xbft,x\r\n0,1\r\n", [1.0], [], id="a byte order mark"),
+        pytest.param("t,x\n0,1\n".encode("utf-16"), [1.0], [], id="UTF-16"),
+        pytest.param("t,x\n0,1\n".encode("utf-16-be"), [1.0], [], id="UTF-16 without a mark"),
+        pytest.param(gzip.compress(b"t,x\n0,1\n"), [1.0], [], id="gzip"),
     ],
 )
-def test_a_readable_table_gives_its_numbers_and_findings(text: str, x: list[float], kinds: list[str], tmp_path: Path):
+def test_a_readable_table_gives_its_numbers_and_findings(
+    text: str | bytes, x: list[float], kinds: list[str], tmp_path: Path
+) -> None:
     found = read_csv_table(written(tmp_path, text), ("t", "x"))
     assert found.columns["x"].tolist() == x
     assert [one.kind for one in found.findings] == kinds
@@ -96,6 +120,45 @@ def test_a_point_far_below_decimal_commas_is_refused(cell: str, x: float | None,
             read_csv_table(path, ("t", "x"))
     else:
         assert read_csv_table(path, ("t", "x")).columns["x"].tolist() == [*(row + 0.25 for row in range(70)), x]
+
+
+@pytest.mark.parametrize(
+    ("cells", "t"),
+    [
+        (["2026-03-29T00:59:50+00:00", "2026-03-29T02:59:51.5+02:00"], [1_774_745_990.0, 1_774_745_991.5]),
+        (["29.03.2026 00:59:50", "29.03.2026 00:59:50,5"], [1_774_745_990.0, 1_774_745_990.5]),
+        (["2026/03/29 00:59:50", ""], [1_774_745_990.0, float("nan")]),
+        (["23:59:59.5", "0:00:01"], [86_399.5, 86_401.0]),
+    ],
+)
+def test_dates_are_seconds_since_1970_and_times_of_day_continue_past_midnight(cells, t, tmp_path: Path) -> None:
+    rows = "".join(f'"{cell}",{row}\n' for row, cell in enumerate(cells))
+    found = read_csv_table(written(tmp_path, f"t,x\n{rows}"), ("t", "x"))
+    np.testing.assert_array_equal(found.columns["t"], t)
+    assert found.timed == {"t"}
+
+
+def test_markers_of_missing_values_are_reported_by_column(tmp_path: Path) -> None:
+    found = read_csv_table(written(tmp_path, "t,x,y\n0,#N/A,--\n1,1.#QNAN,2\n2,3,?\n"), ("t", "x", "y"))
+    assert np.isnan(found.columns["x"]).tolist() == [True, True, False]
+    assert [one.message for one in found.findings] == [
+        "x: 2 cells hold '#N/A', '1.#QNAN'; read as missing values",
+        "y: 2 cells hold '--', '?'; read as missing values",
+    ]
+
+
+def test_an_element_of_a_list_is_a_column(tmp_path: Path) -> None:
+    wanted = ("t", "state[1]", "state[0]")
+    table = read_csv_table(written(tmp_path, 't,state\n0,"[1.5, 2.5]"\n1,"[3.5]"\n'), wanted)
+    lists = read_parquet_table(parquet_file(tmp_path, t=[0.0, 1.0], state=[[1.5, 2.5], [3.5]]), wanted)
+    for found in (table, lists):
+        np.testing.assert_array_equal(found.columns["state[1]"], [2.5, np.nan])
+        assert found.columns["state[0]"].tolist() == [1.5, 3.5]
+
+
+def test_a_table_without_a_header_is_refused_as_such(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="has no header: line 1 holds numbers; write a first line"):
+        read_csv_table(written(tmp_path, "0,1\n1,2\n"), ("t", "x"))
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"])
@@ -149,7 +212,12 @@ def parquet_file(folder: Path, **columns: object) -> Path:
         (["a", "b"], None),
         ([b"a", b"b"], None),
         ([[1.0], [2.0]], None),
-        (pa.array([1, 2], pa.timestamp("s")), None),
+        (pa.array([1, 2], pa.timestamp("s")), [1.0, 2.0]),
+        (pa.array([1_500, 2_500], pa.duration("ms")), [1.5, 2.5]),
+        (pa.array([86_399_000, 1_000], pa.time32("ms")), [86_399.0, 86_401.0]),
+        (pa.array(["1.5", "2.5"]).cast(pa.decimal128(5, 2)), [1.5, 2.5]),
+        (pa.array(["1.5", "2,5"]).dictionary_encode(), None),
+        (pa.array(["1.5", "#N/A"]), [1.5, float("nan")]),
     ],
 )
 def test_a_column_of_a_parquet_file_holds_numbers(values: object, x: list[float] | None, tmp_path: Path) -> None:

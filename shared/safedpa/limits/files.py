@@ -38,8 +38,13 @@ def file_of_at_most(path: Path, name: str) -> bytes:
 
 
 def text_of_file(path: Path, name: str) -> str:
-    """Reads a UTF-8 text file like ``file_of_at_most``; also raises UnicodeDecodeError."""
-    return file_of_at_most(path, name).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+    """Reads a text file in UTF-8, or in UTF-16 with a byte order mark, like ``file_of_at_most``.
+
+    Also raises UnicodeDecodeError.
+    """
+    data = file_of_at_most(path, name)
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def text_of_file_or_shipped(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safedpa.errors import ColumnMapError, RunError
+from safedpa.errors import ColumnMapError, InputError, RunError
 from safedpa.records.column_map.apply import check_map, mapped_rows
 from safedpa.records.column_map.column_map import ColumnMap, native_map
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.readers.bags import kind_of, read_log_table, topic_log
-from safedpa.records.readers.table import Table
+from safedpa.records.readers.table import Table, regular_file
 from safedpa.records.run import Run
 from safedpa.systems import System
 
@@ -23,12 +23,22 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
     """Loads a table, bag, flight log or bus recording as a run; the first bytes decide which one it is.
 
     Without a column map the columns must have the native names: ``t`` [s] and those of the system's states and actions.
-    A log of topics needs a map. Time is that of the file. Raises RunError if the file cannot be used (with all findings
+    A log of topics needs a map. ``-`` is standard input; that and a named pipe are first copied to a temporary file.
+    Time is that of the file. Raises RunError if the file cannot be used (with all findings
     if no stretch of it can), and ColumnMapError if the map does not fit the system.
     """
-    path = Path(path)
     mapping = native_map(system) if columns is None else columns
     check_map(mapping, system)
+    with regular_file(Path(path)) as file:
+        try:
+            return _load(file, system, columns, mapping)
+        except InputError as error:
+            if file == Path(path):
+                raise
+            raise type(error)(str(error).replace(str(file), str(path))) from error
+
+
+def _load(path: Path, system: System, columns: ColumnMap | None, mapping: ColumnMap) -> Run:
     kind = kind_of(path)
     if kind == "mcap":
         if columns is not None:

@@ -70,9 +70,9 @@ def judge_clock(t: FloatArray, reference: FloatArray | None = None, weight: Floa
 
     Consecutive times are linked if they go back by at most ``MAX_LATE``, and forward by at most that or five usual
     steps. With a second clock ``reference``, they are also linked if both clocks make the same step, within
-    ``MAX_LATE``, or if ``t`` makes a shorter one. Linked times form chains. Of chains that overlap in the file the one of more
-    ``weight`` (default: rows) is right, and the rows of the other are wrong. Chains that follow each other are segments
-    if time goes back between them or, with a reference, if it jumps.
+    ``MAX_LATE``, or if ``t`` makes a shorter one. Linked times form chains. Of chains that overlap in the file the one
+    of more ``weight`` (default: rows) is right, and the rows of the other are wrong. Chains that follow each other are
+    segments if time goes back between them or, with a reference, if it jumps.
     """
     timed = np.flatnonzero(np.isfinite(t))
     segment, wrong = np.zeros(len(t), dtype=np.intp), np.zeros(len(t), dtype=bool)

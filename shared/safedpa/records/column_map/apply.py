@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from safedpa.errors import ColumnMapError, did_you_mean
 from safedpa.records.column_map.column_map import SLOPE, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.column_map.derive import slope
-from safedpa.records.column_map.units import factor_to_si
+from safedpa.records.column_map.rates import joined_column, joined_rates
+from safedpa.records.column_map.units import UNITS, factor_to_si
 from safedpa.records.quality.clock import gap_rows
 from safedpa.records.quality.findings import count_text, finding
 from safedpa.records.readers.table import Table
@@ -18,7 +19,10 @@ from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.records.segments import judge_clock, late_rows
 from safedpa.systems import System
 
-__all__ = ["check_map", "derive_states", "joined_column", "mapped_rows", "ordered_table", "resample_rows"]
+__all__ = ["check_map", "derive_states", "mapped_rows", "ordered_table", "resample_rows"]
+
+_EPOCH = (1e9, 4e9)
+"""s since 1970: the years 2001 to 2096."""
 
 
 def check_map(columns: ColumnMap, system: System) -> None:
@@ -55,8 +59,10 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> tuple[RawRo
     Derived states are NaN until ``derive_states``.
     """
     table = table.taken(_rows_to_keep(table, columns))
+    findings = _epoch_findings(table, columns)
     if table.segment is None:
         table = ordered_table(table, _values(table, columns, system, "t"))
+        table = joined_rates(table, columns, system, _values(table, columns, system, "t"))
     segment = np.zeros(len(table), dtype=np.intp) if table.segment is None else table.segment
     values = {name: _values(table, columns, system, name) for name in columns.columns}
     turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
@@ -75,7 +81,7 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> tuple[RawRo
         states[:, at[0]] -= point.ahead * np.cos(yaw) - point.left * np.sin(yaw)
         states[:, at[1]] -= point.ahead * np.sin(yaw) + point.left * np.cos(yaw)
         states[:, at[2]] = yaw
-    return RawRows(values["t"], states, actions, segment), table.findings
+    return RawRows(values["t"], states, actions, segment), (*table.findings, *findings)
 
 
 def ordered_table(table: Table, t: NDArray[np.float64]) -> Table:
@@ -134,25 +140,39 @@ def _values(table: Table, columns: ColumnMap, system: System, target: str) -> ND
     column = columns.columns[target]
     if isinstance(column, DerivedColumn):
         return np.full(len(table), np.nan)
-    factor = 1.0 if column.unit is None else factor_to_si(column.unit, _unit(system, target), target)
-    gain = column.gain(factor)
     raw = joined_column(table, column)
+    if column.unit is None:
+        factor = _epoch_factor(table, column, raw)[1] if target == "t" else 1.0
+    else:
+        factor = factor_to_si(column.unit, _unit(system, target), target)
+        if column.source in table.timed and factor != 1.0:
+            raise ColumnMapError(
+                f"{columns.name}: columns.{target}.unit: got '{column.unit}', but the column holds dates or times, "
+                "which are read as seconds; leave the unit out"
+            )
+    gain = column.gain(factor)
     return raw if gain == 1.0 and column.offset == 0.0 else raw * gain + column.offset
 
 
-def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
-    """Returns the raw column, or several joined into one, shape (rows,)."""
-    if not column.others:
-        return table.columns[column.source]
-    parts = np.stack([table.columns[name] for name in column.sources])
-    if column.join == "norm":
-        return np.asarray(np.sqrt((parts**2).sum(axis=0)))
-    if column.join == "difference":
-        return np.asarray(parts[0] - parts[1:].sum(axis=0))
-    if column.join == "first":
-        finite = np.isfinite(parts)
-        return np.asarray(np.take_along_axis(parts, finite.argmax(axis=0)[None], axis=0)[0])
-    return np.asarray(parts.sum(axis=0) if column.join == "sum" else parts.mean(axis=0))
+def _epoch_factor(table: Table, column: SourceColumn, raw: NDArray[np.float64]) -> tuple[str, float]:
+    """The unit, and its factor to seconds, of times since 1970 whose size leaves only one unit possible."""
+    finite = np.abs(raw[np.isfinite(raw)])
+    if column.scale != 1.0 or column.source in table.timed or not len(finite):
+        return "s", 1.0
+    size = float(np.median(finite))
+    found = [unit for unit in ("ms", "us", "ns") if _EPOCH[0] <= UNITS[unit].factor * size <= _EPOCH[1]]
+    return (found[0], UNITS[found[0]].factor) if found else ("s", 1.0)
+
+
+def _epoch_findings(table: Table, columns: ColumnMap) -> list[Finding]:
+    column = columns.columns["t"]
+    if not isinstance(column, SourceColumn) or column.unit is not None:
+        return []
+    unit, factor = _epoch_factor(table, column, joined_column(table, column))
+    if factor == 1.0:
+        return []
+    text = f"t is in {unit} since 1970 and was read so"
+    return [finding("time_unit", text, len(table), None, f'name unit = "{unit}" in a column map to say so')]
 
 
 def _rows_to_keep(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:

@@ -9,6 +9,8 @@ from safedpa.systems import System
 
 __all__ = [
     "DERIVATIONS",
+    "HOLD_ACTION",
+    "HOLD_STATE",
     "JOINS",
     "KEEPABLE",
     "SLOPE",
@@ -24,6 +26,10 @@ DERIVATIONS = {"speed_from_position": ("speed", ("x", "y", "yaw")), "rate_from_a
 """Derivations by name: the derived quantity, and those that it is computed from."""
 SLOPE = "slope"
 """Name of the derivation of any state as the time derivative of another one, which the map names with ``of``."""
+HOLD_ACTION = 0.5
+"""s; default for the age up to which a command counts as still applied."""
+HOLD_STATE = 0.1
+"""s; default for the age up to which a measurement of another topic, or of another rate, is used."""
 JOINS = ("mean", "sum", "difference", "norm", "first")
 """How several columns are combined: mean, sum, first minus the others, Euclidean norm, first finite value of a row."""
 
@@ -51,7 +57,7 @@ class SourceColumn:
     join: str = ""
     """One of ``JOINS`` if there are ``others``."""
     hold: float | None = None
-    """Log of topics: maximum age [s] of a message that a row of another topic uses; None for the default."""
+    """Maximum age [s] of a value of another topic, or of another rate in a table; None: the default."""
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
+from safedpa.records.readers.cells import Cells, element_of, missing_value_findings, numbers_of_column
 from safedpa.records.readers.table import Table, require_columns, require_file
 
 if TYPE_CHECKING:
+    import pyarrow
     from pyarrow.parquet import ParquetFile
 
 __all__ = ["open_parquet", "read_parquet_table"]
@@ -21,25 +21,49 @@ _NUMBER_BYTES = 8
 
 
 def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
-    """Reads the wanted columns of a Parquet file.
+    """Reads the wanted columns of a Parquet file; ``action[0]`` is an element of a column of lists.
 
-    Raises RunError if it is not a Parquet file, or if a column is missing or not numeric.
+    Raises RunError if it is not a Parquet file, or if a column is missing or has no numbers.
     """
     import pyarrow
 
     require_file(path)
     try:
         with open_parquet(path) as file:
-            present = list(file.schema_arrow.names)
-            require_columns(path, wanted, present)
-            _check_wanted(path, file, wanted)
-            table = file.read(columns=list(wanted))
+            own = {name.strip(): name for name in file.schema_arrow.names}
+            elements = {name: found for name in wanted if (found := element_of(name.strip(), list(own)))}
+            sources = {name: elements[name][0] if name in elements else name.strip() for name in wanted}
+            require_columns(path, list(dict.fromkeys(sources.values())), [n.strip() for n in file.schema_arrow.names])
+            read = list(dict.fromkeys(own[source] for source in sources.values()))
+            _check_size(path, file, len(wanted))
+            table = file.read(columns=read)
+        columns = {name: table.column(own[source]) for name, source in sources.items()}
+        for name, (_, place) in elements.items():
+            columns[name] = _element(path, name, columns[name], place)
+        cells = {name: _cells(path, name, column) for name, column in columns.items()}
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RunError(f"{path}: cannot be read as Parquet ({reason}); it may be cut off or another format") from error
-    # safe=False: ns since 1970 exceed the 53 bits of a float64, so times are rounded to 256 ns, as in all logs
-    numbers = {name: table.column(name).cast(pyarrow.float64(), safe=False) for name in wanted}
-    return Table({name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in numbers.items()})
+    timed = frozenset(name for name, found in cells.items() if found.is_time)
+    markers = missing_value_findings({name: found.markers for name, found in cells.items()})
+    return Table({name: found.values for name, found in cells.items()}, tuple(markers), timed=timed)
+
+
+def _cells(path: Path, name: str, column: pyarrow.ChunkedArray) -> Cells:
+    found = numbers_of_column(column)
+    if found is None:
+        raise RunError(f"{path}: column '{name}': got {column.type}, wanted numbers")
+    return found
+
+
+def _element(path: Path, name: str, column: pyarrow.ChunkedArray, place: int) -> pyarrow.ChunkedArray:
+    """One element of each list; null where a list is too short."""
+    from pyarrow import compute, types
+
+    kind = column.type
+    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+        raise RunError(f"{path}: column '{name}': got {kind}, wanted a column of lists")
+    return compute.list_flatten(compute.list_slice(column, place, place + 1, return_fixed_size_list=True))
 
 
 def open_parquet(path: Path) -> ParquetFile:
@@ -66,17 +90,11 @@ def _footer_bytes(path: Path, size: int) -> int:
         return int.from_bytes(file.read(8)[:4], "little") if size >= 12 else 0
 
 
-def _check_wanted(path: Path, file: ParquetFile, wanted: Sequence[str]) -> None:
-    """Raises RunError for a column without numbers, and LimitError if the data would expand too much."""
-    import pyarrow
-
-    for name in wanted:
-        kind = file.schema_arrow.field(name).type
-        if not (pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_boolean(kind)):
-            raise RunError(f"{path}: column '{name}': got {kind}, wanted numbers")
+def _check_size(path: Path, file: ParquetFile, wanted: int) -> None:
+    """Raises LimitError if the data of ``wanted`` columns would expand too much."""
     size, about = path.stat().st_size, file.metadata
     most = max(limit("expansion_free_bytes"), size * limit("expansion"))
-    expanded = _NUMBER_BYTES * about.num_rows * len(wanted)
+    expanded = _NUMBER_BYTES * about.num_rows * wanted
     for group in range(about.num_row_groups):  # not per column: pyarrow aborts the process if a column is inconsistent
         expanded += about.row_group(group).total_byte_size // 8
     if about.num_rows < 0 or expanded > most:

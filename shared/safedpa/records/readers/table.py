@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import RunError, did_you_mean, near_files
+from safedpa.limits import limit, too_much
 from safedpa.records.run import Finding
 
-__all__ = ["Table", "require_columns", "require_file"]
+__all__ = ["Table", "regular_file", "require_columns", "require_file"]
 
 
 @dataclass(frozen=True)
@@ -23,14 +27,37 @@ class Table:
     findings: tuple[Finding, ...] = ()
     segment: NDArray[np.intp] | None = None
     """Segment of each row, between which a clock was set; None if the times were not judged yet."""
+    timed: frozenset[str] = frozenset()
+    """Columns that hold dates, times or durations, converted to seconds."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Table:
+    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Table:
         """Some of the rows."""
         segment = None if self.segment is None else self.segment[index]
-        return Table({name: values[index] for name, values in self.columns.items()}, self.findings, segment)
+        return Table({name: values[index] for name, values in self.columns.items()}, self.findings, segment, self.timed)
+
+
+@contextmanager
+def regular_file(path: Path) -> Iterator[Path]:
+    """Yields the path itself, or for ``-`` (standard input) and a named pipe a temporary file with its content.
+
+    Raises LimitError if the content is larger than a table may be.
+    """
+    if str(path) != "-" and not path.is_fifo():
+        yield path
+        return
+    left = limit("table_bytes")
+    with tempfile.TemporaryDirectory(prefix="safedpa-pipe-") as folder:
+        copy = Path(folder) / ("stdin" if str(path) == "-" else path.name)
+        with sys.stdin.buffer if str(path) == "-" else path.open("rb") as source, copy.open("wb") as target:
+            while piece := source.read(1 << 20):
+                left -= len(piece)
+                if left < 0:
+                    raise too_much("table_bytes", "more", str(path))
+                target.write(piece)
+        yield copy
 
 
 def require_file(path: Path) -> None:

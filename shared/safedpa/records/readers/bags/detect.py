@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 
 from safedpa.errors import RunError, near_files
@@ -20,6 +22,7 @@ from safedpa.records.readers.bags.rosbag2 import (
 from safedpa.records.readers.bags.topics import AbstractLog
 from safedpa.records.readers.bags.ulog import MAGIC as ULOG
 from safedpa.records.readers.bags.ulog import UlogLog
+from safedpa.records.readers.dialect import GZIP
 
 __all__ = ["kind_of", "topic_log"]
 
@@ -27,7 +30,6 @@ _WANTED = "a recording: .csv, .parquet, .mcap, .db3, .bag, .ulg or a rosbag2 fol
 _MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
 _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"#ROSBAG V1", "a ROS 1 bag of format 1", "convert it to format 2.0: rosbag fix"),
-    (b"\x1f\x8b", "packed by gzip", "unpack it: gunzip"),
     (b"BZh", "packed by bzip2", "unpack it: bunzip2"),
     (b"\xfd7zXZ", "packed by xz", "unpack it: unxz"),
     (b"\x04\x22\x4d\x18", "packed by lz4", "unpack it: lz4 -d"),
@@ -74,7 +76,21 @@ def kind_of(path: Path) -> str:
     if start.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
         return "parquet"
     _refuse_others(path, start)
+    if start.startswith(GZIP):
+        _check_packed(path)
     return "csv"
+
+
+def _check_packed(path: Path) -> None:
+    """Raises RunError unless a file that is packed by gzip holds a text."""
+    try:
+        with gzip.open(path) as packed:
+            start = packed.read(512)
+    except (EOFError, OSError, zlib.error) as error:
+        raise RunError(f"{path}: cannot be unpacked by gzip ({error}); it may be cut off: copy it again") from error
+    is_text = not start.startswith((_MCAP, _PARQUET, ROS1, SQLITE, ULOG, *(magic for magic, *_ in _OTHERS)))
+    if not is_text or start[257:262] == b"ustar":
+        raise RunError(f"{path}: is packed by gzip and no CSV file; unpack it: gunzip; wanted {_WANTED}")
 
 
 def _refuse_others(path: Path, start: bytes) -> None:

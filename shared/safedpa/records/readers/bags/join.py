@@ -9,19 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import ColumnMapError, RunError
-from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
+from safedpa.records.column_map.column_map import HOLD_ACTION, HOLD_STATE, ColumnMap, SourceColumn
 from safedpa.records.readers.bags.timeline import Placed, place_messages
 from safedpa.records.readers.bags.topics import CLOCKS, HEADER, AbstractLog, Series, split_source
 from safedpa.records.readers.table import Table
 from safedpa.records.run import Finding
 from safedpa.systems import System
 
-__all__ = ["HOLD_ACTION", "HOLD_STATE", "read_log_table"]
-
-HOLD_ACTION = 0.5
-"""s; default for the age up to which a command counts as still applied."""
-HOLD_STATE = 0.1
-"""s; default for the age up to which a measurement of another topic is used."""
+__all__ = ["read_log_table"]
 
 
 def read_log_table(log: AbstractLog, columns: ColumnMap, system: System) -> Table:
