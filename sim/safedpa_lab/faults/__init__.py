@@ -2,5 +2,5 @@
 
 A fault is a row of a table: set-up, fault, recovery, invariant (``fault``). The rows are in ``processes``, ``network``,
 ``resources`` and ``model_changes``; ``campaign`` runs them on a ``world``; ``episode`` judges them by what the robot
-itself wrote down and what an ``observer`` heard.
+itself wrote down and what the world's observer heard. ``proxy`` bends the network; read ``fault`` first.
 """

@@ -65,8 +65,7 @@ class _Coordinator(AbstractNode):
         if isinstance(message, (TakeoverMessage, HealthMessage)):
             self._changes.hear(message)
 
-    def answer(self, robot: str, request: Request) -> Answer:
-        del robot
+    def answer(self, _robot: str, request: Request) -> Answer:
         return self._changes.answer(request)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from safedpa.bus import STATE, VERDICT, VerdictMessage
@@ -187,11 +187,6 @@ class Campaign:
 
 def joined(parts: Sequence[Campaign]) -> Campaign:
     """What came of several fleets, one after another."""
-    return Campaign(
-        outcomes=tuple(outcome for part in parts for outcome in part.outcomes),
-        periods=sum(part.periods for part in parts),
-        collisions=sum(part.collisions for part in parts),
-        stale_actions=sum(part.stale_actions for part in parts),
-        acknowledged=sum(part.acknowledged for part in parts),
-        recorded=sum(part.recorded for part in parts),
-    )
+    outcomes = tuple(outcome for part in parts for outcome in part.outcomes)
+    sums = {item.name: sum(getattr(part, item.name) for part in parts) for item in fields(Campaign)[1:]}
+    return Campaign(outcomes, **sums)

@@ -19,20 +19,17 @@ def meanwhile_of(*names: str) -> Meanwhile:
     return "undisturbed" if names and names[0] in ("diagnosis", "recorder") else "anything"
 
 
-def nothing(world: World) -> None:
+def nothing(_world: World) -> None:
     """Nothing to be done."""
-    del world
 
 
-def nothing_to_see(world: World) -> str:
+def nothing_to_see(_world: World) -> str:
     """Nothing is expected to be seen."""
-    del world
     return ""
 
 
-def no_more(world: World, episode: Episode) -> str:
+def no_more(_world: World, _episode: Episode) -> str:
     """No invariant beyond those of every fault."""
-    del world, episode
     return ""
 
 

@@ -93,8 +93,7 @@ def agreed(world: World) -> bool:
     )
 
 
-def _agreed_and_never_mixed(world: World, episode: Episode) -> str:
-    del episode
+def _agreed_and_never_mixed(world: World, _episode: Episode) -> str:
     if not world.until(lambda: agreed(world), 2.0 * _PATIENCE_SECONDS):
         models = {name: world.observer.health[name][0].model for name in LOOP}
         return f"they did not agree in the end: {models}"

@@ -71,8 +71,7 @@ def _twin(name: str) -> Fault:
         world.until(lambda: world.observer.health[name][0].pid == twins[-1].pid, _START_SECONDS)
         world.members[name].send(signal.SIGCONT)
 
-    def repair(world: World) -> None:
-        del world
+    def repair(_world: World) -> None:
         twins.pop().kill()
 
     sentence = f"{name} is paused and replaced, wakes up, and both serve the robot for {_PAUSE_SECONDS:.0f} s"

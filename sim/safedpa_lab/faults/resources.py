@@ -70,8 +70,7 @@ def _reports_it(world: World) -> str:
     return "" if health.state == "failing" and health.detail else f"the recorder's health is '{health.state}'"
 
 
-def _goes_on(world: World, episode: Episode) -> str:
-    del episode
+def _goes_on(world: World, _episode: Episode) -> str:
     goes_on = world.until(lambda: world.observer.health["recorder"][0].state == "running", _GOES_ON_SECONDS)
     return "" if goes_on else "the recorder does not go on"
 
@@ -212,9 +211,8 @@ class _Flooded:
         command = [sys.executable, "-m", "safedpa_lab.faults.flood", *bus]
         self._flood = subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
-    def repair(self, world: World) -> None:
+    def repair(self, _world: World) -> None:
         """Ends it."""
-        del world
         if self._flood is not None:
             self._flood.terminate()
             self._flood.wait()

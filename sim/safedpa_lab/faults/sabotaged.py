@@ -64,7 +64,7 @@ class _Saboteur:
 
 def _turns() -> list[threading.Lock]:
     """The locks of this process's schedulers; empty if it runs another kind of loop."""
-    module = sys.modules.get("safedpa.bus.service.scheduler")
+    module = sys.modules.get("safedpa.bus.service.service_loop")
     kinds = (module.Scheduler,) if module else ()
     return [one._running for one in gc.get_objects() if isinstance(one, kinds)]
 

@@ -21,6 +21,7 @@ _JITTER = 0.1
 """Relative half width within which a strength varies from case to case, so that no case repeats another."""
 
 Drive = Literal["speed_servo", "throttle"]
+Robot = Literal["car", "pendulum", "differential_drive"]
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ class Case:
     seed: int
     effects: Effects
     """Hidden effects with their parameters; empty: nothing is hidden."""
-    robot: Literal["car", "pendulum", "differential_drive"] = "car"
-    drive: Literal["speed_servo", "throttle"] = "speed_servo"
+    robot: Robot = "car"
+    drive: Drive = "speed_servo"
     hard: bool = False
     """Coloured disturbance, three times the noise, lost rows, tracking glitches, gain 10 % off and free."""
     laws: Mapping[str, str] = field(default_factory=dict)

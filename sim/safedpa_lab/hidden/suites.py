@@ -5,15 +5,15 @@ Borders are sharp where the library's models round them off.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.hidden.bad_data import BAD
-from safedpa_lab.hidden.case import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS, Case
+from safedpa_lab.hidden.case import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS, Case, Robot, Strength
 from safedpa_sim.robots.car.loads import LOADS
 
 _JITTER = 0.1
@@ -130,16 +130,9 @@ def _none(suite: str, index: int, seed: int, hard: bool) -> Case:
     return Case(suite, seed, {}, drive="throttle" if index % 4 == 3 else "speed_servo", hard=hard)
 
 
-def _pendulum(index: int, seed: int) -> Case:
-    name = list(PENDULUM_EFFECTS)[index % len(PENDULUM_EFFECTS)]
-    effects = {name: PENDULUM_EFFECTS[name].drawn(np.random.default_rng(seed))}
-    return Case("pendulum", seed, effects, "pendulum", seconds=20.0)
-
-
-def _wheels(index: int, seed: int) -> Case:
-    name = list(WHEELS_EFFECTS)[index % len(WHEELS_EFFECTS)]
-    effects = {name: WHEELS_EFFECTS[name].drawn(np.random.default_rng(seed))}
-    return Case("wheels", seed, effects, "differential_drive", runs=4, seconds=30.0)
+def _in_turn(suite: str, robot: Robot, effects: Mapping[str, Strength], index: int, seed: int, **length: Any) -> Case:
+    name = list(effects)[index % len(effects)]
+    return Case(suite, seed, {name: effects[name].drawn(np.random.default_rng(seed))}, robot, **length)
 
 
 def _towing(index: int, seed: int) -> Case:
@@ -162,11 +155,13 @@ SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "hard": lambda index, seed: _single("hard", index, seed, 1.0, True),
     "none": lambda index, seed: _none("none", index, seed, False),
     "none_hard": lambda index, seed: _none("none_hard", index, seed, True),
-    "pendulum": _pendulum,
+    "pendulum": lambda index, seed: _in_turn("pendulum", "pendulum", PENDULUM_EFFECTS, index, seed, seconds=20.0),
     "towing": _towing,
     **LAWS,
     "bad": _bad,
-    "wheels": _wheels,
+    "wheels": lambda index, seed: _in_turn(
+        "wheels", "differential_drive", WHEELS_EFFECTS, index, seed, runs=4, seconds=30.0
+    ),
     "wheels_none": lambda _, seed: Case("wheels_none", seed, {}, "differential_drive", runs=4, seconds=30.0),
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard

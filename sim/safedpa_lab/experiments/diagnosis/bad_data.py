@@ -7,9 +7,8 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 
 
-def run(options: Options, report_progress: ReportProgress) -> Result:
+def run(options: Options, _report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment bad-data``. Raises InputError for a log that does not exist."""
-    del report_progress
     if not options["log"].is_file():
         raise InputError(f"{options['log']}: no such file; wanted a good log of a car as CSV")
     files = write_bad_files(options["log"], options["out"])

@@ -153,9 +153,8 @@ def _rehearse(data: Path, path: Path) -> None:
         heading(drawn, f"A rehearsal: {found.agreeing} of {len(found.trials)} predictions hold")
 
 
-def _condition(data: Path, path: Path) -> None:
+def _condition(_data: Path, path: Path) -> None:
     """A carpet beyond a line: the way driven, and the border that the diagnosis found."""
-    del data
     case = Case("pictures", 7, {"rolling_resistance": _CARPET}, laws={"rolling_resistance": "where x above"}, runs=4)
     with tempfile.TemporaryDirectory() as folder:
         log = write_case(case, Path(folder))

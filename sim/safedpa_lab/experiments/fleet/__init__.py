@@ -1,6 +1,6 @@
 """The diagnosis of a simulated fleet, compared with the truth.
 
-``diagnosis`` writes, diagnoses and judges a fleet; ``screening`` asks which effects the size of the error would miss.
+``diagnosis`` writes, diagnoses and judges a fleet, and asks which effects the size of the error would miss.
 """
 
 from __future__ import annotations

@@ -218,9 +218,8 @@ def _map(axes: Any, changes: np.ndarray[Any, Any], largest: float) -> None:
     axes.set_yticks([-1, 0, 1], ["-1", "0", "1"], fontsize=6)
 
 
-def run(options: Options, report_progress: ReportProgress) -> Result:
+def run(options: Options, _report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment point-heat-map``."""
-    del report_progress
     named_folder("--models", options["folder"])
     asked = {name: value for name, value in options.items() if name != "out"}
     return {"date": time.strftime("%Y-%m-%d"), **heat_map(HeatMap(**asked, shown=min(3, options["moments"])))}

@@ -1,6 +1,6 @@
 """A simulated ROS 2 car that drives through the gateway.
 
-``experiment`` drives it, ``faults`` has what fails meanwhile, ``report`` the tables.
+``experiment`` drives it, lets something fail meanwhile, and has the tables.
 """
 
 from __future__ import annotations

@@ -33,33 +33,14 @@ Act = Callable[[Side, Loop, Node], None]
 
 
 def _killed(name: str) -> Act:
-    def act(robot: Side, loop: Loop, car: Node) -> None:
-        del robot, car
-        loop.children[name].send_signal(signal.SIGKILL)
-
-    return act
+    return lambda _robot, loop, _car: loop.children[name].send_signal(signal.SIGKILL)
 
 
 def _message(word: str) -> Act:
-    def act(robot: Side, loop: Loop, car: Node) -> None:
-        del robot, loop
-        car.send(word)
-
-    return act
+    return lambda _robot, _loop, car: car.send(word)
 
 
-def _router(robot: Side, loop: Loop, car: Node) -> None:
-    del loop, car
-    robot.router.kill()
-
-
-def _policy(robot: Side, loop: Loop, car: Node) -> None:
-    del loop, car
-    robot.nodes[-1].kill()
-
-
-def _speaks(robot: Side, loop: Loop, car: Node) -> None:
-    del loop, car
+def _speaks(robot: Side, _loop: Loop, _car: Node) -> None:
     robot.nodes[-1].send("go")
 
 
@@ -68,8 +49,8 @@ FAULTS: Final[Mapping[str, tuple[Act, str, str]]] = {
     "filter killed": (_killed("safety_filter"), "", "gateway: the gateway brakes: no action of the filter"),
     "adaptation killed": (_killed("adaptation"), "", "safety filter"),
     "router of the services killed": (_killed("router"), "", "gateway: the gateway brakes: no action of the filter"),
-    "router of the robot killed": (_router, "", "the driver's own timeout"),
-    "policy killed": (_policy, "policy", "safety filter"),
+    "router of the robot killed": (lambda robot, _loop, _car: robot.router.kill(), "", "the driver's own timeout"),
+    "policy killed": (lambda robot, _loop, _car: robot.nodes[-1].kill(), "policy", "safety filter"),
     "odometry ends": (_message("freeze"), "", "gateway: the gateway brakes: the odometry is"),
     "clock jumps back by 1000 s": (_message("rewind"), "", ""),
     "another publisher on /drive": (_speaks, "named", "publishes on /drive too"),
