@@ -17,8 +17,8 @@ from safedpa.bus.service.process import (
     transport_settings_from_options,
 )
 from safedpa.bus.service.sandbox import JobHandle, JobProcess
-from safedpa.bus.service.scheduler import Scheduler
 from safedpa.bus.service.service_log import ServiceLog
+from safedpa.bus.service.service_loop import Scheduler
 from safedpa.bus.transport.memory import JointTransport
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.service_factories import PreparedService

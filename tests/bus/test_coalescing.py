@@ -23,7 +23,7 @@ from safedpa.bus import (
     ZenohTransport,
     encode,
 )
-from safedpa.bus.service.scheduler import batch_interval
+from safedpa.bus.service.service_loop import batch_interval
 from safedpa.bus.transport.base import Subscription
 
 PATIENCE = 30.0

@@ -29,7 +29,7 @@ from safedpa.bus import (
     ServiceLoop,
     StateMessage,
 )
-from safedpa.bus.service.scheduler import Scheduler, TimerQueue
+from safedpa.bus.service.service_loop import Scheduler, TimerQueue
 from safedpa.bus.transport.memory import JointTransport
 
 PATIENCE = 30.0

@@ -106,7 +106,7 @@ def test_a_message_that_several_inboxes_hold_is_read_once_and_the_whole_of_one_t
     inboxes, unheld = (Inbox(decode=reader), Inbox(decode=reader)), sys.getrefcount(payload)
     payloads = [SharedPayload("safedpa/f/a/state", payload)]
     for inbox in inboxes:
-        inbox.keep_payloads(payloads, all_of_them=False)
+        inbox.add_payloads(payloads, all_of_them=False)
     payloads.clear()
     assert (sys.getrefcount(payload) > unheld) is (over <= 1), "one byte more is kept to see that it is too large"
     for inbox in inboxes:

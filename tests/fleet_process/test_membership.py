@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import HEALTH, STATE, AbstractNode, Bus, MemoryBroker, ServiceLoop
-from safedpa.bus.service.scheduler import TimerQueue
+from safedpa.bus.service.service_loop import TimerQueue
 from safedpa.bus.transport.memory import MemoryTransport
 from safedpa_sim.robots import CarRobot, Scene
 

@@ -1,10 +1,13 @@
 """The watch over a model: silent while the model is right, quick and precise when it is not."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.live.model_monitor import BEYOND, EDetector, ModelMonitor, VerdictFacts
+from safedpa.live.model_monitor import BEYOND, EDetector, ModelMonitor
 
 pytestmark = pytest.mark.slow
 
@@ -100,8 +103,8 @@ def test_the_evidence_counts_one_forecast_a_second():
     assert 0.0 < watch.evidence.value <= at_most.value
 
 
-def facts(h_now: float, h_next: float = 0.5, margin: float = 0.125) -> VerdictFacts:
-    return VerdictFacts(h_now, h_next, margin)
+def facts(h_now: float, h_next: float = 0.5, margin: float = 0.125) -> Any:
+    return SimpleNamespace(h_now=h_now, h_next=h_next, margin=margin)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from safedpa.fleet.pooled_evidence import (
     pooled_number,
     pooled_numbers,
 )
-from safedpa.fleet.similar_robots import SimilarRobots, same_effects, with_one_name
+from safedpa.fleet.similar_robots import Group, same_effects, with_one_name
 
 # Robust standard deviations of log(error) from which a robot is an outlier, and the minimum ratio to the fleet's error.
 _ODD = 5.0
@@ -30,17 +30,6 @@ _POOLED = 8
 
 ORDER = ("missing", "unexplained", "suspected", "nothing", "no_verdict", "unreadable", "failed")
 """Kinds of groups in the order of the report."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Robots with the same result."""
-
-    kind: str
-    effects: tuple[str, ...]
-    equals: Mapping[str, tuple[str, ...]]
-    members: tuple[RobotOutcome, ...]
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,19 +77,15 @@ def analyse_fleet(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
 
 def _groups(outcomes: Sequence[RobotOutcome], sure: set[str], robot: str) -> tuple[Group, ...]:
     missing = [item for item in outcomes if item.judged and item.found]
-    groups = [_group("missing", part) for part in same_effects([i for i in missing if i.name in sure], robot)]
-    groups += [_group("suspected", part) for part in same_effects([i for i in missing if i.name not in sure], robot)]
+    groups = same_effects([item for item in missing if item.name in sure], robot)
+    groups += same_effects([item for item in missing if item.name not in sure], robot, "suspected")
     groups += _by_text("unexplained", [i for i in outcomes if i.judged and not i.found and i.unexplained])
     nothing = tuple(i for i in outcomes if i.judged and not i.found and not i.unexplained)
-    groups += [Group("nothing", (), {}, nothing)] if nothing else []
+    groups += [Group("nothing", nothing)] if nothing else []
     for kind in ("no_verdict", "unreadable", "failed"):
         own = tuple(item for item in outcomes if item.status == kind)
-        groups += [Group(kind, (), {}, own)] if own else []
+        groups += [Group(kind, own)] if own else []
     return tuple(sorted(groups, key=lambda group: ORDER.index(group.kind)))
-
-
-def _group(kind: str, part: SimilarRobots) -> Group:
-    return Group(kind, part.effects, part.equals, part.members)
 
 
 def _by_text(kind: str, outcomes: Sequence[RobotOutcome]) -> list[Group]:
@@ -108,7 +93,7 @@ def _by_text(kind: str, outcomes: Sequence[RobotOutcome]) -> list[Group]:
     sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
         sets.setdefault(tuple(sorted(outcome.depends_on)), []).append(outcome)
-    return [Group(kind, (), {}, tuple(own), f"depends on {' and '.join(names)}") for names, own in sets.items()]
+    return [Group(kind, tuple(own), reason=f"depends on {' and '.join(names)}") for names, own in sets.items()]
 
 
 def _odd(judged: Sequence[RobotOutcome]) -> tuple[tuple[str, float], ...]:

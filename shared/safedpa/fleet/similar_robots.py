@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of
 
@@ -18,13 +18,15 @@ Vector = Mapping[str, Number]
 
 
 @dataclass(frozen=True)
-class SimilarRobots:
-    """Robots that lack the same effects, with values that form one cluster."""
+class Group:
+    """Robots with the same result; if they lack effects, with values that form one cluster."""
 
-    effects: tuple[str, ...]
+    kind: str
     members: tuple[RobotOutcome, ...]
-    equals: Mapping[str, tuple[str, ...]]
+    effects: tuple[str, ...] = ()
+    equals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By effect, the effects that no member can distinguish from it."""
+    reason: str = ""
 
 
 def with_one_name(outcomes: Sequence[RobotOutcome]) -> list[RobotOutcome]:
@@ -53,7 +55,7 @@ def _as(item: EffectEvidence, name: str) -> EffectEvidence:
     return EffectEvidence(name, other.numbers, item.score, equals, others)
 
 
-def same_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[SimilarRobots]:
+def same_effects(outcomes: Sequence[RobotOutcome], robot: str, kind: str = "missing") -> list[Group]:
     """Groups robots by the effects found in them and by clusters of their values; the largest group first."""
     sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
@@ -61,7 +63,7 @@ def same_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[SimilarRo
     groups = []
     for effects, members in sets.items():
         for part in connected_components(members, lambda one, other: differ_significantly(one, other, robot)):
-            groups.append(SimilarRobots(effects, tuple(part), _equals(effects, part)))
+            groups.append(Group(kind, tuple(part), effects, _equals(effects, part)))
     return sorted(groups, key=lambda group: (-len(group.members), group.effects))
 
 

@@ -18,7 +18,7 @@ from safedpa.arrays import FloatArray
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
 from safedpa.bus.messages.messages import header
 from safedpa.dynamics import fingerprint, parse_model
-from safedpa.live.model_monitor import ModelMonitor, VerdictFacts
+from safedpa.live.model_monitor import ModelMonitor
 from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome, named_candidate
 from safedpa.records.run import Run, Stretch
 from safedpa.systems import System
@@ -191,7 +191,9 @@ class RobotDiagnosis:
         self.time = state.robot_time
         self.history.add(state.tick, values, applied)
         self.watch.observe(state.tick, values, applied, self._latent(latent))
-        self.watch.judge_margin(state.tick, _decision(verdict), obeyed=state.applied_by == "filter")
+        # Others, such as a fallback, have no prediction.
+        predicts = verdict is not None and verdict.status in ("passed", "corrected", "relaxed", "violated")
+        self.watch.judge_margin(state.tick, verdict if predicts else None, obeyed=state.applied_by == "filter")
         self._think(state)
         second = int(state.robot_time + 1e-9)
         news = (second, self.stage, self.number, id(self.outcome))
@@ -301,10 +303,3 @@ def _error_reported(error: float | None) -> str:
     """Formats an error; it may be missing."""
     # A prediction may diverge, and not every candidate is tried on unseen data.
     return "unknown" if error is None else f"{error:.3f}"
-
-
-def _decision(verdict: VerdictMessage | None) -> VerdictFacts | None:
-    """Returns the facts of a verdict that has a prediction; None for others, such as a fallback."""
-    if verdict is None or verdict.status not in ("passed", "corrected", "relaxed", "violated"):
-        return None
-    return VerdictFacts(verdict.h_now, verdict.h_next, verdict.margin)

@@ -43,6 +43,7 @@ from typing import Final, final
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.bus import VerdictMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, channels, stretch_error
 from safedpa.systems import System
@@ -245,15 +246,6 @@ _COVERED_SECONDS = 20.0
 _RETAINED = 80
 
 
-@dataclass(frozen=True)
-class VerdictFacts:
-    """The fields of the filter's verdict that the monitor needs."""
-
-    h_now: float
-    h_next: float
-    margin: float
-
-
 @final
 class ModelMonitor:
     """Monitors one model of one robot; a new model needs a new monitor.
@@ -275,7 +267,7 @@ class ModelMonitor:
         self._settling = _SETTLE
         self._judged_until = -1
         self._covered: deque[bool] = deque(maxlen=round(_COVERED_SECONDS / (period or model.period)))
-        self._decision: tuple[int, VerdictFacts] | None = None
+        self._decision: tuple[int, VerdictMessage] | None = None
         self._scale = scale
 
     @property
@@ -341,7 +333,7 @@ class ModelMonitor:
             elif has_moved(self.model.system, forecast):
                 self._take(forecast)
 
-    def judge_margin(self, tick: int, decision: VerdictFacts | None, *, obeyed: bool = True) -> None:
+    def judge_margin(self, tick: int, decision: VerdictMessage | None, *, obeyed: bool = True) -> None:
         """Compares the filter's prediction of one tick ago with h now; ``decision`` is None without a verdict.
 
         ``obeyed`` is whether the robot applied the filter's action since then.

@@ -169,7 +169,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
                 lambda: session.filter.decide(state.values, self._settings.resting_action, latent, **known),
             )
         session.decision = LastDecision(state, latent, verdict)
-        return {ACTION: _action(state, tuple(verdict.action.tolist()))}
+        return {ACTION: ActionMessage(**header(state), values=tuple(verdict.action.tolist()))}
 
     def afterwards(self, robot: str) -> Outputs:
         """Returns the verdict, with the next states that the model predicts; the action was already sent."""
@@ -216,7 +216,10 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         known = self._broken.get(robot)
         action = self._settings.resting_action if known is None else known.last_resort(state)
         verdict = resting_verdict(action, reason)
-        return {ACTION: _action(state, tuple(verdict.action.tolist())), VERDICT: _report(state, verdict, ())}
+        return {
+            ACTION: ActionMessage(**header(state), values=tuple(verdict.action.tolist())),
+            VERDICT: _report(state, verdict, ()),
+        }
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
@@ -248,10 +251,6 @@ def _same_margin(before: RobotSession, now: RobotSession) -> bool:
     """Whether the margin monitor may continue: same model, same calibration, and no longer steps than before."""
     alike = before.held is now.held and before.margin.longer == now.margin.longer
     return alike and before.model.period >= now.model.period
-
-
-def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
-    return ActionMessage(**header(state), values=values)
 
 
 def _rehearse(session: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:

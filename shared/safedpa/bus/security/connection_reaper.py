@@ -20,7 +20,6 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cache
 from typing import final
 
@@ -91,12 +90,6 @@ def cut_off(addresses: Collection[Address]) -> int:
     return count
 
 
-@dataclass
-class _UnauthenticatedConnection:
-    since: float
-    peer: Address
-
-
 @final
 class ConnectionReaper:
     """A thread that closes connections to ``ports`` of this process which do not become members in time.
@@ -113,7 +106,8 @@ class ConnectionReaper:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._ports, self._members, self._clock = ports, members, clock
-        self._pending: dict[int, _UnauthenticatedConnection] = {}
+        self._pending: dict[int, tuple[float, Address]] = {}
+        """Time [s] since which a connection is pending, and its peer, by descriptor."""
         self._reserve: list[int] = []
         self._fill_reserve()
         self._ended = threading.Event()
@@ -130,22 +124,20 @@ class ConnectionReaper:
     def check(self) -> int:
         """Closes connections that have been pending for too long; returns their number."""
         now, members = self._clock(), set(self._members())
-        seen: dict[int, _UnauthenticatedConnection] = {}
+        seen: dict[int, tuple[float, Address]] = {}
         for descriptor, peer in self._connections():
             if peer in members:
                 continue
             # A descriptor may have been closed and reused since the last check; the peer address distinguishes the two.
             known = self._pending.get(descriptor)
-            seen[descriptor] = (
-                known if known is not None and known.peer == peer else _UnauthenticatedConnection(now, peer)
-            )
+            seen[descriptor] = known if known is not None and known[1] == peer else (now, peer)
         exhausted = not self._fill_reserve()
         many = len(seen) > _MANY
         timeout = _EXHAUSTED_TIMEOUT_SECONDS if exhausted else _SHORT_TIMEOUT_SECONDS if many else _TIMEOUT_SECONDS
-        late = {descriptor for descriptor, connection in seen.items() if now - connection.since > timeout}
+        late = {descriptor for descriptor, (since, _) in seen.items() if now - since > timeout}
         for descriptor in late:
             with contextlib.suppress(OSError), _borrowed(descriptor) as found:
-                if tuple(found.getpeername()[:2]) == seen[descriptor].peer:
+                if tuple(found.getpeername()[:2]) == seen[descriptor][1]:
                     # Not close: the descriptor belongs to Zenoh, which sees the end of the stream and closes it.
                     found.shutdown(socket.SHUT_RDWR)
         self._pending = {descriptor: item for descriptor, item in seen.items() if descriptor not in late}

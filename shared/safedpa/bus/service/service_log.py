@@ -7,7 +7,6 @@ end.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from safedpa.bus.logging import log_event
@@ -24,19 +23,13 @@ _WARNINGS = ("model.dropped", "model.refused", "filter.fallback_entered", "filte
 _LOGGED = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
 
 
-@dataclass
-class _Status:
-    name: str
-    since: int
-    """Tick at which the status began."""
-
-
 class ServiceLog:
     """Events of the service ``service``, written by ``log``, which has the signature of ``log_event``."""
 
     def __init__(self, service: str, log: Callable[..., None] = log_event) -> None:
         self._service, self._log = service, log
-        self._statuses: dict[str, _Status] = {}
+        self._statuses: dict[str, tuple[str, int]] = {}
+        """Status of each robot, and the tick at which it began."""
         self._stages: dict[str, str] = {}
 
     @classmethod
@@ -91,18 +84,18 @@ class ServiceLog:
             self._event("finding.changed", message.sentence, robot, message.tick, level=level, stage=message.stage)
 
     def _verdict(self, robot: str, message: VerdictMessage) -> None:
-        before, name = self._statuses.get(robot), message.status
-        if before is not None and before.name == name:
+        (before, since), name = self._statuses.get(robot, ("", 0)), message.status
+        if before == name:
             return
-        self._statuses[robot] = _Status(name, message.tick)
+        self._statuses[robot] = name, message.tick
         if name == "fallback":
             self._event("filter.fallback_entered", message.sentence, robot, message.tick)
         elif name in _STATUS_KINDS:
             self._event(_STATUS_KINDS[name], message.sentence, robot, message.tick)
-        if before is not None and before.name == "fallback":
-            lasted = message.tick - before.since
+        if before == "fallback":
+            lasted = message.tick - since
             self._event("filter.fallback_left", f"decides again after {lasted} ticks", robot, message.tick)
-        elif before is not None and before.name == "stopped":
+        elif before == "stopped":
             self._event("filter.released", "may drive again", robot, message.tick)
 
     def _drop(self, robot: str) -> None:

@@ -157,15 +157,12 @@ class Inbox:
 
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Adds one payload; replaces an unread one of the same key."""
-        self.keep_payloads([SharedPayload(key, payload)], all_of_them=False)
+        self.add_payloads([SharedPayload(key, payload)], all_of_them=False)
+        self.announce()
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Appends one payload to the unread ones."""
-        self.keep_payloads([SharedPayload(key, payload)], all_of_them=True)
-
-    def keep_payloads(self, payloads: Sequence[SharedPayload], *, all_of_them: bool) -> None:
-        """Adds payloads that arrived together, each as ``keep_latest`` or ``keep_all`` does, and calls the listener."""
-        self.add_payloads(payloads, all_of_them=all_of_them)
+        self.add_payloads([SharedPayload(key, payload)], all_of_them=True)
         self.announce()
 
     def add_payloads(self, payloads: Sequence[SharedPayload], *, all_of_them: bool) -> None:
