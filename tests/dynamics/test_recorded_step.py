@@ -204,7 +204,7 @@ def bent(state: Sequence[Any], action: Sequence[Any], latent: Sequence[Any], tim
 
 
 def recorded_and_reference(equations, state, action):
-    made = record_step(equations, BOTH, BOTH, ())
+    made = record_step(equations, (BOTH, BOTH, ()))
     assert made is not None
     step, _, tangent = made
     value, slopes = tangent(state, action, [], 0.5)
@@ -258,7 +258,7 @@ def recorded() -> dict[str, tuple[Any, str]]:
     for name in shipped_models():
         model = load_model(name)
         names = model.system.state_names, model.system.action_names, model.latent_names
-        texts = step_texts(model.equations(model.period), *names) or ()
+        texts = step_texts(model.equations(model.period), names) or ()
         for kind, function in zip(("step", "tangent"), texts, strict=False):
             found[f"{name}_{kind}"] = model, function
     return found

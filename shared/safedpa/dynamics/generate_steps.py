@@ -34,7 +34,7 @@ def source() -> str:
         for period in (model.period, *(_QUICKER if slow else ())):
             name = model_name if period == model.period else f"{model_name}_{round(1.0 / period)}_hz"
             system, equations = model.system, model.equations(period)
-            recorded = step_texts(equations, system.state_names, system.action_names, model.latent_names) or ()
+            recorded = step_texts(equations, (system.state_names, system.action_names, model.latent_names)) or ()
             for kind, function in zip(_RESULTS, recorded, strict=False):
                 # models may share a step: it is generated once, under the first name
                 functions.setdefault(digest(function), (f"{name}_{kind}", _typed(function, kind, name)))

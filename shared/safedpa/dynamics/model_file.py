@@ -120,13 +120,7 @@ def write_model(model: PhysicsModel, weights: str = "") -> str:
     ``weights`` is the name of a learned model's file of weights; by default that of the file they were read from.
     """
     physical = model.base.nominal if isinstance(model.base, LearnedBase) else model.base
-    lines = [
-        f"format = {FORMAT}",
-        f'robot = "{model.system.name}"',
-        f"period = {model.period!r}  # s",
-        "",
-        "[base]",
-    ]
+    lines = [f"format = {FORMAT}", f'robot = "{model.system.name}"', f"period = {model.period!r}  # s", "", "[base]"]
     lines.append(f'kind = "{physical.kind}"')
     lines += [f'{key} = "{getattr(physical, key)}"' for key in physical.choices]
     lines += _setting_lines(model, "base", model.base.parameters)

@@ -19,6 +19,7 @@ from safedpa.dynamics.columns import columns, common_operations, is_torch, joine
 from safedpa.dynamics.dynamics import AbstractDynamics, Array, RunClock
 from safedpa.dynamics.recorded_step import (
     Equations,
+    Names,
     RecordedStep,
     RecordedSteps,
     ScalarStep,
@@ -203,8 +204,7 @@ class PhysicsModel(AbstractDynamics):
         """
         if self._has_memory or not (self._takes_complex and self.base.recordable):
             return None
-        names = self.system.state_names, self.system.action_names, self.latent_names
-        return record_sensitivity(self.equations(self.period), *names)
+        return record_sensitivity(self.equations(self.period), self._names)
 
     def batch_step(self, period: float | None) -> ScalarStep | None:
         """Returns ``scalar_step`` for many robots: each entry of state, action and latent is one NumPy array.
@@ -215,10 +215,10 @@ class PhysicsModel(AbstractDynamics):
         """
         if self._has_memory or not (self._takes_complex and self.base.recordable):
             return None
-        names = self.system.state_names, self.system.action_names, self.latent_names
         if period is not None:
-            return record_batch_step(self.equations(period), *names)
-        return record_batch_step(with_period_argument(self.equations), names[0], names[1], (*names[2], "period"))
+            return record_batch_step(self.equations(period), self._names)
+        states, actions, latents = self._names
+        return record_batch_step(with_period_argument(self.equations), (states, actions, (*latents, "period")))
 
     def rollout_held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
@@ -371,6 +371,10 @@ class PhysicsModel(AbstractDynamics):
             return intercept(value, g, action), np.array(g)
         return None
 
+    @property
+    def _names(self) -> Names:
+        return self.system.state_names, self.system.action_names, self.latent_names
+
     @cached_property
     def _recorded_steps(self) -> RecordedSteps:
         # a user's equations may read files, keep state or draw random numbers: a recording would freeze the first run
@@ -378,8 +382,7 @@ class PhysicsModel(AbstractDynamics):
         return RecordedSteps(self._record if recordable else None)
 
     def _record(self, period: float) -> RecordedStep | None:
-        names = self.system.state_names, self.system.action_names, self.latent_names
-        return record_step(self.equations(period), *names)
+        return record_step(self.equations(period), self._names)
 
     def equations(self, period: float) -> Equations:
         """Returns the equations of one period, to be recorded; with actuator memory their action is the felt one."""

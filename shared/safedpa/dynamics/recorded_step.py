@@ -29,6 +29,9 @@ ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list
 Equations = Callable[[Sequence[Any], Sequence[Any], Sequence[Any], Any, Operations], Sequence[Any]]
 """The same arguments, and the operations to compute with."""
 
+Names = tuple[Sequence[str], Sequence[str], Sequence[str]]
+"""Names of the entries of state, action and latent; only their number matters."""
+
 
 def rollout_held_action(
     step: ScalarStep,
@@ -136,37 +139,30 @@ class RecordedSteps:
         return {**self.__dict__, "_calls": {}, "_floats": {}, "_complex": {}, "_tangents": {}}
 
 
-def record_step(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> RecordedStep | None:
-    """Returns the recorded functions, or None if the equations cannot be recorded.
-
-    Only the number of names matters.
-    """
-    taped = _taped(equations, states, actions, latents)
+def record_step(equations: Equations, names: Names) -> RecordedStep | None:
+    """Returns the recorded functions, or None if the equations cannot be recorded."""
+    taped = _taped(equations, names)
     if taped is None:
         return None
-    tape, head, names = taped
+    tape, head, after = taped
     return (
-        _compiled(head, tape, names, FLOAT_FORMS, FLOATS),
+        _compiled(head, tape, after, FLOAT_FORMS, FLOATS),
         # no inlined forms: comparisons of complex numbers need the functions of ``COMPLEX``
-        _compiled(head, tape, names, {}, COMPLEX),
-        compiled_tangent(head, tape.lines, tape.calls, names, [f"a{index}" for index in range(len(actions))]),
+        _compiled(head, tape, after, {}, COMPLEX),
+        compiled_tangent(head, tape.lines, tape.calls, after, _numbered("a", names[1])),
     )
 
 
-def record_batch_step(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> ScalarStep | None:
+def record_batch_step(equations: Equations, names: Names) -> ScalarStep | None:
     """Returns the step over NumPy arrays: each entry of state, felt action and latent is one array over many robots.
 
     None if the equations cannot be recorded, or call a function for one robot (networks).
     """
-    taped = _taped(equations, states, actions, latents)
+    taped = _taped(equations, names)
     if taped is None or taped[0].calls:
         return None
-    tape, head, names = taped
-    return _compiled(head, tape, names, _ARRAY_FORMS, NUMPY, freeing=True)
+    tape, head, after = taped
+    return _compiled(head, tape, after, _ARRAY_FORMS, NUMPY, freeing=True)
 
 
 def with_period_argument(equations_of: Callable[[float], Equations]) -> Equations:
@@ -185,57 +181,54 @@ def with_period_argument(equations_of: Callable[[float], Equations]) -> Equation
     return equations
 
 
-def record_sensitivity(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> ScalarTangent | None:
+def record_sensitivity(equations: Equations, names: Names) -> ScalarTangent | None:
     """Returns the function of values and slopes in state and action (states, states + actions).
 
     None if the equations cannot be recorded, or call a function whose slopes are not known (networks).
     """
-    taped = _taped(equations, states, actions, latents)
+    taped = _taped(equations, names)
     if taped is None or taped[0].calls:
         return None
-    tape, head, names = taped
-    varied = [*(f"s{index}" for index in range(len(states))), *(f"a{index}" for index in range(len(actions)))]
-    return compiled_tangent(head, tape.lines, tape.calls, names, varied)
+    tape, head, after = taped
+    varied = [*_numbered("s", names[0]), *_numbered("a", names[1])]
+    return compiled_tangent(head, tape.lines, tape.calls, after, varied)
 
 
-def _taped(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> tuple[Tape, list[str], list[str]] | None:
+def _taped(equations: Equations, names: Names) -> tuple[Tape, list[str], list[str]] | None:
     """Returns the recording, the lines that unpack the arguments, and the names of the results; None as callers say."""
     tape = Tape()
     state, action, latent = (
-        [Recorded(tape, f"{letter}{index}") for index in range(len(names))]
-        for letter, names in (("s", states), ("a", actions), ("z", latents))
+        [Recorded(tape, name) for name in _numbered(letter, own)] for letter, own in zip("saz", names, strict=True)
     )
     try:
         # fixed parameters enter as constants, so models with other values have another digest
-        after = equations(state, action, latent, Recorded(tape, "time"), tape.operations())
-        names = [name_of(entry) for entry in after]
+        results = equations(state, action, latent, Recorded(tape, "time"), tape.operations())
+        after = [name_of(entry) for entry in results]
     except TypeError:  # a NotRecordableError, or an operation that a recorded number lacks
         return None
     head = [
         f"[{', '.join(number.name for number in numbers)}] = {whole}"
         for whole, numbers in (("state", state), ("action", action), ("latent", latent))
     ]
-    tape.keep(names)  # positions enter no rate of a car: their intermediate values are dropped
-    return tape, head, names
+    tape.keep(after)  # positions enter no rate of a car: their intermediate values are dropped
+    return tape, head, after
 
 
-def step_texts(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> tuple[str, str] | None:
+def _numbered(letter: str, names: Sequence[str]) -> list[str]:
+    return [f"{letter}{index}" for index in range(len(names))]
+
+
+def step_texts(equations: Equations, names: Names) -> tuple[str, str] | None:
     """Returns the source that ``record_step`` compiles for floats: the step, and its tangent in the action.
 
     None if the equations cannot be recorded, or call a function (networks): source cannot name it.
     """
-    taped = _taped(equations, states, actions, latents)
+    taped = _taped(equations, names)
     if taped is None or taped[0].calls:
         return None
-    tape, head, names = taped
-    varied = [f"a{index}" for index in range(len(actions))]
-    return _text(head, tape, names, FLOAT_FORMS), tangent_text(head, tape.lines, names, varied)
+    tape, head, after = taped
+    varied = _numbered("a", names[1])
+    return _text(head, tape, after, FLOAT_FORMS), tangent_text(head, tape.lines, after, varied)
 
 
 def _compiled(

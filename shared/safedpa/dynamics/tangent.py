@@ -14,11 +14,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import warnings
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import cache
 from typing import Any, final
 
@@ -27,13 +24,12 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
 from safedpa.equations.generated import digest, generated
+from safedpa.equations.rows import nested
+from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Line
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 ScalarTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
 """(state, felt action, latent, time [s]) -> next state (states,), its slopes in the action (states, actions)."""
-
-Line = tuple[str, str, tuple[str, ...]]
-"""(name, form, operands) of one operation."""
 
 GENERATED_MODULE = "safedpa.dynamics.generated_steps"
 """Module that the build generates from the equations of the shipped models."""
@@ -41,20 +37,8 @@ GENERATED_MODULE = "safedpa.dynamics.generated_steps"
 _IMAGINARY = 1e-30
 """Imaginary part of a perturbed action: its square vanishes next to every real part, so the slope is exact."""
 
-_FUNCTIONS = tuple(field.name for field in fields(Operations))
-
-_INLINE = {
-    "absolute": "abs({0})",
-    "minimum": "({1} if {1} < {0} else {0})",
-    "maximum": "({1} if {1} > {0} else {0})",
-    "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
-    "where": "({1} if {0} else {2})",
-}
-"""Forms without a call, as ``FLOATS`` defines them. The sign is not listed: it has no slope."""
-
-_NAME = re.compile(r"\b[a-z]\w*\b")
-_MAX_NESTING = 40
-"""Parentheses within each other in one line: Python's parser accepts no more than 200."""
+_INLINE = {form: text for form, text in FLOAT_FORMS.items() if form != "sign"}
+"""Forms without a call. The sign is not listed: it has no slope."""
 
 _LARGEST_COSH = 700.0
 """Beyond, 1 / cosh underflows to 0; from 710.5 on ``math.cosh`` raises OverflowError."""
@@ -109,8 +93,8 @@ def compiled_tangent(
         return known
     # a constant that is infinite or NaN is written by its name, as repr does
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
-    scope.update({name: getattr(FLOATS, name) for name in _FUNCTIONS})
-    scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in _FUNCTIONS})
+    scope.update({name: getattr(FLOATS, name) for name in FUNCTIONS})
+    scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in FUNCTIONS})
     exec(text, scope)  # the text is arithmetic on generated names: nothing of a model file or a message is in it
     tangent: ScalarTangent = scope["tangent"]
     return tangent
@@ -126,7 +110,7 @@ def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str]
         "[" + ", ".join(f"{named[name]} / {_IMAGINARY!r}" if name in named else "0.0" for named in columns) + "]"
         for name in after
     ]
-    lines = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(slopes.lines, wanted), wanted)]
+    lines = ["def tangent(state, action, latent, time):", *head, *nested(slopes.lines, wanted)]
     lines.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
     return "\n    ".join(lines)
 
@@ -178,7 +162,7 @@ class _Slopes:
             return f"2.0 * ({operands[0]} * {known['d0']})"
         # no rule: one complex step for this line alone
         both = [f"complex({item}, {named[item]})" if item in named else item for item in operands]
-        return (f"complex_{form}({', '.join(both)})" if form in _FUNCTIONS else f"({form.format(*both)})") + ".imag"
+        return (f"complex_{form}({', '.join(both)})" if form in FUNCTIONS else f"({form.format(*both)})") + ".imag"
 
     def _alongside(self, function: str, operands: tuple[str, ...]) -> str:
         """Returns the variable that holds the sine or cosine of an angle, adding its line if there is none yet."""
@@ -193,35 +177,10 @@ class _Slopes:
 
 
 def _value(form: str, operands: tuple[str, ...]) -> str:
-    if form not in _FUNCTIONS:
+    if form not in FUNCTIONS:
         return form.format(*operands)
     written = _INLINE.get(form)
     return f"{form}({', '.join(operands)})" if written is None else written.format(*operands)
-
-
-def _needed(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[tuple[str, str]]:
-    """Returns the lines that the wanted variables depend on, in the same order."""
-    alive, retained = set(wanted), []
-    for name, term in reversed(lines):
-        if name in alive:
-            retained.append((name, term))
-            alive.update(_NAME.findall(term))
-    return retained[::-1]
-
-
-def _nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:
-    """Returns the lines as source; a variable that is used once is written into the line that uses it."""
-    # wanted variables count twice: they must stay variables, since the function returns them
-    uses = Counter(word for _, term in lines for word in _NAME.findall(term)) + Counter(2 * list(wanted))
-    terms: dict[str, str] = {}
-    written = []
-    for name, term in lines:
-        whole = _NAME.sub(lambda found: terms.pop(found[0], found[0]), term)
-        if uses[name] == 1 and whole.count("(") < _MAX_NESTING:
-            terms[name] = f"({whole})"
-        else:
-            written.append(f"{name} = {whole}")
-    return written
 
 
 _PERTURBATION = 1e-5

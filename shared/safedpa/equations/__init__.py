@@ -4,7 +4,7 @@ Read ``tape`` first (the recording), then ``rows`` (equations of many items, sor
 (the rules of differentiation), ``scalar_rows`` and ``batch_rows`` (the code for one robot and for many).
 """
 
-from safedpa.equations.given import Given
+from safedpa.equations.rows import Given
 from safedpa.equations.tape import NotRecordableError
 
 __all__ = ["Given", "NotRecordableError"]

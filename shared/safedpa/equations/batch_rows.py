@@ -11,7 +11,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.equations.rows import RowTape, nested
-from safedpa.equations.slopes import ARRAYS
+from safedpa.equations.slopes import array_choice
 from safedpa.equations.tape import FUNCTIONS, Line
 from safedpa.operations import NUMPY
 
@@ -107,9 +107,9 @@ def _h_text(tape: RowTape) -> str:
 
 
 def _grad_h_text(tape: RowTape) -> str:
-    rows = [[tape.item_slopes(result, ARRAYS) for result in names] for names in tape.results]
+    rows = [[tape.item_slopes(result, array_choice) for result in names] for names in tape.results]
     over = sorted({name for group in rows for _, slopes in group for name in slopes})
-    known_lines, known = tape.state_slopes(over, ARRAYS)
+    known_lines, known = tape.state_slopes(over, array_choice)
     every = [name for names in tape.results for name in names]
     lines = [_value(line) for level in ("scene", "state", "item") for line in tape.of(level, every)]
     lines += known_lines

@@ -37,9 +37,7 @@ def _of_a_car(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[l
         p2: float = p[2]
         p3: float = p[3]
         # 0.0 + as in the general loop: it turns -0.0 into 0.0
-        found.append(
-            [0.0 + p0 * a0 + p1 * a1 + p2 * a2 + p3 * a3, 0.0 + p0 * b0 + p1 * b1 + p2 * b2 + p3 * b3],
-        )
+        found.append([0.0 + p0 * a0 + p1 * a1 + p2 * a2 + p3 * a3, 0.0 + p0 * b0 + p1 * b1 + p2 * b2 + p3 * b3])
     return found
 
 

@@ -14,10 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 from safedpa.equations.generated import digest
-from safedpa.equations.given import Given
 from safedpa.equations.slopes import Style, negative, operand_slopes, product, sum_of
 from safedpa.equations.tape import Line, Recorded, Tape, name_of
 from safedpa.operations import Operations, Scalar
@@ -27,6 +26,19 @@ Level = Literal["scene", "state", "item"]
 _NAME = re.compile(r"\b[a-z]\w*\b")
 _MAX_NESTING = 40
 """Parentheses within each other in one expression: Python's parser accepts no more than 200."""
+
+
+class Given(NamedTuple):
+    """The arguments of an equation of rows: floats, arrays, or numbers that are being recorded."""
+
+    state: Sequence[Scalar]
+    """(states,)"""
+    shared: Sequence[Scalar]
+    """Values that all items have in common, such as the lengths of the robot's body."""
+    each: Sequence[Scalar]
+    """Values of one item, such as an obstacle's position and radius."""
+    form: tuple[int, ...] = ()
+    """Integers that determine the equation itself, such as the index of an entry of the state."""
 
 
 Equation = Callable[[Given, Operations], Sequence[Scalar]]

@@ -13,7 +13,7 @@ from typing import Any
 
 from safedpa.equations.chain_rule import chain_rule
 from safedpa.equations.rows import Level, RowTape, nested
-from safedpa.equations.slopes import PLAIN
+from safedpa.equations.slopes import plain_choice
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Line
 from safedpa.operations import FLOATS
 
@@ -131,7 +131,7 @@ def _grad_h_floats(tape: RowTape) -> Iterator[str]:
     yield '    """d(h_i)/d(state) of the rows asked for."""'
     groups = [[_row_slopes(tape, number, result) for result in names] for number, names in enumerate(tape.results)]
     over = {name for rows in groups for _, slopes, _ in rows for name in slopes}
-    known_lines, known = tape.state_slopes(sorted(over), PLAIN)
+    known_lines, known = tape.state_slopes(sorted(over), plain_choice)
     bodies = [[_row_text(tape, row, known) for row in rows] for rows in groups]
     wanted = [line for bodies_of in bodies for body in bodies_of for line in body]
     needed = [*over, *(name for name in _text(wanted) if tape.level(name) == "state")]
@@ -154,7 +154,7 @@ Row = tuple[Lines, dict[str, str], str]
 
 
 def _row_slopes(tape: RowTape, number: int, result: str) -> Row:
-    lines, over = tape.item_slopes(result, PLAIN)
+    lines, over = tape.item_slopes(result, plain_choice)
     return [*_values(tape, "item", [result]), *lines], over, result
 
 

@@ -6,33 +6,21 @@ d(r)/d(own), and the product a term of d(r)/d(a); in forward mode s is d(a)/d(x)
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import final
+
+Style = Callable[[str, str, str], str]
+"""(condition, yes, no) -> the source of ``yes`` if the condition holds, else ``no``."""
 
 
-class Style(ABC):
-    """How a choice between two values is written: an expression for floats, ``where`` for arrays."""
-
-    @abstractmethod
-    def choice(self, condition: str, yes: str, no: str) -> str:
-        """Returns the source of ``yes`` if the condition holds, else ``no``."""
+def plain_choice(condition: str, yes: str, no: str) -> str:
+    """Returns the choice as an expression over floats."""
+    return f"({yes} if {condition} else {no})"
 
 
-@final
-class _Plain(Style):
-    def choice(self, condition: str, yes: str, no: str) -> str:
-        return f"({yes} if {condition} else {no})"
+def array_choice(condition: str, yes: str, no: str) -> str:
+    """Returns the choice as ``where`` over arrays."""
+    return f"where({condition}, {yes}, {no})"
 
-
-@final
-class _Arrays(Style):
-    def choice(self, condition: str, yes: str, no: str) -> str:
-        return f"where({condition}, {yes}, {no})"
-
-
-PLAIN: Style = _Plain()
-ARRAYS: Style = _Arrays()
 
 Rule = Callable[[str, str, Sequence[str], Style], Sequence[str]]
 """(slope, own, operands, style) -> slope times the derivative by each operand; "0.0" where that is 0."""
@@ -92,35 +80,35 @@ def _quotient(slope: str, own: str, operands: Sequence[str], style: Style) -> Se
 
 
 def _absolute(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
-    down = style.choice(f"{operands[0]} < 0.0", negative(slope), _NONE)
-    return (style.choice(f"{operands[0]} > 0.0", slope, down),)
+    down = style(f"{operands[0]} < 0.0", negative(slope), _NONE)
+    return (style(f"{operands[0]} > 0.0", slope, down),)
 
 
 def _minimum(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
     second = f"{operands[1]} < {operands[0]}"
-    return style.choice(second, _NONE, slope), style.choice(second, slope, _NONE)
+    return style(second, _NONE, slope), style(second, slope, _NONE)
 
 
 def _maximum(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
     second = f"{operands[1]} > {operands[0]}"
-    return style.choice(second, _NONE, slope), style.choice(second, slope, _NONE)
+    return style(second, _NONE, slope), style(second, slope, _NONE)
 
 
 def _clip(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
     low, high = f"{operands[0]} <= {operands[1]}", f"{operands[0]} >= {operands[2]}"
-    inside = style.choice(low, _NONE, style.choice(high, _NONE, slope))
-    return inside, style.choice(low, slope, _NONE), style.choice(low, _NONE, style.choice(high, slope, _NONE))
+    inside = style(low, _NONE, style(high, _NONE, slope))
+    return inside, style(low, slope, _NONE), style(low, _NONE, style(high, slope, _NONE))
 
 
 def _where(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
-    return _NONE, style.choice(operands[0], slope, _NONE), style.choice(operands[0], _NONE, slope)
+    return _NONE, style(operands[0], slope, _NONE), style(operands[0], _NONE, slope)
 
 
 def _hypot(slope: str, own: str, operands: Sequence[str], style: Style) -> Sequence[str]:
     # at (0, 0) the derivative does not exist: that along the second operand is taken, which is a subgradient
     some = f"{own} > 0.0"
     first, second = (product(slope, f"{operand} / {own}") for operand in operands)
-    return style.choice(some, first, _NONE), style.choice(some, second, slope)
+    return style(some, first, _NONE), style(some, second, slope)
 
 
 _RULES: dict[str, Rule] = {

@@ -108,12 +108,7 @@ def _winds(cars: BatchedSimulator, count: int, generator: torch.Generator) -> Te
 
 
 def random_drives(
-    cars: BatchedSimulator,
-    networks: AffineNetworks,
-    count: int,
-    steps: int,
-    change: float,
-    generator: torch.Generator,
+    cars: BatchedSimulator, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
 ) -> TransitionSequence:
     """Simulates drives: half of the pendulums swing freely, half are filtered to stay within 45 degrees."""
     around = random_drives_around(cars, networks, count - count // 2, steps, change, generator)

@@ -89,8 +89,7 @@ class PointRobot(SimulatedRobot):
         """Returns state k with hazards and goal."""
         hazards = self.task.layout.hazards[0].tolist()
         return self._state(
-            goal=tuple(self.task.layout.goal[0].tolist()),
-            obstacles=tuple((x, y, HAZARD_RADIUS) for x, y in hazards),
+            goal=tuple(self.task.layout.goal[0].tolist()), obstacles=tuple((x, y, HAZARD_RADIUS) for x, y in hazards)
         )
 
     def _simulate_period(self) -> None:

@@ -14,16 +14,8 @@ _STATE = (
 )
 _STEER = Variable("steer", "rad", -0.6, 0.6)
 
-CAR = System(
-    name="car",
-    state=_STATE,
-    action=(Variable("target_speed", "m/s", -8.0, 8.0), _STEER),
-)
+CAR = System(name="car", state=_STATE, action=(Variable("target_speed", "m/s", -8.0, 8.0), _STEER))
 """A car with a speed servo. State: position of the rear axle's centre, heading, forward speed."""
 
-CAR_THROTTLE = System(
-    name="car",
-    state=_STATE,
-    action=(Variable("throttle", "1", -1.0, 1.0), _STEER),
-)
+CAR_THROTTLE = System(name="car", state=_STATE, action=(Variable("throttle", "1", -1.0, 1.0), _STEER))
 """The same car commanded by a throttle from -1 to 1."""

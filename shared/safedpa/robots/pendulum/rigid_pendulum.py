@@ -33,7 +33,4 @@ class RigidPendulum(AbstractBase):
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
         mass, length = parameters["mass"], parameters["length"]
         gravity_torque = mass * parameters["gravity"] * length * operations.sin(state["angle"])
-        return {
-            "angle": state["rate"],
-            "rate": (action["torque"] + gravity_torque) / (mass * length * length),
-        }
+        return {"angle": state["rate"], "rate": (action["torque"] + gravity_torque) / (mass * length * length)}

@@ -12,8 +12,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.equations.batch_rows import BatchRows
 from safedpa.equations.generated import generated
-from safedpa.equations.given import Given
-from safedpa.equations.rows import Equation, RowGroup, RowTape
+from safedpa.equations.rows import Equation, Given, RowGroup, RowTape
 from safedpa.equations.scalar_rows import scalar_rows
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.base import AbstractBarrier

@@ -170,11 +170,7 @@ _HAZARD_LOW, _HAZARD_HIGH = radians(5.0), radians(60.0)
 TASKS: Final = {
     "balance": PendulumTask("balance", (-pi / 4, pi / 4), (-0.2, 0.2), 0.0, ends=False),
     "swing": PendulumTask(
-        "swing",
-        (_HAZARD_HIGH, _HAZARD_LOW + 2 * pi),
-        (_HAZARD_HIGH + 0.05, _HAZARD_HIGH + 0.2),
-        2 * pi,
-        ends=True,
+        "swing", (_HAZARD_HIGH, _HAZARD_LOW + 2 * pi), (_HAZARD_HIGH + 0.05, _HAZARD_HIGH + 0.2), 2 * pi, ends=True
     ),
 }
 """``balance``: stay within 45 degrees of upright. ``swing``: swing up from just below a hazard, the long way round."""

@@ -56,10 +56,7 @@ class PendulumWorld:
     """
 
     def __init__(
-        self,
-        angle: float,
-        wind: Point = (0.0, 0.0),
-        parameters: PendulumParameters = PENDULUM_PARAMETERS,
+        self, angle: float, wind: Point = (0.0, 0.0), parameters: PendulumParameters = PENDULUM_PARAMETERS
     ) -> None:
         self.parameters = parameters
         self.wind = wind

@@ -29,13 +29,7 @@ from safedpa_sim.training.data.transitions import TransitionSequence, history_ro
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.networks.modules import AffineNetworks, HistoryNetwork
 
-_RANGES = {
-    "hitch": (0.03, 0.15),
-    "length": (0.2, 0.6),
-    "stop": (0.6, 1.2),
-    "slip": (0.006, 0.04),
-    "lever": (2.5, 5.5),
-}
+_RANGES = {"hitch": (0.03, 0.15), "length": (0.2, 0.6), "stop": (0.6, 1.2), "slip": (0.006, 0.04), "lever": (2.5, 5.5)}
 """h, l [m], stop [rad], slip [s2/m], lever [1/m]."""
 _SLOWEST = 0.3
 """m/s added to the speed in the slip, as in the equation above."""

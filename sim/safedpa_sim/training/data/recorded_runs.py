@@ -35,10 +35,7 @@ _FIELD = (-1e3, 1e3, -1e3, 1e3)
 
 
 def record_circles(
-    pairs: int,
-    seed: int,
-    run_pairs: int = 1000,
-    on_run: Callable[[int, int], None] = lambda _done, _all: None,
+    pairs: int, seed: int, run_pairs: int = 1000, on_run: Callable[[int, int], None] = lambda _done, _all: None
 ) -> tuple[Run, ...]:
     """Records runs of ``run_pairs`` transitions each, at least ``pairs`` in total; deterministic in ``seed``.
 

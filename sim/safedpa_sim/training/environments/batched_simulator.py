@@ -19,12 +19,7 @@ Tensor = torch.Tensor
 Body = Callable[[Tensor, Tensor, Tensor, Any], tuple[Tensor, Any]]
 """(state, action, environment, memory) to state and memory one period later; memory is () before the first step."""
 
-_POINT_PATHS: Final = (
-    "constant_force.ax",
-    "constant_force.ay",
-    "viscous_drag.coefficient",
-    "actuator_gain.gain",
-)
+_POINT_PATHS: Final = ("constant_force.ax", "constant_force.ay", "viscous_drag.coefficient", "actuator_gain.gain")
 """Parameters of the environment that the point robot's simulated body supports; its own drag is the model's."""
 
 

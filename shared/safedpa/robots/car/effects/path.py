@@ -93,11 +93,7 @@ class TyreSlip(RateEffect):
         operations = context.operations
         slip = operations.atan(parameters["compliance"] * context.state["speed"] * rates["yaw"])
         cosine, sine = operations.cos(slip), operations.sin(slip)
-        return {
-            **rates,
-            "x": rates["x"] * cosine + rates["y"] * sine,
-            "y": rates["y"] * cosine - rates["x"] * sine,
-        }
+        return {**rates, "x": rates["x"] * cosine + rates["y"] * sine, "y": rates["y"] * cosine - rates["x"] * sine}
 
 
 @final
