@@ -283,11 +283,11 @@ def nearest(monkeypatch: pytest.MonkeyPatch, errors: list[float], value: float =
     trials = [trial(str(number), model=after) for number, after in enumerate(errors)]
     windows: Any = SimpleNamespace(windows=range(count))
     search: Any = SimpleNamespace(shooting=windows, error=error(value), current="now")
+    search.error_of = lambda fit: error(fit.model)
     monkeypatch.setattr(nearest_candidates, "fit_trials", lambda *_: trials)
-    monkeypatch.setattr(nearest_candidates, "error_with", lambda fit, *_: error(fit.model))
     gains = lambda one, other, _: (100.0 if one == "now" else -1.0) + float(other.name)  # noqa: E731
     monkeypatch.setattr(nearest_candidates, "block_gain", gains)
-    return nearest_effects(search, [], None)  # type: ignore[arg-type]
+    return nearest_effects(search, [])
 
 
 @pytest.mark.parametrize(
@@ -410,7 +410,8 @@ def reported(monkeypatch: pytest.MonkeyPatch) -> Any:
         first = SimpleNamespace(fit=SimpleNamespace(model=Model(""), paths=("base.gain",)))
         current = SimpleNamespace(fit=SimpleNamespace(model=Model(added, "the last model"), scale="scale"))
         search: Any = SimpleNamespace(first=first, current=current, shooting="windows", added=list(added))
-        return stages_of(search, heldout, heldout if shown is None else other), "".join(search.added)
+        search.heldout = heldout
+        return stages_of(search, heldout if shown is None else other), "".join(search.added)
 
     return report
 

@@ -194,8 +194,9 @@ def searching(plain, with_effect, drive):
             JudgedTrial(0, alone, 9.0, None, "rejected", "gain", ()),
         ]
         search.rivals = {names[0]: rivals}
-        accept_trial(search, trial, heldout)
-        return search, heldout
+        search.library = of_car(dict.fromkeys([*names, *rivals]))
+        accept_trial(search, trial)
+        return search
 
     return made
 
@@ -223,9 +224,9 @@ TOWED = {"mass_ratio": 0.5, "deceleration": 0.6}
 
 
 def test_a_payload_and_a_rolling_resistance_are_merged_into_a_towed_load(searching):
-    search, heldout = searching({"towed_load": TOWED}, ["rolling_resistance", "payload"], ["towed_load"])
+    search = searching({"towed_load": TOWED}, ["rolling_resistance", "payload"], ["towed_load"])
     before = search.error.value
-    assert merge_effects(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
+    assert merge_effects(search)
     assert search.added == ["towed_load"]
     assert search.error.value <= 1.002 * before
     assert search.current.fit.model.settings["towed_load.mass_ratio"].value == pytest.approx(0.5, rel=0.1)
@@ -234,16 +235,16 @@ def test_a_payload_and_a_rolling_resistance_are_merged_into_a_towed_load(searchi
 
 def test_two_effects_without_an_equivalent_third_stay(searching):
     hidden = {"turning_drag": {"coefficient": 2.0}}
-    search, heldout = searching(hidden, ["turning_drag", "steering_lag"], ["towed_load"])
-    assert not merge_effects(search, of_car(["turning_drag", "steering_lag", "towed_load"]), heldout)
+    search = searching(hidden, ["turning_drag", "steering_lag"], ["towed_load"])
+    assert not merge_effects(search)
     assert search.added == ["turning_drag", "steering_lag"]
 
 
 def test_a_towed_load_without_resistance_becomes_a_payload(searching):
     hidden = {"payload": {"mass_ratio": 0.5}, "steering_lag": {"time_constant": 0.15}}
-    search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["viscous_drag", "payload"])
+    search = searching(hidden, ["towed_load", "steering_lag"], ["viscous_drag", "payload"])
     before = search.error.value
-    exchange_for_fewer_parameters(search, of_car(["towed_load", "steering_lag", "viscous_drag", "payload"]), heldout)
+    exchange_for_fewer_parameters(search)
     assert search.added == ["payload", "steering_lag"]
     assert search.error.value <= 1.002 * before
     assert accepted(search) == ["steering_lag + payload"]
@@ -251,10 +252,8 @@ def test_a_towed_load_without_resistance_becomes_a_payload(searching):
 
 def test_a_towed_load_that_resists_stays(searching):
     hidden = {"towed_load": TOWED, "steering_lag": {"time_constant": 0.15}}
-    search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["payload", "rolling_resistance"])
-    exchange_for_fewer_parameters(
-        search, of_car(["towed_load", "steering_lag", "rolling_resistance", "payload"]), heldout
-    )
+    search = searching(hidden, ["towed_load", "steering_lag"], ["payload", "rolling_resistance"])
+    exchange_for_fewer_parameters(search)
     assert search.added == ["towed_load", "steering_lag"]
 
 
@@ -262,9 +261,9 @@ def test_two_effects_are_exchanged_for_two_with_fewer_parameters(searching):
     """A towed load and a drag stood for a resistance and a servo that stays below its command."""
     hidden = {"rolling_resistance": {"deceleration": 0.5}, "speed_command_gain": {"gain": 0.8}}
     names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
-    search, heldout = searching(hidden, names, true, servo_car(), 2.5)
+    search = searching(hidden, names, true, servo_car(), 2.5)
     before = search.error.value
-    exchange_for_fewer_parameters(search, of_car([*names, *true]), heldout)
+    exchange_for_fewer_parameters(search)
     assert search.added == true
     assert search.error.value <= 1.002 * before
     assert accepted(search) == [" + ".join(true)]
@@ -272,9 +271,9 @@ def test_two_effects_are_exchanged_for_two_with_fewer_parameters(searching):
 
 def test_a_common_delay_that_imitates_two_lags_is_split_into_them(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
-    search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag", "payload"])
+    search = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag", "payload"])
     before = search.error.value
-    split_effect(search, of_car(["actuator_delay", "steering_lag", "drive_lag", "payload"]), heldout)
+    split_effect(search)
     assert search.added == ["steering_lag", "drive_lag"]
     assert search.error.value < 0.9 * before
     assert accepted(search) == ["steering_lag + drive_lag"]
@@ -282,8 +281,8 @@ def test_a_common_delay_that_imitates_two_lags_is_split_into_them(searching):
 
 def test_an_effect_that_a_split_pushes_to_its_bound_is_removed(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
-    search, heldout = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
-    split_effect(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
+    search = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
+    split_effect(search)
     assert search.added == ["steering_lag", "drive_lag"]
     assert bool(search.current.fit.free.all())
     assert accepted(search) == ["steering_lag + drive_lag"]
@@ -291,8 +290,8 @@ def test_an_effect_that_a_split_pushes_to_its_bound_is_removed(searching):
 
 def test_a_true_common_delay_is_not_split(searching):
     hidden = {"actuator_delay": {"seconds": 0.12}}
-    search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag"])
-    split_effect(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
+    search = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag"])
+    split_effect(search)
     assert search.added == ["actuator_delay"]
 
 
@@ -300,15 +299,15 @@ def test_an_equivalent_rival_is_reported(searching):
     """Below its limit a servo with a drag stays below its command, like one with a smaller gain."""
     hidden = {"viscous_drag": {"coefficient": 0.4}, "payload": {"mass_ratio": 0.3}}
     names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
-    search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
-    mark_equivalent_rivals(search, of_car([*names, *rivals]), heldout)
+    search = searching(hidden, names, rivals, servo_car(), 1.0)
+    mark_equivalent_rivals(search)
     (reported,) = [item.equals for item in search.candidates if item.decision == "accepted"]
     assert (reported, search.added) == (("viscous_drag",), names)
 
 
 def test_a_single_effect_gets_no_equivalent_rivals_after_the_search(searching):
-    search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
-    mark_equivalent_rivals(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
+    search = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
+    mark_equivalent_rivals(search)
     assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]
 
 

@@ -204,7 +204,8 @@ def test_a_strip_with_one_border_outside_the_data_becomes_a_half_plane(log):
     search = initial_search(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
     strip = {"angle": 0.0, "offset": 5.4, "half_width": 5.0, "deceleration": 0.9}
     region_fit = SimpleNamespace(region=StripRegion(), values=strip, gain=5.0)
-    found = region_effect(region_fit, search, effects_of("car").values())
+    search.library = list(effects_of("car").values())
+    found = region_effect(region_fit, search)
     law = next(item for item in found.fit.model.effects if item.name == "rolling_resistance").law
     assert (law.shape, law.variable) == ("above", "x")
     assert found.fit.model.settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.05)

@@ -89,10 +89,13 @@ def diagnose(
     )
     usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
-    found = _unmodelled(search, judge, LibraryMatcher(search, library, evidence.heldout))
-    sizes = with_manoeuvres(_detectable_sizes(search, library), search.current, library) if judge.enough else ()
+    found = _unmodelled(search, judge, library)
+    sizes: Sequence[Detectable] = ()
+    if judge.enough:
+        sizes = detectable_sizes(search.current, search.available, search.shooting, search.error)
+        sizes = with_manoeuvres(sizes, search.current, library)
     doubtful = doubtful_effects(search)
-    reported, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
+    reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
     possible, noise = [*doubtful, *found.likely], np.maximum(search.current.fit.scale, 1e-9)
     possible_values = [values_of(item.trial, search.shooting) for item in possible]
     return Report(
@@ -101,7 +104,7 @@ def diagnose(
         verdict=_verdict(search, found, judge, sizes) if not doubtful else "undecided",
         added=tuple(search.added),
         stages=tuple(reported.stages),
-        candidates=_candidates(search, evidence.heldout, shown, reported, final),
+        candidates=_candidates(search, shown, reported, final),
         where=_where(model, usable.runs, horizon),
         unexplained=found.unexplained,
         next_experiment=experiment_for(search),
@@ -126,24 +129,19 @@ class _Unmodelled:
     likely: list[JudgedTrial]
 
 
-def _unmodelled(search: SearchState, judge: DataSufficiency, names: LibraryMatcher) -> _Unmodelled:
+def _unmodelled(search: SearchState, judge: DataSufficiency, library: Sequence[AbstractEffect]) -> _Unmodelled:
     """Looks for what the accepted effects leave: a formula instead of them, or structure in the residual."""
     if not judge.enough:
         # If columns or units are wrong, even a list of the closest effects would mislead.
-        near = [] if judge.wrong else nearest_effects(search, names.library, names.heldout)
+        near = [] if judge.wrong else nearest_effects(search, library)
         return _Unmodelled(Unexplained((), judge.why_not, 0.0), near)
+    names = LibraryMatcher(search)
     structure = alternative_formula(search, names) or find_unexplained_structure(
         search.current, search.shooting, search.region, names
     )
     named = {item.trial.effects for item in names.found}
     others = [item for item in likely_effects(search) if item.trial.effects not in named]
     return _Unmodelled(structure, [*names.found, *others])
-
-
-def _detectable_sizes(search: SearchState, library: Sequence[AbstractEffect]) -> list[Detectable]:
-    have = {item.name for item in search.current.fit.model.effects}
-    remaining = [item for item in library if item.name not in have]
-    return detectable_sizes(search.current, remaining, search.shooting, search.error)
 
 
 def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
@@ -186,7 +184,7 @@ def _verdict(search: SearchState, found: _Unmodelled, judge: DataSufficiency, si
 
 
 def _candidates(
-    search: SearchState, heldout: Heldout, shown: Heldout, reported: StageReport, final: Mapping[str, FittedValue]
+    search: SearchState, shown: Heldout, reported: StageReport, final: Mapping[str, FittedValue]
 ) -> tuple[Candidate, ...]:
     """Returns the candidates as judged, accepted ones with their final parameters and the error of their stage.
 
@@ -199,7 +197,7 @@ def _candidates(
             stage = next(entry for entry in reported.stages if set(item.trial.effects) <= set(entry.effects))
             values = {key: final[key if "." in key else f"{candidate.effect}.{key}"] for key in candidate.parameters}
             candidate = replace(candidate, heldout_error=stage.heldout_error, parameters=values)
-        elif item.error is not None and shown is not heldout:
+        elif item.error is not None and shown is not search.heldout:
             error = error_with(item.trial.fit, search.shooting, shown).value
             candidate = replace(candidate, heldout_error=error)
         found.append(candidate)

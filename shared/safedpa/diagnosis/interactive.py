@@ -37,8 +37,6 @@ class StepwiseModel:
     """The fitted model after some steps, with everything that the next step needs."""
 
     search: SearchState
-    heldout: Heldout
-    """Windows of the horizon that the data determine, on which steps are decided."""
     shown: Heldout
     """Windows of the horizon that the user asked for."""
     why_not: str
@@ -54,7 +52,7 @@ class StepwiseModel:
     @cached_property
     def error(self) -> HeldoutError:
         """Error on data that the fit did not see, after the displayed horizon."""
-        same = self.shown is self.heldout
+        same = self.shown is self.search.heldout
         return self.search.error if same else error_with(self.search.current.fit, self.search.shooting, self.shown)
 
     @property
@@ -86,9 +84,7 @@ def first_step(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -
     evidence = data_at_horizon(usable.runs, usable.seconds)
     shown = displayed_windows(usable.runs, horizon, evidence)
     sufficiency = check_data_sufficiency(evidence.shooting, usable.runs, runs)
-    return StepwiseModel(
-        initial_search(model, evidence.shooting, evidence.heldout), evidence.heldout, shown, sufficiency.why_not
-    )
+    return StepwiseModel(initial_search(model, evidence.shooting, evidence.heldout), shown, sufficiency.why_not)
 
 
 def given_error(model: PhysicsModel, step: StepwiseModel) -> float:
@@ -106,14 +102,13 @@ def proposal(
     # Trials of the step before are starts for this one: most parameters hardly move.
     before = {t.trial.effects[0]: t.trial for t in search.candidates if len(t.trial.effects) == 1}
     search.candidates = []
-    library = library_for(step.model)
-    trials = fit_trials(
-        search.current, library, search.shooting, before, lambda done: report_progress(done, len(library) + 4)
-    )
+    search.library = library = library_for(step.model)
     # Four more units for pairs and the residual, which take about as long as four effects.
-    report_progress(len(library), len(library) + 4)
+    every = len(library) + 4
+    trials = fit_trials(search.current, library, search.shooting, before, lambda done: report_progress(done, every))
+    report_progress(len(library), every)
     null = search.current
-    accepted = bool(library) and add_best_trial(search, len(search.added), trials, library, step.heldout)
+    accepted = bool(library) and add_best_trial(search, len(search.added), trials)
     candidates = tuple(candidate_of(item, search) for item in search.candidates)
     chosen = next((item.effect for item in candidates if item.decision == "accepted"), None)
     # A choice explains part of the residual, so its structure is only looked for if there is none.
@@ -130,16 +125,16 @@ def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -
     if name not in tried:
         raise InputError(f"effect '{name}': not among the candidates; {did_you_mean(name, tried)}")
     search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
-    accept_trial(search, tried[name], step.heldout)
+    accept_trial(search, tried[name])
     for _ in range(_REFITS):
-        search.set_model(*relinearized(search.current.fit, search.shooting), step.heldout)
+        search.set_model(*relinearized(search.current.fit, search.shooting))
     found = replace(step, search=search)
     return replace(found, improved=found.error.improved_runs(step.error))
 
 
 def with_final(step: StepwiseModel) -> StepwiseModel:
     """Replaces the parameters by the final ones, which the filter along whole recordings gives."""
-    found, error = with_final_values(step.search.current.fit, step.search.shooting, step.heldout)
+    found, error = with_final_values(step.search.current.fit, step.search.shooting, step.search.heldout)
     search = _copied(step.search)
     search.current, search.error = replace(search.current, fit=found), error
     return replace(step, search=search)

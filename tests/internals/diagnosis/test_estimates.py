@@ -172,7 +172,7 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> Any:
     runs = [load_run(path, model.system) for path in log.runs]
     heldout = heldout_of(runs, 1.0)
     search = initial_search(model, shooting_of(runs, 1.0), heldout)
-    accept_trial(search, fit_trial(search.current, [effect("car", "rolling_resistance")], search.shooting), heldout)
+    accept_trial(search, fit_trial(search.current, [effect("car", "rolling_resistance")], search.shooting))
     return search
 
 

@@ -121,9 +121,9 @@ def test_an_accepted_trial_is_fitted_to_the_end_around_its_own_model(monkeypatch
     monkeypatch.setattr(search_state, "error_with", lambda *arguments: ("error", *arguments))
     windows = SimpleNamespace(around=lambda model: f"windows around {model}")
     nothing: Any = None
-    search: Any = SearchState(windows, nothing, nothing, nothing, nothing, added=["drag"])  # type: ignore[arg-type]
+    search: Any = SearchState(windows, nothing, nothing, nothing, nothing, "held out", added=["drag"])  # type: ignore[arg-type]
     own = SimpleNamespace(model="the model with lag", paths=("drag.c", "lag.t"), scale="scale")
-    accept_trial(search, SimpleNamespace(effects=("drag", "lag"), fit=own), "held out")  # type: ignore[arg-type]
+    accept_trial(search, SimpleNamespace(effects=("drag", "lag"), fit=own))  # type: ignore[arg-type]
     around = "windows around the model with lag"
     fitted = ("fitted", "the model with lag", ("drag.c", "lag.t"), around, "scale")
     assert (search.added, search.shooting) == (["drag", "lag"], around)

@@ -37,13 +37,13 @@ def searching(monkeypatch: pytest.MonkeyPatch) -> Any:
             "refit_effects",
             lambda _, items, *__: trial(*[item.name for item in items], held=tuple(held)),
         )
-        monkeypatch.setattr(backward_revision, "error_with", lambda *_: SimpleNamespace(value=0.1))
         monkeypatch.setattr(backward_revision, "block_gain", lambda *_: gain)
         monkeypatch.setattr(backward_revision, "passes", lambda found, *_: found > 3.0)
         return SimpleNamespace(
             added=list(added), candidates=[], error=SimpleNamespace(value=0.2), shooting=None,
             rivals={name: list(own) for name, own in rivals.items()},
             current=SimpleNamespace(loss=1.0, fit=SimpleNamespace(value=-2.0)),
+            error_of=lambda _: SimpleNamespace(value=0.1),
         )  # fmt: skip
 
     return make
@@ -62,7 +62,7 @@ def searching(monkeypatch: pytest.MonkeyPatch) -> Any:
 )  # fmt: skip
 def test_an_effect_is_split_into_two_rivals_that_pass_and_are_within_bounds(searching, added, rivals, held, gain, left):
     search = searching(added, rivals, held, gain)
-    backward_revision.split_effect(search, [], NOTHING)
+    backward_revision.split_effect(search)
     assert "".join(search.added) == left
     if left != added:
         assert search.error.value == 0.1
@@ -84,7 +84,7 @@ def test_a_rival_with_one_more_parameter_must_improve_the_log_likelihood_by_one(
     search.current.fit.value = -3.0 + fall
     monkeypatch.setattr(backward_revision, "given_effect_names", lambda _: [])
     monkeypatch.setattr(backward_revision, "is_spurious_delay", lambda *_: late)
-    backward_revision.exchange_effects(search, [], NOTHING)
+    backward_revision.exchange_effects(search)
     assert "".join(search.added) == left
 
 
@@ -93,7 +93,7 @@ def test_only_accepted_candidates_are_reported_as_replaced(searching: Any) -> No
     for stage, decision in enumerate(("rejected", "accepted")):
         for names in (("a",), ("b",)):
             search.candidates.append(JudgedTrial(stage, trial(*names), 4.0, NOTHING, decision, f"stage {stage}", ()))
-    backward_revision._replace(search, ("a",), ("d",), trial("d", "b"), NOTHING)
+    backward_revision._replace(search, ("a",), ("d",), trial("d", "b"))
     assert search.added == ["d", "b"]
     found = [(item.stage, item.trial.effects, item.decision) for item in search.candidates]
     assert found == [
@@ -128,11 +128,11 @@ def test_an_effect_that_helps_by_less_than_one_standard_error_is_removed(spread,
     )
     monkeypatch.setattr(backward_revision, "_is_spurious", lambda *_: False)
     monkeypatch.setattr(backward_revision, "_at_new_bound", lambda *_: False)
-    monkeypatch.setattr(backward_revision, "error_with", lambda names, *_: error_of(names))
+    search.error_of = error_of
     monkeypatch.setattr(
         backward_revision, "known_effects", lambda *_: {name: SimpleNamespace(name=name) for name in "dls"}
     )
-    backward_revision.select_smallest_model(search, [], NOTHING)
+    backward_revision.select_smallest_model(search)
     assert "".join(search.added) == left
     assert set(search.without) == set(left)
 
@@ -155,8 +155,8 @@ def test_an_effect_is_not_removed_if_another_would_reach_its_bound(monkeypatch: 
     monkeypatch.setattr(backward_revision, "refit_effects", left)
     monkeypatch.setattr(backward_revision, "known_effects", lambda *_: library)
     monkeypatch.setattr(backward_revision, "_is_spurious", lambda *_: False)
-    monkeypatch.setattr(backward_revision, "error_with", lambda fit, *_: error(0.4 if fit.free.all() else 0.21))
-    backward_revision.select_smallest_model(search, [], NOTHING)
+    search.error_of = lambda fit: error(0.4 if fit.free.all() else 0.21)
+    backward_revision.select_smallest_model(search)
     assert search.added == ["turning_drag", "viscous_drag"]
 
 

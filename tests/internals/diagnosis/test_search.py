@@ -53,12 +53,9 @@ def test_rejected_candidates_keep_their_parameters_and_accepted_ones_get_the_fin
         judged("drag", decision="accepted", stage=2), judged("drag"), judged("lag", decision="accepted"),
         judged("drag", "lag", after=None),
     ]  # fmt: skip
-    search: Any = SimpleNamespace(candidates=candidates, added=["drag"], shooting=None)
-    heldout: Any = object()
+    search: Any = SimpleNamespace(candidates=candidates, added=["drag"], shooting=None, heldout=None)
     report: Any = SimpleNamespace(stages=stages)
-    stayed, before, gone, untried = diagnose._candidates(
-        search, heldout, object() if elsewhere else heldout, report, final
-    )
+    stayed, before, gone, untried = diagnose._candidates(search, object() if elsewhere else None, report, final)  # type: ignore[arg-type]
     assert (stayed.effect, stayed.stage, stayed.score, stayed.heldout_error) == ("drag", 2, 4.0, 0.1)
     assert (stayed.indistinguishable_from, stayed.decision, stayed.reason) == (("wind",), "accepted", "because")
     assert {name: value.value for name, value in stayed.parameters.items()} == {"coefficient": 2.0, "power": 20.0}
@@ -77,8 +74,8 @@ def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few
     monkeypatch.setattr(diagnose, "nearest_effects", lambda *_: ["nearest"])
     search: Any = SimpleNamespace(current=None, shooting=None, region=None)
     judge: Any = SimpleNamespace(enough=enough, wrong=wrong, why_not="too little data")
-    names: Any = SimpleNamespace(library=[], heldout=None, found=[judged("lag")])
-    rest: Any = diagnose._unmodelled(search, judge, names)
+    monkeypatch.setattr(diagnose, "LibraryMatcher", lambda _: SimpleNamespace(found=[judged("lag")]))
+    rest: Any = diagnose._unmodelled(search, judge, [])
     if enough:
         assert rest.unexplained == "a formula"
         assert [item.trial.effects for item in rest.likely] == [("lag",), ("drag",)], "each is named once"
@@ -116,6 +113,8 @@ def test_a_search_after_a_law_has_as_many_stages_as_effects_may_still_be_added(m
         first_error=error(0.2),
         current=SimpleNamespace(fit=fit),
         shooting=None,
+        heldout=None,
+        available=[],
     )
 
     def stage(_search: Any, number: int, *_: Any) -> bool:
@@ -166,7 +165,7 @@ def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(changes
     monkeypatch.setattr(searching, "is_spurious_delay", lambda *_: False)
     monkeypatch.setattr(searching, "within_bounds", lambda *_: True)
     monkeypatch.setattr(searching, "fewest_parameters", lambda trial, *_: trial)
-    monkeypatch.setattr(searching, "accept_trial", lambda search, trial, _: search.added.extend(trial.effects))
+    monkeypatch.setattr(searching, "accept_trial", lambda search, trial: search.added.extend(trial.effects))
     monkeypatch.setattr(searching, "known_effects", lambda *_: {})
     monkeypatch.setattr(searching, "refit_effects", lambda *_: None)
     monkeypatch.setattr(searching, "block_gain", lambda *_: case["sure"])
@@ -178,12 +177,13 @@ def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(changes
     monkeypatch.setattr(searching, "_add_one_by_one", in_turn)
     windows: Any = SimpleNamespace(names=case["names"], period=np.array([0.05]))
     current: Any = SimpleNamespace(name="before")
-    search = SearchState(SimpleNamespace(windows=windows), current, error(case["missing"]), current, error(0.8))  # type: ignore[arg-type]
+    windows = SimpleNamespace(windows=windows)
+    search = SearchState(windows, current, error(case["missing"]), current, error(0.8), NOTHING)
     search.region = case["region"]
     trial: Any = SimpleNamespace(effects=("viscous_drag",), name="viscous_drag")
     after = error((1.0 - case["fall"]) * before)
     search.candidates = [JudgedTrial(0, trial, case["gain"], after, "rejected", "too little", (), before)]
-    searching._add_effects(search, [], NOTHING, lambda *_: None, lambda: ())
+    searching._add_effects(search, lambda *_: None, lambda: ())
     assert search.added == (["viscous_drag"] if retained else [])
     assert search.error.value == (case["reached"] if retained else case["missing"])
     assert search.candidates[0].decision == ("accepted" if retained else "rejected")
@@ -251,7 +251,7 @@ def test_an_interactive_step_looks_for_a_formula_if_no_effect_passes(library, pa
     monkeypatch.setattr(interactive, "add_best_trial", lambda *given: did.append(given) or passed)
     monkeypatch.setattr(interactive, "find_unexplained_structure", lambda *_: "rest")
     monkeypatch.setattr(interactive, "experiment_for", lambda _: None)
-    step: Any = SimpleNamespace(why_not="", search=search, model=None, heldout=None)
+    step: Any = SimpleNamespace(why_not="", search=search, model=None)
     assert (interactive.proposal(step).unexplained, len(did)) == (rest, asked)
     proposed: Any = SimpleNamespace(search=SimpleNamespace(candidates=[judged("drag"), judged("lag")]))
     with pytest.raises(InputError, match="effect 'lagg': not among the candidates"):
@@ -270,8 +270,8 @@ def test_a_law_must_satisfy_every_criterion_of_acceptance(lacking: str, monkeypa
         monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.notice[key])
     monkeypatch.setattr(conditional, "_simplest", lambda passing, _: [one.name for one in passing])
     doubtful = law("doubtful", lacking)
-    assert conditional._best_passing(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]
-    assert conditional._best_passing(NOTHING, [doubtful], NOTHING) is None
+    assert conditional._best_passing(NOTHING, [doubtful, law("sound")]) == ["sound"]
+    assert conditional._best_passing(NOTHING, [doubtful]) is None
 
 
 @pytest.mark.parametrize(
@@ -284,9 +284,9 @@ def test_laws_are_added_in_at_most_three_rounds_and_regions_if_no_law_is_left(la
     monkeypatch.setattr(conditional, "_best_law", lambda *_: left.pop(0) if left else None)
     monkeypatch.setattr(conditional, "_floor_region", lambda *_: floors.pop(0) if floors else None)
     monkeypatch.setattr(conditional, "_one_sided", lambda best, _: best)
-    monkeypatch.setattr(conditional, "accept_law", lambda _search, best, _heldout: did.append(best))
+    monkeypatch.setattr(conditional, "accept_law", lambda _search, best: did.append(best))
     monkeypatch.setattr(conditional, "backward_elimination", lambda *_: did.append("-"))
-    assert conditional.add_conditions(NOTHING, [], NOTHING) is bool(accepted)
+    assert conditional.add_conditions(NOTHING) is bool(accepted)
     assert "".join(did) == "".join(f"{name}-" for name in accepted), "each is followed by removals"
 
 

@@ -121,7 +121,7 @@ def _version(label: str, step: StepwiseModel, runs: Sequence[Run], horizon: floa
 
 
 def _by_state(error: RolloutError | Any, step: StepwiseModel) -> dict[str, float]:
-    names = step.heldout.windows.system.state_names
+    names = step.search.heldout.windows.system.state_names
     return {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
 
 

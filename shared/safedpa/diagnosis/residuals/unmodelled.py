@@ -15,7 +15,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.comparison.where import POSITION
-from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import (
@@ -40,7 +39,6 @@ from safedpa.diagnosis.residuals.weak_sindy import TIME, SelectedTerms, Term, is
 from safedpa.diagnosis.search.acceptance import ALIKE, SIMPLER, SURE
 from safedpa.diagnosis.search.regions import RegionFit, best_region
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
-from safedpa.effects import AbstractEffect
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import NUMPY
@@ -344,8 +342,6 @@ class LibraryMatcher:
     """Finds effects that explain the same as a formula or a function of one variable; ``found`` collects them."""
 
     search: SearchState
-    library: Sequence[AbstractEffect]
-    heldout: Heldout
     found: list[JudgedTrial] = field(default_factory=list)
     _trials: list[EffectTrial] | None = None
 
@@ -392,7 +388,7 @@ class LibraryMatcher:
         return sorted(singles, key=lambda item: item.trial.loss)[:_COMPARED]
 
     def _fitted(self, item: JudgedTrial) -> EffectTrial:
-        effect = next(candidate for candidate in self.library if candidate.name == item.trial.effects[0])
+        effect = next(candidate for candidate in self.search.library if candidate.name == item.trial.effects[0])
         settings = item.trial.fit.model.settings
         known = {p.name: settings[f"{effect.name}.{p.name}"].value for p in effect.parameters}
         # Refitted on top of the current model: the candidate's trial may lack effects accepted since.
@@ -404,7 +400,7 @@ class LibraryMatcher:
         for trial in sorted(same, key=lambda trial: trial.loss):
             if trial.effects not in {item.trial.effects for item in self.found}:
                 gain = block_gain(self.search.current, trial, self.search.shooting)
-                error = error_with(trial.fit, self.search.shooting, self.heldout)
+                error = self.search.error_of(trial.fit)
                 reason = f"gain on unseen blocks {gain:.1f} standard errors; likely, not proven: {why}"
                 last = max((item.stage for item in self.search.candidates), default=0)
                 self.found.append(

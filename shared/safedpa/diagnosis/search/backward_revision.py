@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.least_squares import fit, known_slopes, objectives, regularized_inverse
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, initial_values, trial_of, with_effect_at
 from safedpa.diagnosis.search.acceptance import CLEAR_FALL, SAME, SIMPLER, is_spurious_delay, passes, with_reason
@@ -79,9 +79,9 @@ def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: floa
     return trial_of(found, search.shooting, (), None)
 
 
-def exchange_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def exchange_effects(search: SearchState) -> None:
     """Exchanges each accepted effect for a rival that predicts unseen blocks better together with the others."""
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     # With one effect the forward search has already compared all rivals in its place.
     if len(search.added) < 2:
         return
@@ -98,7 +98,7 @@ def exchange_effects(search: SearchState, library: Sequence[AbstractEffect], hel
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_effect_names(search)})
         spurious = is_spurious_delay(replace(best, effects=(new,)), None, search.error, 0.0)
         if block_gain(search.current, best, search.shooting) > SIMPLER and not spurious:
-            _replace(search, (name,), (new,), best, heldout)
+            _replace(search, (name,), (new,), best)
 
 
 def _justifies_its_parameters(trial: EffectTrial, search: SearchState) -> bool:
@@ -114,15 +114,13 @@ def _justifies_its_parameters(trial: EffectTrial, search: SearchState) -> bool:
     return more <= 0 or better > more
 
 
-def _replace(
-    search: SearchState, group: Sequence[str], new: Sequence[str], best: EffectTrial, heldout: Heldout
-) -> None:
+def _replace(search: SearchState, group: Sequence[str], new: Sequence[str], best: EffectTrial) -> None:
     """Replaces accepted effects by others, with which the model is ``best``, and updates the candidates."""
     index = search.added.index(group[0])
     search.added[index : index + 1] = new
     search.added = [name for name in search.added if name not in group]
     search.current = best
-    search.error = error_with(best.fit, search.shooting, heldout)
+    search.error = search.error_of(best.fit)
     new_names, old_names = " and ".join(new), " and ".join(group)
     # The new effects are listed once, with the first candidate that they replace.
     unlisted = tuple(new)
@@ -141,13 +139,13 @@ def _replace(
         unlisted = ()
 
 
-def backward_elimination(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def backward_elimination(search: SearchState) -> None:
     """Removes accepted effects, and correlated pairs, without which unseen blocks are predicted as well.
 
     The least needed goes first, until all are needed. An effect that clearly reduces the held-out error stays even if
     blocks do not confirm it: with few blocks that test has little power.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     before = list(search.added)
     while len(search.added) > 1:
         without = {}
@@ -162,7 +160,7 @@ def backward_elimination(search: SearchState, library: Sequence[AbstractEffect],
             without[group] = reduced, needed
         group = min(without, key=lambda names: without[names][1])
         reduced, gain = without[group]
-        error = error_with(reduced.fit, search.shooting, heldout)
+        error = search.error_of(reduced.fit)
         if gain >= SIMPLER or search.error.value < (1.0 - CLEAR_FALL) * error.value:
             break
         search.added = [name for name in search.added if name not in group]
@@ -170,17 +168,17 @@ def backward_elimination(search: SearchState, library: Sequence[AbstractEffect],
         withdraw_candidates(search, group)
     # Only then can the rest depend on what was removed.
     if search.added != before:
-        _check_remaining(search, heldout)
+        _check_remaining(search)
 
 
-def select_smallest_model(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def select_smallest_model(search: SearchState) -> None:
     """Selects the smallest model within one standard error of the best held-out error, over runs or blocks of one run.
 
     The least needed effect goes first. All that is removed together may cost at most CLEAR_FALL of the error: runs that
     differ make the standard error large, which does not mean that an effect is useless in each of them. Spurious lags
     are removed too. ``search.without`` then holds the model without each remaining effect.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     best = search.error.value
     # The limit is relative to the best error before any removal, so small losses cannot add up.
     most = min(best + _ONE_STANDARD_ERROR * search.error.standard_error, best / (1.0 - CLEAR_FALL))
@@ -189,10 +187,10 @@ def select_smallest_model(search: SearchState, library: Sequence[AbstractEffect]
         for name in search.added:
             others = [by_name[other] for other in search.added if other != name]
             reduced = refit_effects(search, others, -np.inf)
-            error = error_with(reduced.fit, search.shooting, heldout)
+            error = search.error_of(reduced.fit)
             if not error.value > _FAR_WORSE * most:
                 reduced = refit_effects(search, others)
-                error = error_with(reduced.fit, search.shooting, heldout)
+                error = search.error_of(reduced.fit)
             search.without[name] = reduced, error
         # Spurious lags go first, whatever they seem to contribute.
         spurious = [name for name in search.added if _is_spurious(search, name)]
@@ -232,18 +230,18 @@ def _improves_some_run(before: HeldoutError, after: HeldoutError) -> bool:
     return bool(fell.any()) or after.value < (1.0 - _ROUNDING) * before.value
 
 
-def merge_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
+def merge_effects(search: SearchState) -> bool:
     """Replaces two accepted effects by one with as many parameters that predicts as well; returns whether it did.
 
     Example: a payload and a rolling resistance together are exactly a towed load.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     for pair in combinations(list(search.added), 2):
         others = [by_name[name] for name in search.added if name not in pair]
         for whole in _merged_rivals(search, pair, by_name):
             best = refit_effects(search, [*others, whole])
-            if _is_as_good(best, search, heldout):
-                _replace(search, pair, (whole.name,), best, heldout)
+            if _is_as_good(best, search):
+                _replace(search, pair, (whole.name,), best)
                 return True
     return False
 
@@ -262,34 +260,34 @@ def _merged_rivals(
     return [item for item in found if len(item.parameters) == parameter_count]
 
 
-def _is_as_good(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
+def _is_as_good(trial: EffectTrial, search: SearchState) -> bool:
     """Returns whether a trial within its bounds predicts unseen blocks and held-out rollouts as well as the model."""
     # As good means within one standard error, not significantly better: fewer parameters decide then.
     if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
         return False
-    return error_with(trial.fit, search.shooting, heldout).value <= (1.0 + _ROUNDING) * search.error.value
+    return search.error_of(trial.fit).value <= (1.0 + _ROUNDING) * search.error.value
 
 
-def remove_effects_at_bounds(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def remove_effects_at_bounds(search: SearchState) -> None:
     """Removes accepted effects that are still at a bound of a parameter: what fits only there is another effect."""
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     bound = effects_at_bounds(search.current)
     group = [name for name in search.added if name in bound]
     if group:
         search.added = [name for name in search.added if name not in group]
         search.current = refit_effects(search, [by_name[name] for name in search.added])
-        search.error = error_with(search.current.fit, search.shooting, heldout)
+        search.error = search.error_of(search.current.fit)
         withdraw_candidates(search, group, "fits only at a bound")
 
 
-def _check_remaining(search: SearchState, heldout: Heldout) -> None:
+def _check_remaining(search: SearchState) -> None:
     """Removes everything if the remaining effects do not pass by themselves: one part of a confirmed pair may not.
 
     With a clear reduction of the held-out error, the gain that protects an effect from removal is enough.
     """
     null = refit_effects(search, [])
     gain = block_gain(null, search.current, search.shooting)
-    before = error_with(null.fit, search.shooting, heldout)
+    before = search.error_of(null.fit)
     clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
     if not (clear or passes(gain, search.error, before)):
         withdraw_candidates(search, search.added)
@@ -324,32 +322,32 @@ def withdraw_candidates(
             search.candidates[index] = with_reason(item, decision, reason)
 
 
-def exchange_for_fewer_parameters(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def exchange_for_fewer_parameters(search: SearchState) -> None:
     """Exchanges one or two accepted effects for as many rivals that predict as well with fewer parameters.
 
     Such a rival lost by rounding, or because the other effects were not yet in the model. Example: a towed load without
     resistance is a payload.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     while True:
         found = []
         for group in [group for count in (1, 2) for group in combinations(search.added, count)]:
             best = _best_instead(search, group, _with_fewer(search, group, by_name), by_name)
-            if best is not None and _is_as_good(best[0], search, heldout):
+            if best is not None and _is_as_good(best[0], search):
                 found.append((group, *best))
         if not found:
             return
         group, trial, names = min(found, key=lambda one: one[1].loss)
-        _replace(search, group, names, trial, heldout)
+        _replace(search, group, names, trial)
 
 
-def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def split_effect(search: SearchState) -> None:
     """Replaces an accepted effect by two of its rivals that pass in its place.
 
     Example: a delay of all actuators imitated a lag of each. Effects that are then at a bound compensated for the
     mistake and are removed with it.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     for name in list(search.added):
         if name not in search.added:
             continue  # already removed together with another effect
@@ -363,8 +361,8 @@ def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout
             retained = [other for other in search.added if other not in (name, *idle)]
             trial = refit_effects(search, [by_name[item] for item in (*retained, *new)])
         gain = block_gain(search.current, trial, search.shooting)
-        if trial.fit.free.all() and passes(gain, error_with(trial.fit, search.shooting, heldout), search.error):
-            _replace(search, (name, *idle), new, trial, heldout)
+        if trial.fit.free.all() and passes(gain, search.error_of(trial.fit), search.error):
+            _replace(search, (name, *idle), new, trial)
 
 
 def effects_at_bounds(trial: EffectTrial) -> set[str]:
@@ -397,19 +395,19 @@ def _best_instead(
     return min(near, key=lambda pair: pair[0].loss, default=None)
 
 
-def mark_equivalent_rivals(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def mark_equivalent_rivals(search: SearchState) -> None:
     """Marks which rivals of each accepted effect predict the same in its place, once all other effects are known.
 
     Example: once a payload is in the model, a command gain may turn out to be equivalent to a drag.
     """
-    by_name = known_effects(search, library)
+    by_name = known_effects(search)
     for name in search.added if len(search.added) > 1 else ():
         parameter_count = len(by_name[name].parameters)
         rivals = [other for other in search.rivals.get(name, [])[:_RIVALS] if other not in search.added]
         same = []
         for rival in (other for other in rivals if len(by_name[other].parameters) == parameter_count):
             trial = _best_instead(search, (name,), [(rival,)], by_name)
-            if trial is not None and _is_as_good(trial[0], search, heldout):
+            if trial is not None and _is_as_good(trial[0], search):
                 same.append(rival)
         for index, item in enumerate(search.candidates):
             if item.decision == "accepted" and name in item.trial.effects:

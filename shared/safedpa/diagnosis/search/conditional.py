@@ -14,7 +14,6 @@ from itertools import product
 import numpy as np
 
 from safedpa.comparison.where import POSITION
-from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.least_squares import fit, known_slopes, relinearized
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, trial_of
 from safedpa.diagnosis.report_schema import Condition
@@ -100,26 +99,26 @@ _AFFECTED = 0.02
 _MOST_RUNS = 0.6
 
 
-def add_conditions(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
+def add_conditions(search: SearchState) -> bool:
     """Adds laws to effects while they predict unseen data clearly better; returns whether any was added."""
     for done in range(_ROUNDS):
-        best = _best_law(search, library, heldout) or _floor_region(search, library, heldout)
+        best = _best_law(search) or _floor_region(search)
         if best is None:
             return done > 0
-        accept_law(search, _one_sided(best, search), heldout)
+        accept_law(search, _one_sided(best, search))
         # Plain effects that stood in for the law have become superfluous.
-        backward_elimination(search, library, heldout)
+        backward_elimination(search)
     return True
 
 
-def _best_law(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> EffectTrial | None:
+def _best_law(search: SearchState) -> EffectTrial | None:
     """Returns the best effect with a law among those that promise most to first order; None if none passes."""
-    proposals = screen_conditions(search, library)
+    proposals = screen_conditions(search)
     if not proposals:
         return None
-    tries = [*_law_trials(search, proposals, library), *_law_trials_without_one(search, library)]
+    tries = [*_law_trials(search, proposals), *_law_trials_without_one(search)]
     trials = [trial for proposal, without in tries for trial in _fit_law_and_prune(search, proposal, without)]
-    return _best_passing(search, trials, heldout)
+    return _best_passing(search, trials)
 
 
 def _fit_law_and_prune(
@@ -138,7 +137,7 @@ def _fit_law_and_prune(
             yield again
 
 
-def _floor_region(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> EffectTrial | None:
+def _floor_region(search: SearchState) -> EffectTrial | None:
     """Returns rolling resistance inside a region of the floor, if it passes; otherwise a formula would describe it.
 
     Few blocks lie in such a region, too few to compare laws of all effects there. So the gain is over all blocks.
@@ -147,16 +146,16 @@ def _floor_region(search: SearchState, library: Sequence[AbstractEffect], heldou
     if _FLOOR in {item.name for item in search.current.fit.model.effects}:
         return None
     region_fit = best_region(search.current, search.shooting)
-    trial = None if region_fit is None else region_effect(region_fit, search, library)
+    trial = None if region_fit is None else region_effect(region_fit, search)
     if trial is None or not _covers_some_rows(trial, search):
         return None
     gain = block_gain(search.current, trial, search.shooting)
-    fall = 1.0 - error_with(trial.fit, search.shooting, heldout).value / max(search.error.value, 1e-12)
+    fall = 1.0 - search.error_of(trial.fit).value / max(search.error.value, 1e-12)
     return trial if any(gain > least and fall > share for least, share in _ENOUGH) else None
 
 
 def _law_trials(
-    search: SearchState, every: Sequence[ConditionalCandidate], library: Sequence[AbstractEffect]
+    search: SearchState, every: Sequence[ConditionalCandidate]
 ) -> Iterator[tuple[ConditionalCandidate, tuple[str, ...]]]:
     """Yields the best laws, at most two per effect and kind, each with the accepted effects to leave out.
 
@@ -169,7 +168,7 @@ def _law_trials(
             found.append(item)
         if len(found) == _FITTED_LAWS:
             break
-    by_name = {item.name: item for item in library}
+    by_name = {item.name: item for item in search.library}
     floor = by_name.get(_FLOOR)
     region = next((other for other in found if set(other.law.variables) <= {*POSITION}), None)
     known = {other.item.name for other in found} | {other.name for other in search.current.fit.model.effects}
@@ -200,20 +199,18 @@ def _initial_candidate(search: SearchState, item: AbstractEffect, law: Where | V
     )
 
 
-def _law_trials_without_one(
-    search: SearchState, library: Sequence[AbstractEffect]
-) -> Iterator[tuple[ConditionalCandidate, tuple[str, ...]]]:
+def _law_trials_without_one(search: SearchState) -> Iterator[tuple[ConditionalCandidate, tuple[str, ...]]]:
     """Yields laws that explain what is missing without one of the accepted effects, which may only imitate the law.
 
     An effect that has a law already may imitate another law, also one of the same effect.
     """
-    known = known_effects(search, library)
+    known = known_effects(search)
     for name in search.added[:_LEFT_OUT]:
         lawful = isinstance(known[name], Conditioned)
         if len(search.added) < 2 and not lawful:
             continue
         less = refit_effects(search, [known[other] for other in search.added if other != name])
-        for proposal in screen_conditions(replace(search, current=less), library, _CANDIDATES)[:_LAWS_WITHOUT]:
+        for proposal in screen_conditions(replace(search, current=less), _CANDIDATES)[:_LAWS_WITHOUT]:
             if lawful or proposal.item.name != name:
                 yield proposal, (name,)
 
@@ -273,15 +270,15 @@ def _fit_law(search: SearchState, proposal: ConditionalCandidate, without: Seque
     return trial_of(found, search.shooting, (proposal.item.name,), null)
 
 
-def _best_passing(search: SearchState, trials: Sequence[EffectTrial], heldout: Heldout) -> EffectTrial | None:
+def _best_passing(search: SearchState, trials: Sequence[EffectTrial]) -> EffectTrial | None:
     """Returns the best trial that passes, or its equivalent with the fewest parameters; None if none passes."""
     passing = [
         trial
         for trial in trials
         # A value at a bound means that the law fits only as something else.
         if bool(trial.fit.free.all())
-        and _passes(trial, search, heldout)
-        and _in_most_runs(trial, search, heldout)
+        and _passes(trial, search)
+        and _in_most_runs(trial, search)
         and _covers_some_rows(trial, search)
         and _present_outside_law(trial, search)
     ]
@@ -326,9 +323,9 @@ def _with_a_law(trial: EffectTrial) -> Conditioned | None:
     return item if isinstance(item, Conditioned) else None
 
 
-def _passes(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
+def _passes(trial: EffectTrial, search: SearchState) -> bool:
     """Returns whether a trial predicts unseen data better than the current model and than the plain effect."""
-    after = error_with(trial.fit, search.shooting, heldout).value
+    after = search.error_of(trial.fit).value
     if not _better(trial, search.current, search.error.value, after, search):
         return False
     effect = next(item for item in trial.fit.model.effects if item.name == trial.effects[0])
@@ -336,7 +333,7 @@ def _passes(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
         return True
     # Otherwise a plain effect that was never tried next to the current model would pass as a law.
     everywhere = fit_trial(search.current, [plain(effect)], search.shooting)
-    before = error_with(everywhere.fit, search.shooting, heldout).value
+    before = search.error_of(everywhere.fit).value
     return _better(trial, everywhere, before, after, search)
 
 
@@ -375,7 +372,7 @@ def _covers_some_rows(trial: EffectTrial, search: SearchState) -> bool:
     return _MIN_ROW_SHARE < float(np.mean(item.law.inside(values, context))) < 1.0 - _MIN_ROW_SHARE
 
 
-def _in_most_runs(trial: EffectTrial, search: SearchState, heldout: Heldout) -> bool:
+def _in_most_runs(trial: EffectTrial, search: SearchState) -> bool:
     """Returns whether most affected runs are predicted better, by unseen windows or by trimmed held-out rollouts.
 
     Both are tried because a border may move too far when a run is left out, to first order. A few windows are then off
@@ -386,7 +383,7 @@ def _in_most_runs(trial: EffectTrial, search: SearchState, heldout: Heldout) -> 
     runs = search.shooting.windows.run
     if _majority_positive([float(better[runs == run].sum()) for run in np.unique(runs)], 1.0):
         return True
-    before, after = search.error.by_run, error_with(trial.fit, search.shooting, heldout).by_run
+    before, after = search.error.by_run, search.error_of(trial.fit).by_run
     return _majority_positive((1.0 - after / before)[np.isfinite(after / before)].tolist(), _AFFECTED)
 
 
@@ -397,7 +394,7 @@ def _majority_positive(sums: Sequence[float], least: float) -> bool:
     return not affected or sum(value > 0 for value in affected) > _MOST_RUNS * len(affected)
 
 
-def accept_law(search: SearchState, best: EffectTrial, heldout: Heldout, stage: int | None = None) -> None:
+def accept_law(search: SearchState, best: EffectTrial, stage: int | None = None) -> None:
     """Makes a trial with a law the current model and updates the candidates that it replaces."""
     gain = block_gain(search.current, best, search.shooting, local=True)
     before = search.error
@@ -405,7 +402,7 @@ def accept_law(search: SearchState, best: EffectTrial, heldout: Heldout, stage: 
     again, shooting = relinearized(best.fit, search.shooting)
     name, item = best.effects[0], _with_a_law(best)
     assert item is not None
-    search.set_model(again, shooting, heldout)
+    search.set_model(again, shooting)
     if stage is None:
         stage = max((other.stage for other in search.candidates), default=0)
     law = f"{item.law.key} {item.law.phrase}"
@@ -423,13 +420,13 @@ def accept_law(search: SearchState, best: EffectTrial, heldout: Heldout, stage: 
         search.added.append(name)
 
 
-def region_effect(region_fit: RegionFit, search: SearchState, library: Sequence[AbstractEffect]) -> EffectTrial | None:
+def region_effect(region_fit: RegionFit, search: SearchState) -> EffectTrial | None:
     """Returns a region of the floor as rolling resistance that acts there only; None if it does not brake.
 
     Half planes are tried as well: a strip with one border outside the driven area is a half plane. Of the shapes that
     unseen blocks cannot distinguish, the one with the fewest parameters is returned.
     """
-    item = next((effect for effect in library if effect.name == _FLOOR), None)
+    item = next((effect for effect in search.available if effect.name == _FLOOR), None)
     if item is None or not region_fit.values["deceleration"] > 0.0:
         return None
     shooting = search.shooting

@@ -11,7 +11,7 @@ The best laws are fitted and judged in nonlinear rollouts afterwards (``conditio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -82,9 +82,7 @@ class _Weights:
     values: FloatArray
 
 
-def screen_conditions(
-    search: SearchState, library: Sequence[AbstractEffect], most: int | None = None
-) -> list[ConditionalCandidate]:
+def screen_conditions(search: SearchState, most: int | None = None) -> list[ConditionalCandidate]:
     """Returns the best law of each kind for each parameter, those that predict unseen windows best first.
 
     Of effects that are not in the model, the ``most`` with the lowest loss without a law are screened. None screens all
@@ -94,7 +92,7 @@ def screen_conditions(
     every = list(_weights(shooting))
     sums = _NormalEquations(null, shooting)
     found = []
-    for column in _columns(search, library, most):
+    for column in _columns(search, most):
         for weights in every:
             candidate = _best_law(column, weights, sums)
             if candidate is not None and candidate.gain > _LIKELY:
@@ -133,7 +131,7 @@ def _column_of_trial(
     return _ParameterColumn(item, named, trial.fit.columns[..., index] * scale, now)
 
 
-def _columns(search: SearchState, library: Sequence[AbstractEffect], most: int | None) -> Iterator[_ParameterColumn]:
+def _columns(search: SearchState, most: int | None) -> Iterator[_ParameterColumn]:
     null, system = search.current, search.shooting.windows.system
     fitted = null.fit
     given = given_effect_names(search)
@@ -147,7 +145,7 @@ def _columns(search: SearchState, library: Sequence[AbstractEffect], most: int |
                 index = fitted.paths.index(path)
                 yield _ParameterColumn(item, parameter.name, fitted.columns[..., index], now, index)
     have = {item.name for item in fitted.model.effects}
-    by_name = {item.name: item for item in library}
+    by_name = {item.name: item for item in search.library}
     last = max((item.stage for item in search.candidates), default=0)
     singles = [item.trial for item in search.candidates if item.stage == last and len(item.trial.effects) == 1]
     ratios, last_tried = len(search.shooting.rows), {trial.effects[0] for trial in singles}

@@ -103,15 +103,16 @@ def run_search(
 ) -> SearchState:
     """Refits the free parameters, adds effects until none passes, revises them, adds laws and fits final parameters."""
     search = initial_search(model, shooting, heldout)
-    _add_effects(search, library, heldout, report_progress, other_horizons)
+    search.library = library
+    _add_effects(search, report_progress, other_horizons)
     report_progress(0, 3, f"revising the effects that were added; {_so_far(search)}")
     # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
-    _revise(search, library, heldout)
+    _revise(search)
     report_progress(1, 3, f"where and when they act; {_so_far(search)}")
-    if library and add_conditions(search, library, heldout):
+    if library and add_conditions(search):
         # A law explains part of the residual, which may reveal an effect that was hidden before.
-        _add_effects(search, library, heldout, report_progress, other_horizons)
-        _revise(search, library, heldout)
+        _add_effects(search, report_progress, other_horizons)
+        _revise(search)
     report_progress(2, 3, f"final parameters; {_so_far(search)}")
     if library:
         final, search.error = with_final_values(search.current.fit, search.shooting, heldout)
@@ -119,77 +120,50 @@ def run_search(
     return search
 
 
-def _add_effects(
-    search: SearchState,
-    library: Sequence[AbstractEffect],
-    heldout: Heldout,
-    report_progress: ReportProgress,
-    other_horizons: OtherHorizons,
-) -> None:
+def _add_effects(search: SearchState, report_progress: ReportProgress, other_horizons: OtherHorizons) -> None:
     """Adds effects one after the other until none passes; if MUCH is still missing, looks one step ahead."""
-    _add_one_by_one(search, library, heldout, report_progress, other_horizons)
+    _add_one_by_one(search, report_progress, other_horizons)
     # Provisional: the steps ahead are kept only if their result passes as a whole.
     while search.error.value > MUCH:
-        ahead = look_one_step_ahead(search, heldout)
+        ahead = look_one_step_ahead(search)
         if ahead is None:
             return
-        _add_one_by_one(ahead, library, heldout, report_progress, other_horizons)
-        if not improves_clearly(search, ahead, library):
+        _add_one_by_one(ahead, report_progress, other_horizons)
+        if not improves_clearly(search, ahead):
             return
         search.continue_from(ahead)
 
 
-def _add_one_by_one(
-    search: SearchState,
-    library: Sequence[AbstractEffect],
-    heldout: Heldout,
-    report_progress: ReportProgress,
-    other_horizons: OtherHorizons,
-) -> None:
+def _add_one_by_one(search: SearchState, report_progress: ReportProgress, other_horizons: OtherHorizons) -> None:
     """Adds effects one after the other until none passes."""
     before: dict[str, EffectTrial] = {}
     # Stages continue to count after a law or a step ahead, so that candidates of a stage stay together.
     first = 1 + max((item.stage for item in search.candidates), default=-1)
     most = first + MOST - len(search.added)
-    for stage in range(first, most if library else first):
-        available = [
-            item for item in library if item.name not in {effect.name for effect in search.current.fit.model.effects}
-        ]
-        trials = fit_trials(
-            search.current,
-            available,
-            search.shooting,
-            before,
-            _stage_reported(report_progress, search, f"stage {stage + 1} of at most {most}", len(available)),
-        )
+    for stage in range(first, most if search.library else first):
+        available, notice = search.available, f"stage {stage + 1} of at most {most}; {_so_far(search)}"
+        report = lambda done, size=len(available), text=notice: report_progress(done, size, text)  # noqa: E731
+        trials = fit_trials(search.current, available, search.shooting, before, report)
         # The fitted values of this stage are starts for the next: adding one effect moves most others little.
         before = {trial.effects[0]: trial for trial in trials}
-        if not add_best_trial(search, stage, trials, available, heldout, other_horizons):
+        if not add_best_trial(search, stage, trials, other_horizons):
             break
 
 
-def _revise(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+def _revise(search: SearchState) -> None:
     """Revises the accepted effects: exchanges, splits, merges and removals."""
-    exchange_effects(search, library, heldout)
-    split_effect(search, library, heldout)
-    backward_elimination(search, library, heldout)
-    exchange_for_fewer_parameters(search, library, heldout)
-    if merge_effects(search, library, heldout):
+    exchange_effects(search)
+    split_effect(search)
+    backward_elimination(search)
+    exchange_for_fewer_parameters(search)
+    if merge_effects(search):
         # The effect that replaced two may make a third one superfluous.
-        backward_elimination(search, library, heldout)
-    select_smallest_model(search, library, heldout)
+        backward_elimination(search)
+    select_smallest_model(search)
     # Only then were values at a bound accepted (within_bounds); elsewhere there are none to remove.
     if search.first_error.value > MOST_MISSING:
-        remove_effects_at_bounds(search, library, heldout)
-    mark_equivalent_rivals(search, library, heldout)
-
-
-def _stage_reported(
-    report_progress: ReportProgress, search: SearchState, stage: str, size: int
-) -> Callable[[int], None]:
-    """Returns the callback that reports how much of a stage is done."""
-    notice = f"{stage}; {_so_far(search)}"
-    return lambda done: report_progress(done, size, notice)
+        remove_effects_at_bounds(search)
+    mark_equivalent_rivals(search)
 
 
 def _so_far(search: SearchState) -> str:
@@ -204,18 +178,16 @@ def add_best_trial(
     search: SearchState,
     number: int,
     trials: list[EffectTrial],
-    available: Sequence[AbstractEffect],
-    heldout: Heldout,
     other_horizons: OtherHorizons = lambda: (),
 ) -> bool:
     """Judges the trials of a stage and adds the best that passes; returns whether one was added."""
-    null, shooting = search.current, search.shooting
-    stage = _stage(search, number, trials, heldout)
+    null, shooting, available = search.current, search.shooting, search.available
+    stage = _stage(search, number, trials)
     best, passed, doubted = _choose_effect(search, stage)
     if not passed:
         # Pairs come second: a single effect that passes is the simpler explanation, and pairs take longer to fit.
         pairs = fit_pairs(null, trials, available, shooting)
-        two = _stage(search, number, pairs, heldout, at_most=len(pairs))
+        two = _stage(search, number, pairs, at_most=len(pairs))
         good = [t for t in pairs if within_bounds(t, search) and two.passes(t, search.error)]
         good = order_by_heldout_gain(sorted(good, key=lambda trial: trial.loss), two, search.error)
         chosen, refused = _first_confirmed(search, two, good)
@@ -239,9 +211,9 @@ def add_best_trial(
     search.candidates += [
         _with_other_horizon(at_other_horizon, judge_trial(search, stage, trial, best, passed)) for trial in stage.trials
     ]
-    region_trial = None if search.region is None else region_effect(search.region, search, available)
+    region_trial = None if search.region is None else region_effect(search.region, search)
     if region_trial is not None:
-        accept_law(search, region_trial, heldout, number)
+        accept_law(search, region_trial, number)
         return True
     if not passed or best is None:
         return False
@@ -249,7 +221,7 @@ def add_best_trial(
         singles = [trial.effects[0] for trial in stage.trials if len(trial.effects) == 1]
         # The twelve best of the stage; exchanges use at most a few of them.
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
-    accept_trial(search, best, heldout)
+    accept_trial(search, best)
     return True
 
 
@@ -260,9 +232,7 @@ def _with_other_horizon(at_other_horizon: PassingCandidate | None, item: JudgedT
     return replace(item, reason=f"{item.reason}; {at_other_horizon.reason}")
 
 
-def _stage(
-    search: SearchState, number: int, trials: list[EffectTrial], heldout: Heldout, at_most: int = 6
-) -> SearchStage:
+def _stage(search: SearchState, number: int, trials: list[EffectTrial], at_most: int = 6) -> SearchStage:
     """Computes the gains of all trials, and the held-out errors of the ``at_most`` best with a gain above 1."""
     gains = {trial.effects: block_gain(search.current, trial, search.shooting) for trial in trials}
     gaining = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
@@ -270,7 +240,7 @@ def _stage(
     for trial in gaining:
         large = search.error.value > MUCH and len(errors) < _RELINEARISED_TRIALS
         fitted = relinearized(trial.fit, search.shooting) if large else (trial.fit, search.shooting)
-        errors[trial.effects] = error_with(*fitted, heldout)
+        errors[trial.effects] = error_with(*fitted, search.heldout)
     return SearchStage(number, trials, gains, errors, float(np.median(search.shooting.windows.period)))
 
 
@@ -465,7 +435,7 @@ def _fit_at_horizon(
     return PassingCandidate(trial, data.seconds, block_gain(null, extended, data.shooting), fall)
 
 
-def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | None:
+def look_one_step_ahead(search: SearchState) -> SearchState | None:
     """Returns the search with the likeliest trial of its last stage added although it did not pass; None without one.
 
     Also returns None if a region of the floor explains more than the best trial, because the region is reported
@@ -487,7 +457,7 @@ def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | 
     singles = [item.trial.effects[0] for item in likely if len(item.trial.effects) == 1]
     for name in best.trial.effects:
         ahead.rivals[name] = [other for other in singles if other not in best.trial.effects]
-    accept_trial(ahead, best.trial, heldout)
+    accept_trial(ahead, best.trial)
     return ahead
 
 
@@ -503,10 +473,10 @@ def _is_likely(item: JudgedTrial, search: SearchState) -> bool:
     return item.gain > LIKELY and (item.fall or 0.0) > FALL and not spurious
 
 
-def improves_clearly(search: SearchState, ahead: SearchState, library: Sequence[AbstractEffect]) -> bool:
+def improves_clearly(search: SearchState, ahead: SearchState) -> bool:
     """Returns whether the step's result predicts unseen blocks clearly better and reduces the error by CLEAR_FALL."""
     if not ahead.error.value < (1.0 - CLEAR_FALL) * search.error.value:
         return False
-    by_name = known_effects(ahead, library)
+    by_name = known_effects(ahead)
     without = refit_effects(ahead, [by_name[name] for name in search.added])
     return block_gain(without, ahead.current, ahead.shooting) > SURE

@@ -66,7 +66,7 @@ def _search_from(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> S
         fitted, shooting = again, closer
     first = trial_of(fitted, shooting, (), None)
     error = error_with(first.fit, shooting, heldout)
-    return SearchState(shooting, first, error, first, error)
+    return SearchState(shooting, first, error, first, error, heldout)
 
 
 def _moved_far(before: FloatArray, after: FloatArray) -> bool:

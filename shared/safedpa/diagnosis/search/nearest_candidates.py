@@ -9,7 +9,6 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.experiment_design import discriminating_manoeuvres
-from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.trial import block_gain, fit_trials
 from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect
 from safedpa.diagnosis.search.acceptance import MOST_MISSING
@@ -65,13 +64,13 @@ def doubtful_effects(search: SearchState) -> list[JudgedTrial]:
     return found
 
 
-def nearest_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> list[JudgedTrial]:
+def nearest_effects(search: SearchState, library: Sequence[AbstractEffect]) -> list[JudgedTrial]:
     """Returns the effects that would reduce the error most, for data too few to judge any effect."""
     if len(search.shooting.windows) < _MIN_WINDOWS or not search.error.value > 0:
         return []
     # Twice as many as are reported, because the order by windows and by held-out error differ.
     trials = fit_trials(search.current, library, search.shooting, {})[: 2 * _MAX_REPORTED]
-    found = [(trial, error_with(trial.fit, search.shooting, heldout)) for trial in trials]
+    found = [(trial, search.error_of(trial.fit)) for trial in trials]
     before, why = search.error.value, "too little data"
     return [
         JudgedTrial(0, trial, block_gain(search.current, trial, search.shooting), error, "suspected", why, (), before)

@@ -43,6 +43,10 @@ class SearchState:
     error: HeldoutError
     first: EffectTrial
     first_error: HeldoutError
+    heldout: Heldout
+    """Windows whose held-out error decides."""
+    library: Sequence[AbstractEffect] = ()
+    """Effects that the search may add."""
     candidates: list[JudgedTrial] = field(default_factory=list)
     added: list[str] = field(default_factory=list)
     region: RegionFit | None = None
@@ -56,10 +60,20 @@ class SearchState:
     refits_of: EffectTrial | None = field(default=None, init=False)
     """The current model when the cache was filled; another one makes it stale."""
 
-    def set_model(self, fitted: Fit, shooting: Shooting, heldout: Heldout) -> None:
+    @property
+    def available(self) -> list[AbstractEffect]:
+        """Effects of the library that the current model does not have."""
+        have = {item.name for item in self.current.fit.model.effects}
+        return [item for item in self.library if item.name not in have]
+
+    def error_of(self, fitted: Fit) -> HeldoutError:
+        """Returns the held-out error of a model that was fitted in the windows of the search."""
+        return error_with(fitted, self.shooting, self.heldout)
+
+    def set_model(self, fitted: Fit, shooting: Shooting) -> None:
         """Continues with a fit and the windows about which it is linearised."""
         self.shooting, self.current = shooting, trial_of(fitted, shooting, (), None)
-        self.error = error_with(fitted, shooting, heldout)
+        self.error = self.error_of(fitted)
 
     def copy(self) -> SearchState:
         """Returns a search that may be continued without changing this one."""
@@ -78,10 +92,10 @@ class SearchState:
             setattr(self, name, getattr(other, name))
 
 
-def accept_trial(search: SearchState, best: EffectTrial, heldout: Heldout) -> None:
+def accept_trial(search: SearchState, best: EffectTrial) -> None:
     """Adds a trial to the search and fits it to convergence, because the next stage is compared with its error."""
     search.added += [name for name in best.effects if name not in search.added]
-    search.set_model(*relinearized(best.fit, search.shooting), heldout)
+    search.set_model(*relinearized(best.fit, search.shooting))
 
 
 def given_effect_names(search: SearchState) -> set[str]:
@@ -89,6 +103,6 @@ def given_effect_names(search: SearchState) -> set[str]:
     return {item.name for item in search.first.fit.model.effects}
 
 
-def known_effects(search: SearchState, library: Sequence[AbstractEffect]) -> dict[str, AbstractEffect]:
+def known_effects(search: SearchState) -> dict[str, AbstractEffect]:
     """Returns effects by name: those of the current model with their laws, the others plain."""
-    return {item.name: item for item in (*library, *search.current.fit.model.effects)}
+    return {item.name: item for item in (*search.library, *search.current.fit.model.effects)}

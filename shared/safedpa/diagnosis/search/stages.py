@@ -30,22 +30,24 @@ class StageReport:
     worse: tuple[WorsenedState, ...]
 
 
-def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageReport:
+def stages_of(search: SearchState, shown: Heldout) -> StageReport:
     """Returns the stages: the given model refitted, then one per accepted effect, all fitted on the same windows.
 
-    ``heldout`` has the search's own horizon and determines the order; the errors are those of ``shown``. Effects are
+    The search's own horizon determines the order; the errors are those of ``shown``. Effects are
     listed in the order in which they were accepted. If an effect helps only together with a later one, the order is
     that in which the error falls fastest, and ``search.added`` is reordered too. An effect that helps no run by itself
     shares a stage with the next one.
     """
-    first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
-    steps = [first, *(_refitted_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
+    first = (search.first.fit, error_with(search.first.fit, search.shooting, search.heldout))
+    steps = [first, *(_refitted_step(search, search.added[: count + 1]) for count in range(len(search.added)))]
     # Refitting other orders is only worth it if an addition raised the error. Of two effects, one that does not help
     # alone shares its stage with the other anyway.
     if any(later[1].value > earlier[1].value for earlier, later in pairwise(steps)) and len(search.added) > 2:
-        search.added, steps = _greedy_order(search, first, heldout)
-    names = heldout.windows.system.state_names
-    errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
+        search.added, steps = _greedy_order(search, first)
+    names = search.heldout.windows.system.state_names
+    errors = [
+        error if shown is search.heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps
+    ]
     shown_stages = _helpful_stages(errors)
     found = []
     for number, before in zip(shown_stages, [None, *shown_stages], strict=False):
@@ -85,13 +87,13 @@ def _worsened_states(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Wo
     return tuple(sorted(found, key=lambda item: item.before - item.after))
 
 
-def _greedy_order(search: SearchState, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
+def _greedy_order(search: SearchState, first: _Step) -> tuple[list[str], list[_Step]]:
     """Returns the accepted effects in greedy order: at each step the one that gives the lowest error."""
     order: list[str] = []
     steps = [first]
     while len(order) < len(search.added):
         remaining = [name for name in search.added if name not in order]
-        tried = {name: _refitted_step(search, [*order, name], heldout) for name in remaining}
+        tried = {name: _refitted_step(search, [*order, name]) for name in remaining}
         best = min(remaining, key=lambda name: tried[name][1].value)
         order.append(best)
         # Greedy: trying all orders would need a factorial number of fits.
@@ -99,10 +101,10 @@ def _greedy_order(search: SearchState, first: _Step, heldout: Heldout) -> tuple[
     return order, steps
 
 
-def _refitted_step(search: SearchState, names: Sequence[str], heldout: Heldout) -> _Step:
+def _refitted_step(search: SearchState, names: Sequence[str]) -> _Step:
     """Refits the first model with some of the accepted effects, starting from the values of the last model."""
     if set(names) == set(search.added):
-        return search.current.fit, error_with(search.current.fit, search.shooting, heldout)
+        return search.current.fit, error_with(search.current.fit, search.shooting, search.heldout)
     model, final = search.first.fit.model, search.current.fit.model
     for name in names:
         item = next(effect_paths for effect_paths in search.current.fit.model.effects if effect_paths.name == name)
@@ -110,4 +112,4 @@ def _refitted_step(search: SearchState, names: Sequence[str], heldout: Heldout) 
     effect_paths = [path for path in model.settings if path.split(".")[0] in names]
     # Refitted, because parameters of a partial model compensate for the missing effects.
     found = fit(model, [*search.first.fit.paths, *effect_paths], search.shooting, search.current.fit.scale)
-    return found, error_with(found, search.shooting, heldout)
+    return found, error_with(found, search.shooting, search.heldout)
