@@ -69,14 +69,22 @@ class Parameter(click.Option):
 
 def integer(name: str, default: int | None = None, text: str | None = None, **settings: Any) -> Parameter:
     """A whole number."""
-    settings = {"show_default": default is not None, **settings}
-    return Parameter(name, type=int, default=default, help=text, **settings)
+    return number(name, default, text, type=int, **settings)
 
 
 def number(name: str, default: float | None = None, text: str | None = None, **settings: Any) -> Parameter:
     """A real number."""
-    settings = {"show_default": default is not None, **settings}
-    return Parameter(name, type=float, default=default, help=text, **settings)
+    settings = {"type": float, "show_default": default is not None, **settings}
+    return Parameter(name, default=default, help=text, **settings)
+
+
+def scenes(count: int, first: int, what: str, drive: str, seconds: float = 20.0) -> tuple[Parameter, ...]:
+    """``--seeds``, ``--first-seed`` and ``--seconds`` of each ``drive``; ``what`` says of what there are so many."""
+    return (
+        integer("--seeds", count, what, positive=True),
+        integer("--first-seed", first),
+        number("--seconds", seconds, f"simulated time per {drive}", positive=True),
+    )
 
 
 def text(name: str, default: str | None = None, text: str | None = None, **settings: Any) -> Parameter:
@@ -164,11 +172,11 @@ class Experiment:
         return {item.writes: value for item in written if (value := options[item.name or ""]) is not None}
 
 
-def from_options(kind: Callable[..., T], options: Options, **known: Any) -> T:
-    """A dataclass of parameters from the options of the same names; what was not given keeps its default."""
-    names = inspect.signature(kind).parameters
+def with_options(call: Callable[..., T], options: Options, **known: Any) -> T:
+    """Calls a function or class with the options of its parameters' names; what was not given keeps its default."""
+    names = inspect.signature(call).parameters
     given = {name: value for name, value in options.items() if name in names and value not in (None, ())}
-    return kind(**given | known)
+    return call(**{**given, **known})
 
 
 def resolve(name: str) -> Any:

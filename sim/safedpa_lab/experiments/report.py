@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ def markdown_table(head: str, rows: Iterable[str], *, above: str = "") -> str:
 
 
 def interval(
-    found: Sequence[float], scale: float = 1.0, digits: int = 1, least: float = -1e300, most: float = 1e300
+    found: Sequence[float], scale: float = 1.0, digits: int = 1, least: float = -inf, most: float = inf
 ) -> str:
     """Mean and 95 % interval, scaled and clipped to the possible range: "2.5 (1.9 to 3.1)"."""
     mean, low, high = (scale * part for part in found)

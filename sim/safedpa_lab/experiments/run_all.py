@@ -18,11 +18,11 @@ import click
 
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.records.writers.tables import atomic_path
-from safedpa_lab.experiments.car.methods import FAMILIES
+from safedpa_lab.experiments.car.methods import FAMILIES, Family
 from safedpa_lab.experiments.record import Experiment, Options, Parameter, ReportProgress, Result
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.experiments.table import EXPERIMENTS
-from safedpa_lab.provenance.check import Standing, standings
+from safedpa_lab.provenance.check import standings
 
 _ACCOUNT: Final = "all.json"
 _LAST_TEXT: Final = 500
@@ -43,7 +43,7 @@ class Part:
     data: bool = False
     """Whether it needs the recordings of ``--data``."""
     family: str = ""
-    """The family whose models, which are not shipped, it needs."""
+    """Name of the family whose models, which are not shipped, it needs."""
 
     @property
     def phrase(self) -> str:
@@ -56,14 +56,9 @@ class Part:
         return EXPERIMENTS[self.phrase.split()[0]]
 
     @property
-    def models(self) -> str:
-        """Folder of the models that it needs; empty where it needs none."""
-        return str(FAMILIES[self.family].models) if self.family else ""
-
-    @property
-    def training(self) -> str:
-        """The command that trains those models."""
-        return FAMILIES[self.family].training if self.family else ""
+    def needs(self) -> Family | None:
+        """The family whose models, which are not shipped, it needs."""
+        return FAMILIES.get(self.family)
 
     def result(self, out: Path) -> Path:
         """The file of its result below the folder of all."""
@@ -171,14 +166,11 @@ def chosen(names: Sequence[str], data: Path | None) -> list[Part]:
             raise InputError(f"--only {name}: {did_you_mean(name, known)}")
         if known[name].data and data is None:
             raise InputError(f"--only {name}: got no --data, wanted the folder of the recordings that it reads")
-        if not _is_trained(known[name]):
-            raise InputError(f"--only {name}: no {known[name].models}; '{known[name].training}' makes it")
+        if (needs := known[name].needs) and not needs.models.is_dir():
+            raise InputError(f"--only {name}: no {needs.models}; '{needs.training}' makes it")
     wanted = [known[name] for name in names] if names else list(PARTS)
-    return [part for part in wanted if (data is not None or not part.data) and _is_trained(part)]
-
-
-def _is_trained(part: Part) -> bool:
-    return not part.models or Path(part.models).is_dir()
+    trained = [part for part in wanted if part.needs is None or part.needs.models.is_dir()]
+    return [part for part in trained if data is not None or not part.data]
 
 
 def is_made(part: Part, out: Path, account: Mapping[str, Any], *, small: bool) -> bool:
@@ -186,7 +178,8 @@ def is_made(part: Part, out: Path, account: Mapping[str, Any], *, small: bool) -
     reported, path = account.get(part.name), part.result(out)
     if not isinstance(reported, dict) or reported.get("exit_code") != 0 or reported.get("small") is not small:
         return False
-    return path.is_file() and all(_of_today(found) for found in standings(path.parent) if found.name == path.name)
+    own = (found for found in standings(path.parent) if found.name == path.name)
+    return path.is_file() and all(found.rooms > 0 and not found.changed for found in own)
 
 
 def make(
@@ -208,7 +201,8 @@ def make(
             continue
         report_progress(part, f"runs; about {1.0 if small else part.minutes:g} minutes")
         account[part.name] = reported = _run(part, out, data, small=small)
-        _write(out / _ACCOUNT, account)
+        with atomic_path(out / _ACCOUNT) as unfinished:
+            unfinished.write_text(json.dumps(account, indent=1) + "\n", encoding="utf-8")
         phrase = (
             f"done in {reported['seconds']:.0f} s" if reported["exit_code"] == 0 else f"failed: {reported['last_text']}"
         )
@@ -231,10 +225,6 @@ def _run(part: Part, out: Path, data: Path | None, *, small: bool) -> dict[str, 
     return reported if code == 0 else {**reported, "last_text": last[0][:_LAST_TEXT]}
 
 
-def _of_today(found: Standing) -> bool:
-    return found.rooms > 0 and not found.changed
-
-
 def _read(path: Path) -> dict[str, Any]:
     """The saved table; empty if the file is none: then everything is made again."""
     try:
@@ -242,11 +232,6 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _write(path: Path, account: Mapping[str, Any]) -> None:
-    with atomic_path(path) as unfinished:
-        unfinished.write_text(json.dumps(account, indent=1) + "\n", encoding="utf-8")
 
 
 def listing(options: Options) -> list[str]:

@@ -16,6 +16,7 @@ from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import peers, systems
+from safedpa_lab.experiments.adversary.attack import Answers
 from safedpa_lab.experiments.adversary.bad_inputs import two_threads, vectors
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, CarJudge, CarQuestion, car_question
 from safedpa_lab.experiments.adversary.example_systems import ControlSystem
@@ -130,7 +131,7 @@ def test_the_nearest_action_gives_way_where_it_costs_least(weights: Numbers, ran
 
 def tallied(
     patch: pytest.MonkeyPatch, status: str, action: float, nominal: Any = (0.9,), lift: float = 0.5, actions: int = 1
-) -> systems.Tally:
+) -> tuple[systems.Tally, Answers]:
     """Of one period of a system whose state becomes its action; after it h is lift + a_1 and lift - a_1, now 0.5."""
 
     def h(states: Any) -> Any:
@@ -145,7 +146,8 @@ def tallied(
     patch.setattr(systems, "SYSTEMS", (lambda: system,))
     patch.setattr(systems, "NOMINAL_POLICIES", {"own": lambda *_: lambda _state: np.array(nominal)})
     answer_with(patch, status, [action] * actions)
-    return systems.Systems().work((1, 0, 0, 1))[1]
+    _, tally = systems.Systems().work((1, 0, 0, 1))
+    return tally, Answers(tally.answers)
 
 
 @pytest.mark.parametrize(
@@ -158,11 +160,12 @@ def tallied(
 )  # fmt: skip
 def test_an_answer_in_a_closed_loop_is_counted_once(status, action, counts, monkeypatch) -> None:
     """Actions from -0.25 to 0.25 satisfy both conditions; h changes by 2 over the actions and is 0.5 now."""
-    found = tallied(monkeypatch, status, action)
-    assert (found.kept, found.below, found.unkept, found.missed, found.needless) == counts
-    assert (found.statuses, found.episodes) == ({status: 1}, 1)
+    tally, found = tallied(monkeypatch, status, action)
+    faults = (found.count(fault) for fault in ("missed", "needless"))
+    assert (len(found.broken), found.count("below"), found.rest, *faults) == counts
+    assert (tally.statuses, tally.episodes) == ({status: 1}, 1)
     scale = {"passed": 0.5, "corrected": 2.0}.get(status)
-    assert found.broken == pytest.approx(max(0.0, abs(action) - 0.25) / scale if scale else 0.0, abs=1e-12)
+    assert sum(found.broken) == pytest.approx(max(0.0, abs(action) - 0.25) / scale if scale else 0.0, abs=1e-12)
     nearest = 0.245  # of the grid's 401 points, with room
     wanted = [pytest.approx(abs(action - 0.9) / 2.0 - (0.9 - nearest) / 2.0)] if status == "corrected" else []
     assert found.excess == wanted
@@ -170,20 +173,20 @@ def test_an_answer_in_a_closed_loop_is_counted_once(status, action, counts, monk
 
 @pytest.mark.parametrize(("status", "unkept"), [("corrected", 0), ("relaxed", 1)])
 def test_nothing_is_missed_where_no_action_keeps_the_conditions(status, unkept, monkeypatch) -> None:
-    found = tallied(monkeypatch, status, 0.9, lift=-0.5)
-    assert (found.excess, found.unkept, found.missed, found.needless) == ([], unkept, 0, 0)
+    _, found = tallied(monkeypatch, status, 0.9, lift=-0.5)
+    assert (found.excess, found.rest, found.count("missed"), found.count("needless")) == ([], unkept, 0, 0)
 
 
 @pytest.mark.parametrize("status", ["corrected", "relaxed"])
 @pytest.mark.parametrize("nominal", [(np.nan, np.nan), (0.5, np.nan)])
 def test_no_distance_is_measured_from_a_nominal_action_that_is_not_finite(status, nominal, monkeypatch) -> None:
-    found = tallied(monkeypatch, status, 0.0, nominal, actions=2)
-    assert (found.excess, found.unkept, found.missed, found.needless) == ([], 0, 0, 0)
+    _, found = tallied(monkeypatch, status, 0.0, nominal, actions=2)
+    assert (found.excess, found.rest, found.count("missed"), found.count("needless")) == ([], 0, 0, 0)
 
 
 def test_distances_in_a_plane_add_their_squares(monkeypatch: pytest.MonkeyPatch) -> None:
     """Requested (0, 0.6), answered (0.25, 0.25): nearest of the grid is the nominal action itself; ranges are 2."""
-    (far,) = tallied(monkeypatch, "corrected", 0.25, (0.0, 0.6), actions=2).excess
+    (far,) = tallied(monkeypatch, "corrected", 0.25, (0.0, 0.6), actions=2)[1].excess
     assert far == pytest.approx(0.5 * np.hypot(0.25, 0.35), abs=1e-9)
 
 

@@ -149,18 +149,29 @@ def action_grid(low: Sequence[float], high: Sequence[float], counts: Sequence[in
 
 
 def judged_on_grid(
-    status: str, own: FloatArray, h: FloatArray, required: FloatArray, scale: FloatArray, **known: Any
-) -> tuple[Judged, BoolArray]:
-    """An answer whose predicted h is ``own`` (rows,), next to the h (n, rows) of a grid of actions.
+    status: str,
+    own: tuple[FloatArray, FloatArray],
+    grid: tuple[FloatArray, FloatArray],
+    required: FloatArray,
+    scale: FloatArray,
+    far: Callable[[FloatArray], FloatArray],
+    **known: Any,
+) -> Judged:
+    """An answer, its action and predicted h (rows,) being ``own``, next to a grid of actions and their h (n, rows).
 
-    Also returns which actions of the grid keep all conditions with room. ``known`` are further fields.
+    ``far``: the distance of actions (n, actions) from the nominal one. ``known``: further fields; ``below`` counts only
+    where the answer is passed or corrected.
     """
+    (action, own_h), (actions, h), below = own, grid, known.pop("below")
     keeping: BoolArray = np.all((h - required) / scale >= BROKEN, axis=1)
-    finite = bool(np.isfinite(own).all())
+    finite = bool(np.isfinite(own_h).all())
     if status in ("passed", "corrected"):
-        broken = max(0.0, -float(((own - required) / scale).min())) if finite else float("inf")
-        return Judged(status=status, broken=broken, **known), keeping
-    height = float((own / scale).min()) if finite else -float("inf")
+        broken = max(0.0, -float(((own_h - required) / scale).min())) if finite else float("inf")
+        excess = None
+        if status == "corrected" and keeping.any():
+            excess = float(far(action[None])[0] - far(actions[keeping]).min())
+        return Judged(status=status, broken=broken, below=below, excess=excess, **known)
+    height = float((own_h / scale).min()) if finite else -float("inf")
     best, could = float((h / scale).min(axis=1).max()), status != "violated"
     return Judged(
         status=status,
@@ -168,7 +179,7 @@ def judged_on_grid(
         shortfall=max(0.0, best - height),
         needless=could and height < -BROKEN and bool((h >= 0.0).all(axis=1).any()),
         **known,
-    ), keeping
+    )
 
 
 def notice_of(statuses: Mapping[str, int]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NoReturn, final
@@ -88,22 +89,19 @@ STALE: Final[Mapping[str, tuple[Any, bool]]] = {
 """In place of the names of stale inputs."""
 
 
-def _raises(*_: Any, **__: Any) -> NoReturn:
-    raise ZeroDivisionError("as users' functions do")
+def _raising(error: type[Exception]) -> Callable[..., NoReturn]:
+    """A function that raises an error, whatever it is given."""
 
+    def raises(*_: Any, **__: Any) -> NoReturn:
+        raise error("as users' functions do")
 
-def _stops(*_: Any, **__: Any) -> NoReturn:
-    raise StopIteration
-
-
-def _recursion(*_: Any, **__: Any) -> NoReturn:
-    raise RecursionError("too deep")
+    return raises
 
 
 FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
-    "raises": _raises,
-    "stops": _stops,
-    "too deep": _recursion,
+    "raises": _raising(ZeroDivisionError),
+    "stops": _raising(StopIteration),
+    "too deep": _raising(RecursionError),
     "NaN": lambda *_: float("nan"),
     "infinite": lambda *_: float("inf"),
     "nothing": lambda *_: None,
@@ -119,7 +117,7 @@ FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
 """In place of h, of its gradient, of the model and of the backup."""
 
 CLOCKS: Final[Mapping[str, Callable[[], Any]]] = {
-    "raises": _raises,
+    "raises": _raising(ZeroDivisionError),
     "nothing": lambda: None,
     "NaN": lambda: float("nan"),
     "text": lambda: "now",
@@ -292,10 +290,8 @@ def _ask(safe: SafetyFilter) -> Verdict:
 
 def _writing(x: Any) -> Any:
     """Leaves a state behind that is far from the wall."""
-    try:
+    with suppress(ValueError):  # it is not to be written
         x[:] = (-100.0, 0.0)
-    except ValueError:  # it is not to be written
-        return 1.0
     return 1.0
 
 

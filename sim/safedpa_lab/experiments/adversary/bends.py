@@ -6,7 +6,8 @@ Kinks, plateaus, steps, holes and several ways round, in one or two actions.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, final
 
 import numpy as np
@@ -263,13 +264,8 @@ def _judged(problem: BentProblem, number: int, status: str, action: FloatArray) 
     required = (1.0 - problem.eta) * now + problem.epsilon
     scale = np.maximum(np.maximum(np.abs(now), problem.epsilon), h.max(axis=0) - h.min(axis=0))
     scale[scale == 0.0] = 1.0
-    found, keeping = judged_on_grid(status, own, h, required, scale, number=number, shape=problem.shape)
-    if status not in ("passed", "corrected"):
-        return found
-    excess = None
-    if status == "corrected" and keeping.any():
-        excess = float(_far(problem, action[None])[0] - _far(problem, grid[keeping]).min())
-    return replace(found, below=bool(own.min() < -1e-12), excess=excess)
+    known = {"number": number, "shape": problem.shape, "below": bool(own.min() < -1e-12)}
+    return judged_on_grid(status, (action, own), (grid, h), required, scale, partial(_far, problem), **known)
 
 
 def _far(problem: BentProblem, actions: FloatArray) -> FloatArray:

@@ -21,8 +21,9 @@ from safedpa_lab.experiments.adversary.peers import Peers
 from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.scales import Scales
 from safedpa_lab.experiments.adversary.systems import Systems
-from safedpa_lab.experiments.common.workers import Workers
+from safedpa_lab.experiments.common.workers import Progress, Workers
 from safedpa_lab.experiments.record import Options, ReportProgress, silent
+from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.provenance.record import write_result
 
 _SAME = ("experiment", "seed", "small", "code")
@@ -52,23 +53,22 @@ def adversary_markdown(result: dict[str, Any]) -> str:
     """One table per attack: measured values, their limits, and whether they were met."""
     size = ", small sizes" if result["small"] else ""
     command = f"`{result['command']}`, " if "command" in result else ""
-    parts = [f"{command}{result['date']}, seed {result['seed']}{size}, digest of the code {result['code']}.\n"]
+    parts = [f"{command}{result['date']}, seed {result['seed']}{size}, digest of the code {result['code']}."]
     for attack in result["attacks"]:
-        parts.append(
+        about = (
             f"## {attack['name']}\n\n{attack['sentence'][:1].upper()}{attack['sentence'][1:]}. {attack['held']} of "
-            f"{attack['held'] + attack['failed']} figures are as asked ({attack['seconds']:g} s).\n"
+            f"{attack['held'] + attack['failed']} figures are as asked ({attack['seconds']:g} s)."
         )
-        parts.append("| what | measured | of | asked | |\n|---|---|---|---|---|")
-        parts += [_line(row) for row in attack["rows"]]
-        parts.append("")
-    return "\n".join(parts)
+        parts.append(markdown_table("what | measured | of | asked |", map(_line, attack["rows"]), above=about))
+    return "\n\n".join(parts) + "\n"
 
 
 def _line(row: dict[str, Any]) -> str:
     held = {True: "held", False: "**not held**", None: ""}[row["held"]]
     measured = f"{row['measured']:.6g} {row['unit']}".strip()
-    of = "" if row["of"] is None else f"{row['of']:,}"
-    return f"| {row['what']} | {measured} | {of} | {row['asked']} | {held} |"
+    return (
+        f"{row['what']} | {measured} | {'' if row['of'] is None else format(row['of'], ',')} | {row['asked']} | {held}"
+    )
 
 
 Keep = Callable[[dict[str, Any]], None]
@@ -99,11 +99,11 @@ def adversary(
 ) -> dict[str, Any]:
     """Runs the attacks and returns their results.
 
-    ``tell(done, all)`` after each piece of work; ``keep(found)`` after each attack, with all that was found so far, so
-    that nothing is lost where someone ends a run of hours.
+    Progress is reported after each piece of work; ``keep(found)`` is called after each attack, with all that was found
+    so far, so that nothing is lost where someone ends a run of hours.
     """
     pieces = [attack.pieces(seed, small) for attack in attacks]
-    everything, done = sum(map(len, pieces)), 0
+    progress = Progress(sum(map(len, pieces)), report_progress)
     result: dict[str, Any] = {
         "experiment": "adversary",
         "date": time.strftime("%Y-%m-%d"),
@@ -117,8 +117,7 @@ def adversary(
             began, answers = time.perf_counter(), []
             for answer in pool.map(attack.work, own):
                 answers.append(answer)
-                done += 1
-                report_progress(done, everything)
+                progress.advance()
             result["attacks"].append(_reported(attack, attack.reported(answers), time.perf_counter() - began))
             keep(result)
     return result

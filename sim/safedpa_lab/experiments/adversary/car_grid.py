@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, final
 
@@ -190,15 +190,13 @@ def _answered(
     verdict = safe.decide(question.state, question.nominal, model.latent, barriers=barriers)
     judge, status = CarJudge(model, settings, question), verdict.status.value
     own = judge.heights(verdict.action[None])[0]
-    untold = bool(judge.now.min() < -1e-12) != (status == "violated")
-    known = {"number": number, "untold": untold}
-    found, keeping = judged_on_grid(status, own, judge.h, judge.required, judge.scale, **known)
-    if status not in ("passed", "corrected"):
-        return found
-    excess = None
-    if status == "corrected" and keeping.any():
-        excess = float(judge.distance(verdict.action[None])[0] - judge.distance(judge.grid[keeping]).min())
-    return replace(found, below=bool((own / judge.scale).min() < -1e-12), excess=excess)
+    known = {
+        "number": number,
+        "untold": bool(judge.now.min() < -1e-12) != (status == "violated"),
+        "below": bool((own / judge.scale).min() < -1e-12),
+    }
+    answer, grid = (verdict.action, own), (judge.grid, judge.h)
+    return judged_on_grid(status, answer, grid, judge.required, judge.scale, judge.distance, **known)
 
 
 def _rows(kind: str, found: Answers) -> list[Row]:

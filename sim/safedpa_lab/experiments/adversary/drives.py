@@ -28,8 +28,7 @@ from safedpa_lab.experiments.driving.reversing_drives import TOWED, ReversingDri
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.robots.pendulum.robot import PendulumRobot
-from safedpa_sim.robots.pendulum.robot import task_named
+from safedpa_sim.robots.pendulum.robot import PendulumRobot, task_named
 from safedpa_sim.robots.pendulum.world import wind_towards
 
 NominalPolicy = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]

@@ -38,10 +38,10 @@ class ControlSystem:
     start: Callable[[np.random.Generator], FloatArray]
     low: tuple[float, ...]
     high: tuple[float, ...]
-    backup: Callable[[FloatArray], Any]
-    """(actions,) what is done without a decision, at a state."""
     margin: float
     """Of h, in the half of the episodes that have one."""
+    backup: Callable[[FloatArray], Any] = lambda _: 0.0
+    """(actions,) what is done without a decision, at a state; nothing at all by default."""
     eta: float = 0.2
     judged: Callable[[FloatArray], FloatArray] | None = None
     """(n, m) of states (n, states): what the filter is given to keep instead of h itself."""
@@ -56,11 +56,10 @@ class ControlSystem:
 
     def filter(self, margin: float) -> SafetyFilter:
         """The library's filter for this system."""
-        middle = tuple(0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True))
         settings = FilterSettings(
             action_low=self.low,
             action_high=self.high,
-            backup_action=middle,
+            backup_action=tuple(self._middle.tolist()),
             eta=self.eta,
             epsilon=margin,  # type: ignore[arg-type]
         )
@@ -89,10 +88,12 @@ class ControlSystem:
         """x+ (n, states) under actions (n, actions)."""
         return np.asarray(self.f(state) + actions @ self.g(state).T)
 
+    @property
+    def _middle(self) -> FloatArray:
+        return np.array([0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True)])
+
     def _backup(self, state: FloatArray | None) -> Any:
-        if state is None:
-            return np.array([0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True)])
-        return np.clip(self.backup(state), self.low, self.high)
+        return self._middle if state is None else np.clip(self.backup(state), self.low, self.high)
 
 
 _HALF_SQUARE = 0.5 * PERIOD**2
@@ -227,7 +228,6 @@ def unicycle() -> ControlSystem:
         start=lambda random: np.array([*random.uniform(-0.3, 0.3, 2), random.uniform(-np.pi, np.pi)]),
         low=(-0.5, -2.0),
         high=(1.0, 2.0),
-        backup=lambda _: [0.0, 0.0],
         margin=0.002,
         count=4,
     )
@@ -299,7 +299,6 @@ def corridor() -> ControlSystem:
         start=lambda random: np.array([random.uniform(0.0, 5.0), 0.0]),
         low=(-1.0, -1.0),
         high=(1.0, 1.0),
-        backup=lambda _: [0.0, 0.0],
         margin=0.002,
         count=20,
     )
@@ -404,7 +403,6 @@ def thin_disc(*, between_ticks: bool) -> ControlSystem:
         start=lambda random: random.uniform(-2.0, 2.0, 2),
         low=(-_FAST, -_FAST),
         high=(_FAST, _FAST),
-        backup=lambda _: [0.0, 0.0],
         margin=0.002,
         barriers=barriers if between_ticks else None,
         invariant=between_ticks,

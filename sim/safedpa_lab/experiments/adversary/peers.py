@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from safedpa_lab.benchmarks.peer_process import interpreter_with
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear.judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear.problem import LinearProblem, random_problem
@@ -61,7 +61,7 @@ class Peers(AbstractAttack):
             if who == OWN:
                 answers = [_own(problem) for problem in problems]
             else:
-                asked = _asked(who, problems, (*self._interpreters, sys.executable))
+                asked = _asked(who, problems, self._interpreters)
                 if isinstance(asked, str):
                     return who, [Row(f"{who}: {asked}", 0.0, 0)]
                 answers = asked
@@ -125,7 +125,7 @@ def _own(problem: LinearProblem) -> Answer:
 def _asked(who: str, problems: Sequence[LinearProblem], interpreters: Sequence[str]) -> list[Answer] | str:
     """A peer's answers, or why there are none."""
     package = PEER_PACKAGES[who]
-    found = next((python for python in interpreters if _has(python, package)), None)
+    found = interpreter_with(package, tuple(interpreters))
     if found is None:
         return f"{package} is not installed here"
     names = ("state", "f", "g", "P", "q", "nominal")
@@ -147,11 +147,6 @@ def _asked(who: str, problems: Sequence[LinearProblem], interpreters: Sequence[s
     if done.returncode:
         return f"failed: {(done.stderr.strip().splitlines() or ['no phrase'])[-1][:200]}"
     return [(item["action"], item["notice"]) for item in json.loads(done.stdout.strip().splitlines()[-1])]
-
-
-def _has(python: str, package: str) -> bool:
-    look = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({package!r}) is None)"
-    return subprocess.run([python, "-c", look], capture_output=True, check=False).returncode == 0
 
 
 def _rows(name: str, problems: Sequence[LinearProblem], answers: Sequence[Answer], most: float | None) -> list[Row]:

@@ -12,7 +12,16 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
-from safedpa_lab.experiments.adversary.attack import BROKEN, FAR, AbstractAttack, Result, Row, action_grid, notice_of
+from safedpa_lab.experiments.adversary.attack import (
+    BROKEN,
+    AbstractAttack,
+    Answers,
+    Judged,
+    Result,
+    Row,
+    action_grid,
+    notice_of,
+)
 from safedpa_lab.experiments.adversary.example_systems import (
     ControlSystem,
     adaptive_cruise,
@@ -133,22 +142,15 @@ class Tally:
     crashed: int = 0
     """Episodes with h < 0 in truth."""
     episodes: int = 0
-    broken: float = 0.0
-    kept: int = 0
-    below: int = 0
-    missed: int = 0
-    needless: int = 0
-    """h < 0 predicted where the grid keeps all h >= 0."""
-    unkept: int = 0
-    excess: list[float] = field(default_factory=list)
+    answers: list[Judged] = field(default_factory=list)
+    """Those that were compared with the grid."""
 
     def add(self, other: Tally) -> None:
         """Takes another one's figures in."""
         self.statuses.update(other.statuses)
-        self.least_h, self.broken = min(self.least_h, other.least_h), max(self.broken, other.broken)
-        for name in ("crashed", "episodes", "kept", "below", "missed", "needless", "unkept"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.excess += other.excess
+        self.least_h = min(self.least_h, other.least_h)
+        self.crashed, self.episodes = self.crashed + other.crashed, self.episodes + other.episodes
+        self.answers += other.answers
 
 
 @final
@@ -188,7 +190,7 @@ def _episode(system: ControlSystem, random: np.random.Generator, number: int, st
         verdict = safe.decide(state, nominal=wanted)
         tally.statuses[verdict.status.value] += 1
         if step % _EVERY[system.barriers is not None] == 0:
-            _judge(system, margin, grid, state, wanted, verdict, tally)
+            tally.answers += _judged(system, margin, grid, state, wanted, verdict)
         reached = system.after(state, verdict.action[None])[0]
         tally.least_h = min(tally.least_h, system.least_on_the_way(state, reached))
         state = reached
@@ -196,41 +198,30 @@ def _episode(system: ControlSystem, random: np.random.Generator, number: int, st
     return tally
 
 
-def _judge(
-    system: ControlSystem,
-    margin: float,
-    grid: FloatArray,
-    state: FloatArray,
-    nominal: FloatArray,
-    verdict: Verdict,
-    tally: Tally,
-) -> None:
-    """Holds one answer against the grid, by the barriers that the filter was given."""
-    action = verdict.action
+def _judged(
+    system: ControlSystem, margin: float, grid: FloatArray, state: FloatArray, nominal: FloatArray, verdict: Verdict
+) -> list[Judged]:
+    """One answer next to the grid, by the barriers that the filter was given; none of a nominal action without a number
+    that nothing keeps."""
+    action, status, finite = verdict.action, verdict.status.value, bool(np.isfinite(nominal).all())
     now = system.heights(state[None])[0]
-    required = (1.0 - system.eta) * now + margin
+    required, scale = (1.0 - system.eta) * now + margin, np.maximum(np.abs(now), margin)
     own = system.heights(system.after(state, action[None]), since=state)[0]
-    if verdict.status.value == "passed":
-        _kept(own, required, np.maximum(np.abs(now), margin), tally)
-        return
-    h = system.heights(system.after(state, grid), since=state)
-    scale = np.maximum(np.maximum(np.abs(now), margin), h.max(axis=0) - h.min(axis=0))
-    feasible = ((h - required) / scale >= BROKEN).all(axis=1)
-    if verdict.status.value == "corrected":
-        _kept(own, required, scale, tally)
-        if feasible.any() and np.isfinite(nominal).all():
-            tally.excess.append(_far(system, action[None], nominal)[0] - _far(system, grid[feasible], nominal).min())
-        return
-    if np.isfinite(nominal).all():
-        tally.unkept += 1
-        tally.missed += int(feasible.any() and verdict.status.value != "violated")
-        tally.needless += int(bool((own / scale < -BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
-
-
-def _kept(own: FloatArray, required: FloatArray, scale: FloatArray, tally: Tally) -> None:
-    tally.kept += 1
-    tally.broken = max(tally.broken, -float(((own - required) / np.maximum(scale, 1e-12)).min()))
-    tally.below += int(own.min() < -1e-15)
+    feasible, h = np.zeros(len(grid), dtype=bool), None
+    if status != "passed":
+        h = system.heights(system.after(state, grid), since=state)
+        scale = np.maximum(scale, h.max(axis=0) - h.min(axis=0))
+        feasible = ((h - required) / scale >= BROKEN).all(axis=1)
+    if status in ("passed", "corrected"):
+        broken = max(0.0, -float(((own - required) / np.maximum(scale, 1e-12)).min()))
+        excess = None
+        if feasible.any() and finite:
+            excess = float(_far(system, action[None], nominal)[0] - _far(system, grid[feasible], nominal).min())
+        return [Judged(status=status, broken=broken, below=bool(own.min() < -1e-15), excess=excess)]
+    assert h is not None
+    missed = bool(feasible.any()) and status != "violated"
+    needless = bool((own / scale < -BROKEN).any()) and bool((h >= 0.0).all(axis=1).any())
+    return [Judged(status=status, missed=missed, needless=needless)] if finite else []
 
 
 def _far(system: ControlSystem, actions: FloatArray, nominal: FloatArray) -> FloatArray:
@@ -252,15 +243,15 @@ def _safe_start(system: ControlSystem, random: np.random.Generator) -> FloatArra
 
 
 def _rows(system: ControlSystem, tally: Tally) -> list[Row]:
-    name, notice = system.name, notice_of(tally.statuses)
-    far = 100.0 * sum(value > FAR for value in tally.excess) / max(1, len(tally.excess))
-    asked = -1e-9 if system.invariant else None
+    name, found = system.name, Answers(tally.answers)
+    asked, kept = -1e-9 if system.invariant else None, len(found.broken)
+    needless = f"{name}: h < 0 predicted, though the grid keeps h >= 0"
     return [
-        Row(f"{name}: least h in truth ({notice})", tally.least_h, tally.episodes, least=asked),
+        Row(f"{name}: least h in truth ({notice_of(tally.statuses)})", tally.least_h, tally.episodes, least=asked),
         Row(f"{name}: episodes with h < 0", tally.crashed, tally.episodes),
-        Row(f"{name}: largest break, in scales", tally.broken, tally.kept, most=BROKEN),
-        Row(f"{name}: passed or corrected, predicted h < 0", tally.below, tally.kept, most=0),
-        Row(f"{name}: relaxed, though the grid keeps all", tally.missed, tally.unkept, most=0),
-        Row(f"{name}: h < 0 predicted, though the grid keeps h >= 0", tally.needless, tally.unkept, most=0),
-        Row(f"{name}: corrected 0.1 of a range beyond the grid", far, len(tally.excess), most=0.5, unit="%"),
+        Row(f"{name}: largest break, in scales", max(found.broken, default=0.0), kept, most=BROKEN),
+        Row(f"{name}: passed or corrected, predicted h < 0", found.count("below"), kept, most=0),
+        Row(f"{name}: relaxed, though the grid keeps all", found.count("missed"), found.rest, most=0),
+        Row(needless, found.count("needless"), found.rest, most=0),
+        found.too_far(name, 0.5),
     ]

@@ -8,6 +8,14 @@ from __future__ import annotations
 
 from safedpa_lab.experiments.record import SETTINGS, Experiment, integer, path, repeated, text
 
+_POLICIES = (
+    path("--models", "folder of the learned models; default: learned/car or learned/car_paper, by family"),
+    text(
+        "--family",
+        "best",
+        "policies: best, with all of our improvements; paper, trained and calibrated without loads or filter",
+    ),
+)
 EXPERIMENTS = (
     Experiment(
         name="car",
@@ -19,15 +27,7 @@ EXPERIMENTS = (
     ones. With --out, an interrupted run continues.""",
         run=f"{__name__}.experiment:run",
         parameters=(
-            path(
-                "--models",
-                "folder of the learned models; default: learned/car or learned/car_paper, by family",
-            ),
-            text(
-                "--family",
-                "best",
-                "policies: best, with all of our improvements; paper, trained and calibrated without loads or filter",
-            ),
+            *_POLICIES,
             integer("--episodes", 100, "per method and configuration"),
             integer("--first-seed", 0, "seed of the first scene"),
             repeated("--method", "methods", "only this method; repeatable"),
@@ -63,15 +63,7 @@ EXPERIMENTS = (
     Margins are calibrated once, as in 'experiment car'. With --out, an interrupted run continues.""",
         run=f"{__name__}.curves:run",
         parameters=(
-            path(
-                "--models",
-                "folder of the learned models; default: learned/car or learned/car_paper, by family",
-            ),
-            text(
-                "--family",
-                "best",
-                "policies: best, with all of our improvements; paper, trained and calibrated without loads or filter",
-            ),
+            *_POLICIES,
             repeated(
                 "--sweep",
                 "sweeps",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import cos, hypot, inf, isfinite, pi, sin
 from typing import Final, final
 
@@ -204,23 +204,23 @@ class Conditions:
     """Whether the state reports it (``until_action``), so that the filter accounts for it."""
 
     def __post_init__(self) -> None:
-        for name, low in (("passage", 0.0), ("speed", 0.0), ("friction", 0.0), ("noise", 0.0), ("delay", 0.0)):
-            value = getattr(self, name)
-            if not isfinite(value) or value < low or (value == 0.0 and name in ("speed", "friction")):
-                above = "more than 0" if name in ("speed", "friction") else "0 or more"
-                raise InputError(f"{name}: got {value!r}, wanted a finite number, {above}")
+        for name in ("passage", "speed", "friction", "noise", "delay"):
+            value, positive = getattr(self, name), name in ("speed", "friction")
+            if not isfinite(value) or value < 0.0 or (positive and value == 0.0):
+                raise InputError(
+                    f"{name}: got {value!r}, wanted a finite number, {'more than 0' if positive else '0 or more'}"
+                )
         if self.towing not in TOWING:
             raise InputError(f"towing '{self.towing}': {did_you_mean(self.towing, TOWING)}")
 
     @property
     def label(self) -> str:
         """What differs from the experiment's own conditions, such as ``friction=0.6``; empty when nothing does."""
-        changed = [(item.name, getattr(self, item.name)) for item in fields(self)]
-        usual = Conditions()
+        usual = vars(Conditions())
         return ",".join(
             f"{name}={value if isinstance(value, (str, bool)) else format(value, 'g')}"
-            for name, value in changed
-            if value != getattr(usual, name)
+            for name, value in vars(self).items()
+            if value != usual[name]
         )
 
     def robot(self, seed: int, load: str) -> CarRobot:
@@ -310,9 +310,9 @@ class LoadOnTheWay:
             return
         if self._towing == "to_a_third":
             self._robot.unhitch()
-            self.tick = self._robot.tick
-        elif self._change.try_apply(self._robot):
-            self.tick = self._robot.tick
+        elif not self._change.try_apply(self._robot):
+            return
+        self.tick = self._robot.tick
 
     def _left(self) -> float:
         """m from the car to its goal."""

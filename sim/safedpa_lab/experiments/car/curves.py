@@ -18,7 +18,7 @@ from safedpa_lab.experiments.car.experiment import CarRun
 from safedpa_lab.experiments.car.methods import FAMILIES, Method, drivable_methods, family_named
 from safedpa_lab.experiments.car.report import advantages, cell_of
 from safedpa_lab.experiments.common.workers import Progress, Workers
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_sim.robots.car.loads import LOADS
 
 LOAD: Final = "chair"
@@ -207,5 +207,5 @@ def _along(
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment car-curves``."""
     models = options["models"] or family_named(options["family"]).models
-    curves = from_options(CarCurves, options, models=models, date=time.strftime("%Y-%m-%d"))
+    curves = with_options(CarCurves, options, models=models, date=time.strftime("%Y-%m-%d"))
     return car_curves(curves, report_progress)

@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -149,16 +149,12 @@ def _recorded(robot: CarRobot, nodes: Sequence[AbstractNode], order: DriveOrder)
                 break
             if period.state.tick + 1 in events:
                 load = events[period.state.tick + 1]
-                _change_load(robot, load)
+                towed = load_named(load)
+                if towed is None:
+                    robot.unhitch()
+                else:
+                    robot.hitch(towed)
     return Drive((*messages, robot.state_message()), (*loads, load))
-
-
-def _change_load(robot: CarRobot, load: str) -> None:
-    towed = load_named(load)
-    if towed is None:
-        robot.unhitch()
-    else:
-        robot.hitch(towed)
 
 
 FIRST_SEEDS = {"margin": 5000, "fresh": 6000, "errors": 7000, "latent": 8000, "hitching": 9000, "paths": 9500}
@@ -187,18 +183,13 @@ def earnest_orders(
     loads: Sequence[str], each: int, purpose: str, method: str, folder: Path, settings: FilterSettings
 ) -> list[DriveOrder]:
     """A method in scenes of the experiment; ``purpose`` is a key of FIRST_SEEDS."""
-    first = FIRST_SEEDS[purpose]
-    return [
-        DriveOrder(first + index, load, TICKS, method, folder, settings)
-        for load in loads
-        for index in range(EARNEST * each)
-    ]
+    known: dict[str, Any] = {"method": method, "folder": folder, "settings": settings}
+    return [DriveOrder(seed, load, TICKS, **known) for load in loads for seed in _seeds(purpose, EARNEST * each)]
 
 
 def open_orders(loads: Sequence[str], each: int, ticks: int, purpose: str) -> list[DriveOrder]:
     """Exploring drives on an open field, one load each; ``purpose`` is a key of FIRST_SEEDS."""
-    first = FIRST_SEEDS[purpose]
-    return [DriveOrder(first + index, load, ticks) for load in loads for index in range(each)]
+    return [DriveOrder(seed, load, ticks) for load in loads for seed in _seeds(purpose, each)]
 
 
 def path_orders(loads: Sequence[str], ticks: int) -> list[DriveOrder]:
@@ -208,11 +199,14 @@ def path_orders(loads: Sequence[str], ticks: int) -> list[DriveOrder]:
 
 def hitching_orders(loads: Sequence[str], each: int, ticks: int) -> list[DriveOrder]:
     """Exploring drives that begin without load; it is hitched while driving, and released later."""
-    events = (ticks * HITCHED // 8, ticks * LET_GO // 8)
-    first = FIRST_SEEDS["hitching"]
+    hitched, let_go = ticks * HITCHED // 8, ticks * LET_GO // 8
     return [
-        DriveOrder(first + index, "none", ticks, events=((events[0], load), (events[1], "none")))
+        DriveOrder(seed, "none", ticks, events=((hitched, load), (let_go, "none")))
         for load in loads
         if load != "none"
-        for index in range(each)
+        for seed in _seeds("hitching", each)
     ]
+
+
+def _seeds(purpose: str, count: int) -> range:
+    return range(FIRST_SEEDS[purpose], FIRST_SEEDS[purpose] + count)

@@ -39,7 +39,7 @@ from safedpa_lab.experiments.car.predictor import (
 )
 from safedpa_lab.experiments.car.report import OWN, advantages, cell_of
 from safedpa_lab.experiments.common.workers import Progress, Workers
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 
 PARTS = ("table", "errors", "latent", "equal-margin")
 """Parts that can be run alone."""
@@ -238,7 +238,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment car``."""
     models = options["models"] or family_named(options["family"]).models
     known = {"models": models, "margin": _margin(options["margin"]), "date": time.strftime("%Y-%m-%d")}
-    return car_experiment(from_options(CarExperiment, options, **known), report_progress)
+    return car_experiment(with_options(CarExperiment, options, **known), report_progress)
 
 
 def _margin(text: str) -> str | float:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -209,9 +210,9 @@ class Calibration:
                 recorded(workers, earnest_orders(loads, each, purpose, method, self.models, uncalibrated), advance)
                 for purpose in _PURPOSES
             )
-            work.append(_Work(name, self, increment_scale(models, known), known, fresh))
+            work.append((name, increment_scale(models, known), known, fresh))
         margins, rows = {}, {}
-        for name, (margin, coverage) in zip(self.drivers, workers.map(_margin, work), strict=True):
+        for name, (margin, coverage) in zip(self.drivers, workers.map(partial(_margin, self), work), strict=True):
             margins[name], rows[name] = margin, coverage
         reported = {"used": self.settings.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
         return margins, {**reported, "models": rows}
@@ -231,18 +232,13 @@ def with_margins_of(model: str, margins: Mapping[str, MarginCalibration]) -> Mar
     return {name: replace(margin, epsilon=dict(margins[model].epsilon)) for name, margin in margins.items()}
 
 
-@dataclass(frozen=True)
-class _Work:
-    name: str
-    calibration: Calibration
-    scale: FloatArray
-    known: list[Drive]
-    fresh: list[Drive]
+_Work = tuple[str, FloatArray, list[Drive], list[Drive]]
+"""Model, scale of the errors, drives that calibrate, and fresh ones."""
 
 
-def _margin(work: _Work) -> tuple[MarginCalibration, dict[str, Any]]:
+def _margin(calibration: Calibration, work: _Work) -> tuple[MarginCalibration, dict[str, Any]]:
     """The margin of one model, and what it covers on fresh drives."""
-    model: PhysicsModel = named_model(work.name, work.calibration.models)
-    settings = work.calibration.settings
-    margin = margin_of(model, step_errors(model, work.known, settings, work.scale), work.calibration.date)
-    return margin, coverage_of(margin, step_errors(model, work.fresh, settings, work.scale))
+    name, scale, known, fresh = work
+    model, settings = named_model(name, calibration.models), calibration.settings
+    margin = margin_of(model, step_errors(model, known, settings, scale), calibration.date)
+    return margin, coverage_of(margin, step_errors(model, fresh, settings, scale))

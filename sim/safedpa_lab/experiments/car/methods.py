@@ -7,7 +7,6 @@ of another world is refused, so that no figure of the paper's family can rest on
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -23,6 +22,7 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa_lab.experiments.common.drives import stamp
 
 _FORCE: Final = "constant_force."
 _PRACTICE: Final = {"shelter": False, "loads": False, "footprint": False}
@@ -191,17 +191,11 @@ def chosen_methods(
     for name in names:
         if name not in METHODS:
             raise InputError(f"method '{name}': {did_you_mean(name, METHODS)}")
-    wanted = [METHODS[name] for name in names or usual]
-    present, missing = [], []
-    for method in wanted:
-        lack = _lack(method, folder, family)
-        if lack:
-            missing.append(f"{method.title} is left out: {lack}")
-        else:
-            present.append(method)
+    lacks = {name: _lack(METHODS[name], folder, family) for name in names or usual}
+    missing = [f"{METHODS[name].title} is left out: {lack}" for name, lack in lacks.items() if lack]
     if names and missing:
         raise InputError(f"{missing[0]}; '{family.training} --out {folder}' makes it")
-    return present, missing
+    return [METHODS[name] for name, lack in lacks.items() if not lack], missing
 
 
 def drivable_methods(names: tuple[str, ...], folder: Path, family: Family) -> tuple[list[Method], list[str]]:
@@ -277,16 +271,8 @@ class FixedLatentNode(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del robot, inputs
-        message = LatentMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
-            model=self._fingerprint,
-            values=self._values,
-            deviations=(0.0,) * len(self._values),
-        )
-        return {LATENT: message}
+        known, deviations = stamp(state), (0.0,) * len(self._values)
+        return {LATENT: LatentMessage(**known, model=self._fingerprint, values=self._values, deviations=deviations)}
 
 
 @final

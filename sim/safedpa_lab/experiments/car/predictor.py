@@ -8,7 +8,7 @@ start is held, and what the actuators remember is carried along.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -34,18 +34,12 @@ def latents_along(model: PhysicsModel, drive: Drive) -> FloatArray:
     return np.array(rows)
 
 
-class Predictor(Protocol):
-    """Predictions of one model along one recorded drive of n transitions."""
+def predictor_of(model: PhysicsModel, drive: Drive) -> _WithEstimate | _WithHistory:
+    """Predictions of a model along a recorded drive of n transitions, in the way that fits the model.
 
-    def one_step(self) -> FloatArray:
-        """The predicted next states (n, states), from each measured state."""
-
-    def rollouts(self, starts: Sequence[int], steps: int) -> FloatArray:
-        """Open-loop states (starts, steps, states) under the actions driven, from the measured states ``starts``."""
-
-
-def predictor_of(model: PhysicsModel, drive: Drive) -> Predictor:
-    """The way to predict that fits the model."""
+    ``one_step()``: the next states (n, states), from each measured state. ``rollouts(starts, steps)``: open-loop states
+    (starts, steps, states) under the actions driven, from the measured states ``starts``.
+    """
     base = model.base
     if isinstance(base, LearnedBase) and base.weights.has("phi"):
         return _WithHistory(model, HistoryEncoder(base.weights), drive)

@@ -95,4 +95,5 @@ def heading(drawn: Figure, title: str, under: str = "") -> None:
 def legend(drawn: Figure, axes: Axes, side: str = "center", **more: Any) -> None:
     """What the lines and marks of one panel mean, in one row below all panels."""
     handles, labels = axes.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc=f"outside lower {side}", ncols=len(labels), fontsize=8.5, **more)
+    below: Any = f"outside lower {side}"
+    drawn.legend(handles, labels, loc=below, ncols=len(labels), fontsize=8.5, **more)

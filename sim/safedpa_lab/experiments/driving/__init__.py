@@ -18,6 +18,7 @@ from safedpa_lab.experiments.record import (
     number,
     path,
     repeated,
+    scenes,
     text,
 )
 from safedpa_services.command_line.names import complete_models
@@ -31,9 +32,7 @@ EXPERIMENTS = (
         run=f"{__name__}.controllers:run",
         parameters=(
             repeated("--controller", "controllers", "controller; repeatable; default: all available ones"),
-            integer("--seeds", 20, "scenes per load", positive=True),
-            integer("--first-seed", 200),
-            number("--seconds", 20.0, "simulated time per scene", positive=True),
+            *scenes(20, 200, "scenes per load", "scene"),
             MODEL,
             SETTINGS,
             path("--out", "also write the result to this JSON file, after each scene", writes="json"),
@@ -67,9 +66,7 @@ EXPERIMENTS = (
     Random scenes with every load, each driven both ways.""",
         run=f"{__name__}.safety:run",
         parameters=(
-            integer("--seeds", 100, "scenes per load", positive=True),
-            integer("--first-seed", 0),
-            number("--seconds", 20.0, "simulated time per episode", positive=True),
+            *scenes(100, 0, "scenes per load", "episode"),
             MODEL,
             SETTINGS,
             PROCESSES,
@@ -93,9 +90,7 @@ EXPERIMENTS = (
                 "only this hidden effect; repeatable",
                 known="safedpa_lab.experiments.driving.safety_pays:HIDDEN",
             ),
-            integer("--seeds", 40, "scenes per hidden effect", positive=True),
-            integer("--first-seed", 0),
-            number("--seconds", 20.0, "simulated time per episode", positive=True),
+            *scenes(40, 0, "scenes per hidden effect", "episode"),
             integer("--drives", 4, "training drives given to the diagnosis", positive=True),
             number("--drive-seconds", 30.0, positive=True),
             PROCESSES,

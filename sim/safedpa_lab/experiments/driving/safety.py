@@ -18,7 +18,7 @@ from safedpa_lab.experiments.common.drives import LOADS, PERIOD, Outcome, counte
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import share_95
 from safedpa_lab.experiments.common.workers import each_result
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
@@ -88,9 +88,7 @@ def _summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment safety``."""
     seeds, settings = seeds_of(options), settings_named(options["settings"])
-    found = safety_experiment(
-        seeds, options["seconds"], options["model"], settings, options["processes"], report_progress
-    )
+    found = with_options(safety_experiment, options, seeds=seeds, settings=settings, on_episode=report_progress)
     return {"experiment": "safety", "seeds": [seeds.start, seeds.stop - 1], **found}
 
 

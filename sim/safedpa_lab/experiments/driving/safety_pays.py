@@ -26,11 +26,11 @@ from safedpa_lab.experiments.common.drives import PERIOD, counted, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import share_95
 from safedpa_lab.experiments.common.workers import each_result
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_lab.hidden.towing import drive_in
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.car.loads import Load, load_named
+from safedpa_sim.robots.car.loads import load_named
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.car.world import CarWorld
@@ -63,15 +63,8 @@ HIDDEN: Final[dict[str, Hidden]] = {
 class _HiddenWorld(CarWorld):
     """The car's world, with delayed commands and misaligned wheels."""
 
-    def __init__(
-        self,
-        hidden: Hidden,
-        start: tuple[float, float, float],
-        field: tuple[float, float, float, float],
-        obstacles: tuple[tuple[float, float, float], ...] = (),
-        load: Load | None = None,
-    ) -> None:
-        super().__init__(start, field, obstacles, load)
+    def __init__(self, hidden: Hidden, *scene: Any) -> None:
+        super().__init__(*scene)
         self._offset = hidden.steering_offset
         self._sent = deque([(0.0, 0.0)] * hidden.delay)
 
@@ -234,7 +227,7 @@ def _row(
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment safety-pays``."""
-    experiment = from_options(SafetyPays, options, seeds=tuple(seeds_of(options)))
+    experiment = with_options(SafetyPays, options, seeds=tuple(seeds_of(options)))
     return {"experiment": "safety-pays", **safety_pays(experiment, report_progress)}
 
 

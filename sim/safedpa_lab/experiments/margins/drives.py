@@ -84,35 +84,33 @@ class Driver:
 
     model: str
     settings: str
-    robot: Callable[[int], Robot]
+    robot: Callable[..., Robot]
     seconds: float
     controller: str | None = None
     """None: as the model allows."""
     period: float = 0.0
     """s; 0: the model's own."""
 
+    def at(self, rate: int) -> Driver:
+        """The same with so many decisions a second."""
+        return replace(self, robot=partial(self.robot, period=1.0 / rate), period=1.0 / rate)
 
+
+_BASES: Final[dict[str, tuple[Driver, tuple[int, ...]]]] = {
+    "car": (Driver("car", "car", _car, 20.0), (10, 5)),
+    "car_measured": (Driver("car_measured", "car", _bare_car, 20.0), (10, 5)),
+    "car_learned": (Driver("car_learned", "car", _car, 20.0), ()),
+    "pendulum": (Driver("pendulum", "pendulum", _pendulum, 6.0), (50, 25)),
+    "pendulum_learned": (Driver("pendulum_learned", "pendulum", _pendulum, 6.0), ()),
+    "point": (Driver("point_wind", "point", _point, 10.0), ()),
+    "point_learned": (Driver("point_learned", "point", _point, 10.0, "goal_seeker"), ()),
+    "differential_drive": (Driver("differential_drive", "differential_drive", _wheels, 20.0, "straight"), (10, 5)),
+}
+"""Each with the slower rates [Hz] for which a margin ships too."""
 DRIVERS: Final = {
-    "car": Driver("car", "car", _car, 20.0),
-    "car_10_hz": Driver("car", "car", partial(_car, period=0.1), 20.0, period=0.1),
-    "car_5_hz": Driver("car", "car", partial(_car, period=0.2), 20.0, period=0.2),
-    "car_measured": Driver("car_measured", "car", _bare_car, 20.0),
-    "car_measured_10_hz": Driver("car_measured", "car", partial(_bare_car, period=0.1), 20.0, period=0.1),
-    "car_measured_5_hz": Driver("car_measured", "car", partial(_bare_car, period=0.2), 20.0, period=0.2),
-    "car_learned": Driver("car_learned", "car", _car, 20.0),
-    "pendulum": Driver("pendulum", "pendulum", _pendulum, 6.0),
-    "pendulum_50_hz": Driver("pendulum", "pendulum", partial(_pendulum, period=0.02), 6.0, period=0.02),
-    "pendulum_25_hz": Driver("pendulum", "pendulum", partial(_pendulum, period=0.04), 6.0, period=0.04),
-    "pendulum_learned": Driver("pendulum_learned", "pendulum", _pendulum, 6.0),
-    "point": Driver("point_wind", "point", _point, 10.0),
-    "point_learned": Driver("point_learned", "point", _point, 10.0, "goal_seeker"),
-    "differential_drive": Driver("differential_drive", "differential_drive", _wheels, 20.0, "straight"),
-    "differential_drive_10_hz": Driver(
-        "differential_drive", "differential_drive", partial(_wheels, period=0.1), 20.0, "straight", 0.1
-    ),
-    "differential_drive_5_hz": Driver(
-        "differential_drive", "differential_drive", partial(_wheels, period=0.2), 20.0, "straight", 0.2
-    ),
+    f"{name}_{rate}_hz" if rate else name: driver.at(rate) if rate else driver
+    for name, (driver, rates) in _BASES.items()
+    for rate in (0, *rates)
 }
 """By name of the margin that ships."""
 

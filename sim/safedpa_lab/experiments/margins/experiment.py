@@ -32,7 +32,7 @@ from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import coverage_row, mean_interval
 from safedpa_lab.experiments.common.workers import Progress, Workers
 from safedpa_lab.experiments.margins.drives import DRIVERS, DriveOrder, DriveResult, driven
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, from_options, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import interval, made_by, markdown_table, share_percent
 from safedpa_lab.theory.boundary_layer import Stay, stays_in_layer
 
@@ -324,7 +324,7 @@ def _layers(
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment margins``."""
     robots = options["robots"] or tuple(DRIVERS)
-    return margins_experiment(from_options(MarginCases, options, robots=robots), report_progress)
+    return margins_experiment(with_options(MarginCases, options, robots=robots), report_progress)
 
 
 _NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped"}

@@ -15,6 +15,7 @@ from safedpa_lab.experiments.record import (
     number,
     path,
     repeated,
+    scenes,
     switch,
     text,
 )
@@ -26,9 +27,7 @@ EXPERIMENTS = (
         run=f"{__name__}.meeting:run",
         parameters=(
             repeated("--robots", "robots", "number of cars, 2 to 8; repeatable  [default: 2, 4, 8]", type=int),
-            integer("--seeds", 5, "drives per number of cars", positive=True),
-            integer("--first-seed", 1000),
-            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            *scenes(5, 1000, "drives per number of cars", "drive"),
             number("--fastest", 2.0, "assumed speed of moving and hidden objects [m/s]"),
             repeated(
                 "--guard",
@@ -55,9 +54,7 @@ EXPERIMENTS = (
         help="Drives with a laser as the only sensor: among pillars and people, through doors, past a hidden person.",
         run=f"{__name__}.experiment:run",
         parameters=(
-            integer("--seeds", 8, "drives per kind of scene", positive=True),
-            integer("--first-seed", 1000),
-            number("--seconds", 30.0, "simulated time per drive", positive=True),
+            *scenes(8, 1000, "drives per kind of scene", "drive", 30.0),
             number("--coming", 1.5, "assumed speed of hidden people [m/s]"),
             switch(
                 "--peers/--no-peers",
@@ -102,9 +99,7 @@ EXPERIMENTS = (
         help="A laser among people, made harder: faster people, noisier, older and narrower scans.",
         run=f"{__name__}.curves:run",
         parameters=(
-            integer("--seeds", 12, "drives per value", positive=True),
-            integer("--first-seed", 1000),
-            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            *scenes(12, 1000, "drives per value", "drive"),
             PROCESSES,
             RECORD,
             FILE_OUT,

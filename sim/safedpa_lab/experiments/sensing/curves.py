@@ -16,7 +16,7 @@ import numpy as np
 from safedpa_lab.experiments.common.figures import BLUE, GREY, RED, bare, figure, heading
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.workers import driven
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import markdown_table, page
 from safedpa_lab.experiments.sensing.experiment import COUNTED, Drive, counted_cells, row_of, run_drive
 
@@ -122,7 +122,5 @@ def draw_curves(result: Mapping[str, Any], path: Path) -> None:
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment sensing-curves``."""
-    found = curves_experiment(
-        seeds_of(options), options["seconds"], options["processes"], report_progress, options["record"]
-    )
+    found = with_options(curves_experiment, options, seeds=seeds_of(options), on_drive=report_progress)
     return {"experiment": "sensing-curves", **found}

@@ -26,7 +26,7 @@ from safedpa_lab.experiments.common.drives import PERIOD, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval, ratio_interval
 from safedpa_lab.experiments.common.workers import driven
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import interval, markdown_table, page, percent
 from safedpa_lab.experiments.sensing.nodes import (
     CollisionMonitor,
@@ -194,18 +194,8 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         raise InputError(f"--coming: got {options['coming']}, wanted 0 to 1.5 m/s")
     wanted = {"reported": options["perfect_knowledge"], "reported-but-hiding": options["hiding"]}
     others = [guard for guard in GUARDS[1:] if wanted.get(guard, options["peers"])]
-    found = sensing_experiment(
-        seeds_of(options),
-        options["seconds"],
-        options["coming"],
-        options["processes"],
-        (GUARDS[0], *others),
-        report_progress,
-        options["scenes"] or SCENES,
-        options["loads"] or LOADS[:1],
-        options["policy"],
-        options["record"],
-    )
+    known = {"seeds": seeds_of(options), "guards": (GUARDS[0], *others), "on_drive": report_progress}
+    found = with_options(sensing_experiment, options, **known)
     return {"experiment": "sensing", **found}
 
 

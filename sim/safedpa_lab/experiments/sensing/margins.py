@@ -30,7 +30,7 @@ from safedpa_lab.experiments.common.drives import PERIOD, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.statistics import coverage_row
 from safedpa_lab.experiments.common.workers import driven
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import markdown_table, page, share_percent
 from safedpa_lab.experiments.sensing.experiment import LOADS
 from safedpa_lab.experiments.sensing.scenes import scene_and_people
@@ -222,16 +222,7 @@ def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[s
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment sensing-margins``."""
-    found = margins_of_sensing(
-        options["drives"],
-        options["fresh"],
-        options["seconds"],
-        options["coverage"],
-        options["processes"],
-        report_progress,
-        options["record"],
-        options["scenes"] or SCENES,
-    )
+    found = with_options(margins_of_sensing, options, on_drive=report_progress)
     return {"experiment": "sensing-margins", **found}
 
 

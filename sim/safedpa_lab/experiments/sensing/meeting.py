@@ -23,12 +23,12 @@ from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import PERIOD, shipped_nodes
 from safedpa_lab.experiments.common.seeds import seeds_of
 from safedpa_lab.experiments.common.statistics import clopper_pearson_interval
 from safedpa_lab.experiments.common.workers import each_result
-from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
+from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import markdown_table, page, percent
 from safedpa_lab.experiments.sensing.nodes import NoFilter, ReportsEverything
 from safedpa_sim.closed_loop import drive_together
@@ -43,6 +43,8 @@ MOST_ROBOTS: Final = 8
 LASER: Final = LaserSettings(rays=720)
 """Half a degree from ray to ray: cars are slimmer than people, and with twice that too few rays pass the middle of a
 cell 3 m away to show that none is there."""
+_SLIMMEST: Final = 0.12
+"""m; the discs in a car are slimmer than a person, half as wide as it."""
 _APART: Final = 1.5
 """m at least between the rear axles of two cars that begin: their loads do not touch either."""
 _TRIES: Final = 400
@@ -101,7 +103,6 @@ def pieces_of(robot: CarRobot) -> tuple[Piece, ...]:
 GUARDS: Final = ("safedpa", "reported", "nothing")
 """The filter with the laser; the filter with perfect knowledge; the same controller and perception as
 the first, and no filter."""
-_PERIOD: Final = 0.05
 _STUCK_SECONDS: Final = 8.0
 """At the end of a drive, in which neither of a stuck pair gets farther than ..."""
 _STUCK_WAY: Final = 0.2
@@ -124,22 +125,18 @@ class Meeting:
     load: str = "none"
 
 
-def _settings(fastest: float) -> PerceptionSettings:
-    """For cars: the discs in one are slimmer than a person, half as wide as it."""
-    return PerceptionSettings(fastest=fastest, coming=fastest, slimmest=0.12)
-
-
 def _nodes(wanted: Meeting, model: PhysicsModel, field: SharedField, index: int) -> list[AbstractNode]:
     """Of one car, in the order of the data flow."""
-    settings, robot = _settings(wanted.fastest), field.robots[index]
+    robot, fastest = field.robots[index], wanted.fastest
+    settings = PerceptionSettings(fastest=fastest, coming=fastest, slimmest=_SLIMMEST)
     others = [piece for one in field.robots if one is not robot for piece in pieces_of(one)]
     perception: AbstractNode = PerceptionNode(settings)
     if wanted.guard == "reported":
         perception = ReportsEverything(robot.scene, others, settings)
-    guard: AbstractNode = NoFilter()
-    if wanted.guard != "nothing":
-        guard = SafetyFilterNode(model, settings_named("car"), margin_for(model))
-    return [AdaptationNode(model), perception, PolicyNode(model, "way_seeker"), guard]
+    policy = PolicyNode(model, "way_seeker")
+    if wanted.guard == "nothing":
+        return [AdaptationNode(model), perception, policy, NoFilter()]
+    return shipped_nodes(model, settings_named("car"), perception, policy)
 
 
 def run_meeting(wanted: Meeting) -> dict[str, Any]:
@@ -147,7 +144,7 @@ def run_meeting(wanted: Meeting) -> dict[str, Any]:
     model, field = load_model("car"), meeting_field(wanted.seed, wanted.robots, wanted.load)
     nodes = [_nodes(wanted, model, field, index) for index in range(wanted.robots)]
     states = [
-        [tick.state.values for tick in ticks] for ticks in drive_together(field, nodes, round(wanted.seconds / _PERIOD))
+        [tick.state.values for tick in ticks] for ticks in drive_together(field, nodes, round(wanted.seconds / PERIOD))
     ]
     path = np.array(states)
     touches = [touch for touch in field.touches if max(touch.speeds) >= IS_STATIONARY]
@@ -171,7 +168,7 @@ def stuck_pairs(path: FloatArray) -> list[dict[str, Any]]:
 
     Of each pair: which two, and whether they face each other.
     """
-    last = path[-min(round(_STUCK_SECONDS / _PERIOD), len(path)) :]
+    last = path[-min(round(_STUCK_SECONDS / PERIOD), len(path)) :]
     end = path[-1]
     still = np.hypot(*(last[:, :, :2] - end[:, :2]).transpose(2, 0, 1)).max(axis=0) < _STUCK_WAY
     pairs = []
@@ -242,16 +239,8 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
             raise InputError(f"--robots: got {count}, wanted 2 to {MOST_ROBOTS}")
     if not 0.1 <= options["fastest"] <= 20.0:
         raise InputError(f"--fastest: got {options['fastest']}, wanted 0.1 to 20 m/s")
-    found = meeting_experiment(
-        seeds_of(options),
-        options["robots"] or (2, 4, 8),
-        options["seconds"],
-        options["fastest"],
-        options["guards"] or GUARDS,
-        options["loads"] or ("none",),
-        options["processes"],
-        report_progress,
-    )
+    known = {"seeds": seeds_of(options), "robots": options["robots"] or (2, 4, 8), "on_drive": report_progress}
+    found = with_options(meeting_experiment, options, **known)
     return {"experiment": "meeting", **found}
 
 

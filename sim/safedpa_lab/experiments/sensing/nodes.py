@@ -6,7 +6,6 @@ down. None knows the model of the car, what moves, or what it does not see.
 
 from __future__ import annotations
 
-import time
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,6 @@ from math import ceil, cos, inf, isfinite, sin, tan
 from typing import Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
 from safedpa.bus import (
@@ -37,6 +35,7 @@ from safedpa.bus import (
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.perception.odometry import OdometryBuffer
 from safedpa.perception.scan import ScanRays
+from safedpa_lab.experiments.common.drives import stamp
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing.shapes import Outline, Point
 
@@ -71,10 +70,12 @@ class _Brake(AbstractNode):
         share = 0.0 if points is None else self.share_of(points, state, values)
         action = (share * values[0], values[1])
         status = "passed" if share == 1.0 else "corrected"
-        sent = ActionMessage(
-            epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=0.0, values=action
-        )
-        return {ACTION: sent, VERDICT: _verdict(state, status, action, values)}
+        known = {**stamp(state), "publish_time": 0.0}
+        verdict = VerdictMessage(
+            **known, status=status, sentence="", action=action, nominal=values, slack=0.0, active=(), h_now=0.0,
+            h_next=0.0, margin=0.0, solver="", microseconds=0.0,
+        )  # fmt: skip
+        return {ACTION: ActionMessage(**known, values=action), VERDICT: verdict}
 
     @abstractmethod
     def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:
@@ -161,26 +162,6 @@ class TimeToCollision(_Brake):
         return 0.0 if isfinite(least) and least < self._least and same_way else 1.0
 
 
-def _verdict(state: StateMessage, status: str, action: tuple[float, ...], nominal: tuple[float, ...]) -> VerdictMessage:
-    return VerdictMessage(
-        epoch=state.epoch,
-        tick=state.tick,
-        robot_time=state.robot_time,
-        publish_time=0.0,
-        status=status,
-        sentence="",
-        action=action,
-        nominal=nominal,
-        slack=0.0,
-        active=(),
-        h_now=0.0,
-        h_next=0.0,
-        margin=0.0,
-        solver="",
-        microseconds=0.0,
-    )
-
-
 _APART = 0.1
 """m between the points of an edge: between two of them a car's body gets up to 7 mm nearer to it."""
 _RADIUS = 0.01
@@ -210,12 +191,11 @@ class ReportsEverything(AbstractNode):
     inputs = ()
     outputs = (SURROUNDINGS,)
     share = 0.0
-    lingers = False
 
     def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings | None = None) -> None:
         self._people, self._settings = people, settings or PerceptionSettings()
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
-        self._points = np.vstack([outline.discs, *map(_along, outline.edges)])
+        self._points = np.vstack([outline.discs, *(edge_points(edge, _APART, _RADIUS) for edge in outline.edges)])
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del robot, inputs
@@ -224,10 +204,7 @@ class ReportsEverything(AbstractNode):
         order = np.argsort(away)
         near = self._points[order[away[order] < self._settings.reach]]
         message = SurroundingsMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
+            **stamp(state),
             points=tuple(map(tuple, near.tolist())),
             movers=tuple((*one.position, one.radius, 0.0, 0.0, self._settings.fastest) for one in self._people),
             hidden=(),
@@ -246,7 +223,6 @@ class ReportsAllButWhoHides(AbstractNode):
     outputs = (SURROUNDINGS,)
     listens = (SCAN,)
     share = 0.0
-    lingers = False
 
     def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings) -> None:
         self._seen, self._reported = PerceptionNode(settings), ReportsEverything(scene, people, settings)
@@ -264,9 +240,9 @@ class ReportsAllButWhoHides(AbstractNode):
         return {SURROUNDINGS: replace(message, points=reported.points, movers=reported.movers)}
 
 
-def _along(edge: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, 3) with a radius, from one end of an edge x, y, x, y [m] to the other."""
+def edge_points(edge: FloatArray, apart: float, radius: float) -> FloatArray:
+    """Discs (n, 3) of a ``radius`` [m] from one end of an edge x, y, x, y [m] to the other, ``apart`` [m] at most."""
     start, end = edge[:2], edge[2:]
-    share = np.linspace(0.0, 1.0, ceil(float(np.hypot(*(end - start))) / _APART) + 1)[:, np.newaxis]
-    places = start + share * (end - start)
-    return np.column_stack([places, np.full(len(places), _RADIUS)])
+    count = max(ceil(float(np.hypot(*(end - start))) / apart), 1) + 1
+    places = start + np.linspace(0.0, 1.0, count)[:, np.newaxis] * (end - start)
+    return np.column_stack([places, np.full(count, radius)])

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_sim.robots.car.loads import footprint
-from safedpa_sim.robots.car.loads import Load, load_named
+from safedpa_sim.robots.car.loads import Load, footprint, load_named
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Person, StepsOut
 from safedpa_sim.sensing.people import walkers

@@ -46,13 +46,14 @@ from safedpa.operations import NUMPY
 from safedpa.perception import PerceptionSettings
 from safedpa.perception.odometry import Pose
 from safedpa.perception.scan import within_body
-from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.robots.car.scenes.sensed import reversal_braking
 from safedpa.safety.settings import FilterSettings
+from safedpa_lab.experiments.sensing.nodes import edge_points
 from safedpa_sim.closed_loop import Tick
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
@@ -246,7 +247,7 @@ class Scores:
         self._fastest, self._still_after = sensing.fastest, sensing.still_after
         self._radii = np.array([person.radius for person in people])
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
-        self._rest = np.vstack([outline.discs, *map(_along, outline.edges)])
+        self._rest = np.vstack([outline.discs, *(edge_points(edge, _APART, 0.0) for edge in outline.edges)])
         self._ways = WaysAround(scene, min(self._radii)) if len(people) else None
         self._way = ReverseOdometer()
         self._past: deque[_Then] = deque(maxlen=_RETAINED)
@@ -314,7 +315,8 @@ class Scores:
     ) -> None:
         towed = self._way.reach(state)
         bodies = _Bodies(self._settings, state, towed)
-        points, movers, places = (_table(rows, width) for rows, width in _rows(reported))
+        tables = ((reported.points, 3), (reported.movers, 6), (reported.hidden, 4))
+        points, movers, places = (np.array(rows, dtype=np.float64).reshape(-1, width) for rows, width in tables)
         discs = np.vstack([movers[:, [0, 1, 2, 5]], places])
         unseen = np.arange(len(discs)) >= len(movers)
         reported_h = _least(bodies.moving(discs, unseen, hoped))
@@ -403,14 +405,6 @@ class _Bodies:
         return np.asarray(ObstacleBarrier.equation(given, NUMPY)[0])
 
 
-def _rows(reported: SurroundingsMessage) -> tuple[tuple[Any, int], ...]:
-    return (reported.points, 3), (reported.movers, 6), (reported.hidden, 4)
-
-
-def _table(rows: Any, width: int) -> FloatArray:
-    return np.array(rows, dtype=np.float64).reshape(-1, width)
-
-
 def _least(h: FloatArray) -> float:
     return float(h.min()) if len(h) else _FAR
 
@@ -444,11 +438,3 @@ def _hit(scan: ScanMessage, pose: Pose, state: StateMessage, disc: tuple[float, 
     on_him = (ranges >= scan.nearest) & (np.abs(ranges - away) < _HIT)
     ends = here + ranges[on_him, np.newaxis] * np.column_stack([np.cos(angles[on_him]), np.sin(angles[on_him])])
     return bool((~within_body(ends, pose, state)).any())
-
-
-def _along(edge: FloatArray) -> FloatArray:
-    """Discs (n, 3) of radius 0 from one end of an edge x, y, x, y [m] to the other."""
-    start, end = edge[:2], edge[2:]
-    count = max(int(np.ceil(float(np.hypot(*(end - start))) / _APART)), 1) + 1
-    places = start + np.linspace(0.0, 1.0, count)[:, np.newaxis] * (end - start)
-    return np.column_stack([places, np.zeros(count)])

@@ -122,8 +122,7 @@ def _units(random: Random, count: int, most: float) -> FloatArray:
 
 def _plain(random: Random) -> LinearProblem:
     """Everything of size 1, most h positive now, margins from none to a tenth."""
-    rows, actions = int(random.integers(1, _MOST_ROWS + 1)), int(random.integers(1, _MOST_ACTIONS + 1))
-    states = int(random.integers(1, _MOST_STATES + 1))
+    rows, actions, states = (int(random.integers(1, most + 1)) for most in (_MOST_ROWS, _MOST_ACTIONS, _MOST_STATES))
     state, P = random.normal(size=states), random.normal(size=(rows, states))
     now = random.exponential(1.0, rows)
     low, width = random.uniform(-2.0, 0.0, actions), random.uniform(0.5, 3.0, actions)
@@ -153,8 +152,7 @@ def _tight(random: Random) -> LinearProblem:
 
 def _boundary(random: Random) -> LinearProblem:
     """h now is 0 exactly and there is no margin: whole numbers, so that nothing is rounded."""
-    rows, actions = int(random.integers(1, _MOST_ROWS + 1)), int(random.integers(1, _MOST_ACTIONS + 1))
-    states = int(random.integers(1, _MOST_STATES + 1))
+    rows, actions, states = (int(random.integers(1, most + 1)) for most in (_MOST_ROWS, _MOST_ACTIONS, _MOST_STATES))
     state = random.integers(-3, 4, states).astype(np.float64)
     P = random.integers(-3, 4, (rows, states)).astype(np.float64)
     drift = random.integers(-1, 2, states).astype(np.float64)
