@@ -9,7 +9,7 @@ from safedpa.records.readers.bags.detect import kind_of
 
 OTHERS = {
     "#ROSBAG V1": "is a ROS 1 bag of format 1; convert it to format 2.0: rosbag fix",
-    "\x1f\x8b": "is packed by gzip; unpack it: gunzip",
+    "\x1f\x8b": "cannot be unpacked by gzip (",
     "BZh": "is packed by bzip2; unpack it: bunzip2",
     "\xfd7zXZ": "is packed by xz; unpack it: unxz",
     "\x04\x22\x4d\x18": "is packed by lz4; unpack it: lz4 -d",

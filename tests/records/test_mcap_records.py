@@ -165,7 +165,7 @@ def test_channels_outside_of_chunks_are_counted(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize(
     ("records", "reason"),
-    [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it ends at byte 11 .*\)")],
+    [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it is cut off at byte 11 .*\)")],
 )
 def test_a_recording_without_a_robot_is_refused_with_the_findings(records, reason, tmp_path):
     with pytest.raises(RunError, match=f"a.mcap: contains no state of a robot{reason}; wanted a recording of"):

@@ -8,7 +8,7 @@ from safedpa.errors import ColumnMapError, InputError, RunError
 from safedpa.records.column_map.apply import check_map, mapped_rows
 from safedpa.records.column_map.column_map import ColumnMap, native_map
 from safedpa.records.quality.quality import run_of_rows
-from safedpa.records.readers.bags import kind_of, read_log_table, topic_log
+from safedpa.records.readers.bags import check_readable_mcap, kind_of, read_log_table, topic_log
 from safedpa.records.readers.table import Table, regular_file
 from safedpa.records.run import Run
 from safedpa.systems import System
@@ -42,6 +42,7 @@ def _load(path: Path, system: System, columns: ColumnMap | None, mapping: Column
     kind = kind_of(path)
     if kind == "mcap":
         if columns is not None:
+            check_readable_mcap(path)
             raise ColumnMapError(f"{columns.name}: {path} is a recording of the bus; leave the column map out")
         from safedpa.records.readers.mcap import read_run_from_mcap
 

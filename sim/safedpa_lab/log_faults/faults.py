@@ -401,7 +401,7 @@ def _hole(case: Case, path: Path) -> Expected:
     at, size = round(share * len(data)), min(4096, len(data) // 20)
     data[at : at + size] = bytes(size)
     path.write_bytes(data)
-    lost = 0.13 if case.form in ("mcap", "db3") else 0.08  # a chunk, or the rest of its page
+    lost = 0.16 if case.form in ("mcap", "db3") else 0.08  # a chunk, or the rest of its page
     rows = range(round((share - lost) * len(case.drive)), round((share + lost) * len(case.drive)))
     return Expected(
         ("cut_off", "damaged", "malformed_line"), damaged=frozenset(rows), refusable=case.form in ("parquet", "db3")

@@ -21,6 +21,7 @@ __all__ = ["HARMLESS", "Score", "judge", "read_spoilt"]
 
 HARMLESS: Final = ("stamps", "held", "irregular_sampling", "late_command", "late_measurement")
 """Findings that state a fact about an intact log, not a fault."""
+_DAMAGE: Final = ("damaged", "cut_off")
 _TOLERANCE: Final = 1e-4
 _TIME_TOLERANCE: Final = 0.012
 """s: rows that are placed by their receipt are this inexact."""
@@ -34,7 +35,7 @@ class Score:
     """What became of one log."""
 
     wrong: int = 0
-    """Rows with a command, a state or a time of another row, whatever was reported."""
+    """Rows with a command, a state or a time of another row, except within a second of reported damage."""
     lost: float = 0.0
     """Share of the undamaged rows that were not read."""
     reported: bool = True
@@ -91,6 +92,9 @@ def judge(run: Run, drive: Drive, expected: Expected) -> Score:
         wrong[part.start + 1 : part.stop] |= late
     blank = (read == 0.0).all(axis=1)
     wrong &= ~blank
+    for item in run.findings:  # next to damage the last command that was read is held
+        if item.kind in _DAMAGE and item.start_t is not None:
+            wrong &= np.abs(run.t - item.start_t) > _NEAR
     reported = not expected.kinds or _is_reported(run, expected)
     good = set(range(len(drive))) - expected.damaged
     found = set(row[~wrong & ~blank].tolist())

@@ -1,6 +1,6 @@
 """Reads recordings of the bus: their messages, and the run of one robot.
 
-A damaged file is read up to the damage.
+Damaged chunks of a file are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from safedpa.errors import InputError, MessageError, RunError, did_you_mean
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.earlier_format import current_key, current_payload
 from safedpa.records.quality.quality import run_of_rows
-from safedpa.records.readers.mcap_recovery import DamageError, records_of
+from safedpa.records.readers.mcap_recovery import DamageError, damage_finding, undamaged_records
 from safedpa.records.readers.table import require_file
 from safedpa.records.run import Finding, RawRows, Run
 from safedpa.systems import System
@@ -45,7 +45,7 @@ def read_messages(
 ) -> Iterator[tuple[str, int, Message]]:
     """Yields (key, log time in ns, message) of a recording, in recorded order.
 
-    ``topics`` limits what is decoded. A truncated or damaged file is read up to the damage; this and messages that
+    ``topics`` limits what is decoded. Damaged chunks of a file are left out; this and messages that
     could not be decoded are appended to ``findings``. Raises RunError if the file is not an MCAP file.
     """
     found = findings if findings is not None else []
@@ -97,21 +97,11 @@ def _key_and_topic(channel: Channel) -> tuple[str, Topic] | None:
 
 
 def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
-    """Yields the records of the file, with chunks unpacked, up to its end or the first damage."""
-    try:
-        yield from records_of(path)
-    except DamageError as damage:
-        findings.append(_damage_finding(damage.offset, damage.size))
-
-
-def _damage_finding(offset: int, size: int) -> Finding:
-    if offset >= size:
-        return Finding(
-            "cut_off", f"the recording was not closed: it ends at byte {size} without an index; read up to there"
-        )
-    return Finding(
-        "damaged", f"the recording is damaged at byte {offset} of {size}; read up to there, the rest left out"
-    )
+    """Yields the records of the file, with chunks unpacked, without the damaged ones."""
+    damage: list[DamageError] = []
+    yield from undamaged_records(path, damage)
+    if damage:
+        findings.append(damage_finding("recording", damage, None))
 
 
 Stamp = tuple[int, int]

@@ -1,4 +1,4 @@
-"""Reads the records of an MCAP file up to its first damage, in bounded memory.
+"""Reads the records of an MCAP file up to its first damage, or past it, in bounded memory.
 
 Every record is measured before it is unpacked: compression lets one byte of a chunk expand to any size.
 """
@@ -10,16 +10,18 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, final
 
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
+from safedpa.records.run import Finding
 
 if TYPE_CHECKING:
     from mcap.records import Chunk
 
-__all__ = ["DamageError", "channels_at_end", "records_of"]
+__all__ = ["DamageError", "channels_at_end", "damage_finding", "records_of", "undamaged_records"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MAX_SKIPPED = 10_000
@@ -30,6 +32,14 @@ _HEAD = struct.Struct("<BQ")
 """Opcode and length of a record."""
 _MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence number, log time, publish time."""
+_CHUNK_OPCODE = b"\x06"
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
+"""Opcode, length, first and last log time, unpacked bytes, checksum, letters of the compression."""
+_LONGEST_NAME = 12
+"""Bytes of the longest name of a compression, and of the length of the packed data after it."""
+_PIECE_BYTES = 1 << 20
+_MAX_DAMAGES = 1000
+"""Damaged places after which a file is given up."""
 _FOOTER = struct.Struct("<BQQQI8s")
 """Opcode 2, length 20, start of the summary, start of its offsets, checksum, magic."""
 
@@ -63,6 +73,99 @@ def records_of(path: Path, *, validate: bool = True) -> Iterator[Any]:
             yield record
 
 
+def undamaged_records(path: Path, damage: list[DamageError]) -> Iterator[Any]:
+    """Yields the records of the file like ``records_of``, and continues behind damage at the next whole chunk.
+
+    The damage is appended to ``damage``. Channels and schemas whose definitions were lost are taken from the summary at
+    the end of the file, if there is one.
+    """
+    size = path.stat().st_size
+    with _BoundedReader(path) as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise RunError(f"{path}: is no MCAP file; wanted a recording of the bus")
+        budget = _SizeBudget(path, size)
+        for _ in range(_MAX_DAMAGES):
+            place = _Place(file.tell())
+            # after damage the checksum of all data cannot fit
+            records = _records_in(file, budget, validate=True, whole=not damage, place=place)
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except _damage_errors():
+                    damage.append(DamageError(min(file.tell(), size), size))
+                    break
+                yield record
+            if len(damage) == 1:
+                yield from _definitions(file, size, budget)
+            following = _next_chunk(file, place.start, size)
+            if following is None:
+                return
+            file.seek(following)
+
+
+def _definitions(file: IO[bytes], size: int, budget: _SizeBudget) -> list[Any]:
+    """Schemas and channels in the summary at the end of the file; none without a summary."""
+    from mcap.records import Channel, Schema
+
+    try:
+        summary = _summary_start(file, size)
+        if summary is None:
+            return []
+        file.seek(summary)
+        records = list(_records_in(file, budget, validate=False))
+    except _damage_errors():
+        return []
+    # a channel names its schema, which must be known before
+    return [one for kind in (Schema, Channel) for one in records if isinstance(one, kind)]
+
+
+def _summary_start(file: IO[bytes], size: int) -> int | None:
+    """Byte at which the summary begins, as the footer says; None without a footer or a summary."""
+    file.seek(max(0, size - _FOOTER.size))
+    opcode, length, summary, _, _, magic = _FOOTER.unpack(file.read(_FOOTER.size))
+    return summary if (opcode, length, magic) == (2, 20, _MAGIC) and 0 < summary < size else None
+
+
+def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
+    """Byte at which the next chunk begins after a damaged record at ``start``; None if there is none.
+
+    A chunk is recognised by its opcode, lengths that fit together, and a known compression.
+    """
+    most = limit("mcap_chunk_bytes")
+    at = start + 1
+    while at < size:
+        file.seek(at)
+        piece = file.read(_PIECE_BYTES)
+        place = piece.find(_CHUNK_OPCODE)
+        while place >= 0 and place + _CHUNK_HEAD.size + _LONGEST_NAME <= len(piece):
+            _, length, begin, end, unpacked, _, letters = _CHUNK_HEAD.unpack_from(piece, place)
+            name = piece[place + _CHUNK_HEAD.size : place + _CHUNK_HEAD.size + letters] if letters <= 4 else None
+            fits = name in (b"", b"lz4", b"zstd") and unpacked <= most and begin <= end
+            if fits and at + place + _HEAD.size + length <= size:
+                (stored,) = struct.unpack_from("<Q", piece, place + _CHUNK_HEAD.size + letters)
+                if stored + 40 + letters == length:
+                    return at + place
+            place = piece.find(_CHUNK_OPCODE, place + 1)
+        if len(piece) < _PIECE_BYTES:
+            return None
+        at += _PIECE_BYTES - _CHUNK_HEAD.size - _LONGEST_NAME
+    return None
+
+
+def damage_finding(what: str, damage: list[DamageError], last: int | None) -> Finding:
+    """The finding for damage, and where reading could not continue; ``last`` is the time [ns] of the message before."""
+    start = None if last is None else last * 1e-9
+    first = damage[0]
+    if len(damage) == 1 and first.offset >= first.size:
+        text = f"the {what} was not closed: it is cut off at byte {first.size} and has no index; read up to there"
+        return Finding("cut_off", text, start_t=start)
+    places = f"{len(damage)} places, first" if len(damage) > 1 else "one place,"
+    text = f"the {what} is damaged at {places} at byte {first.offset} of {first.size}; the damaged chunks are left out"
+    return Finding("damaged", text, len(damage), start)
+
+
 def channels_at_end(path: Path) -> list[Any] | None:
     """Channels listed in the index at the end of the file; None without an index (not closed, damaged, no MCAP)."""
     from mcap.records import Channel
@@ -70,9 +173,8 @@ def channels_at_end(path: Path) -> list[Any] | None:
     size = path.stat().st_size
     with _BoundedReader(path) as file:
         try:
-            file.seek(max(0, size - _FOOTER.size))
-            opcode, length, summary, _, _, magic = _FOOTER.unpack(file.read(_FOOTER.size))
-            if (opcode, length, magic) != (2, 20, _MAGIC) or not 0 < summary < size:
+            summary = _summary_start(file, size)
+            if summary is None:
                 return None
             file.seek(summary)
             records = _records_in(file, _SizeBudget(path, size), validate=False)
@@ -89,8 +191,17 @@ def _damage_errors() -> tuple[type[Exception], ...]:
     return McapError, ValueError, struct.error, zstandard.ZstdError, RuntimeError, EOFError
 
 
-def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iterator[Any]:
-    """Yields the records after the magic up to the footer.
+@dataclass
+class _Place:
+    """The byte at which the record that is being read begins."""
+
+    start: int
+
+
+def _records_in(
+    file: IO[bytes], budget: _SizeBudget, *, validate: bool, whole: bool = True, place: _Place | None = None
+) -> Iterator[Any]:
+    """Yields the records up to the footer; ``whole``: from the magic on, so that the checksum of all data is known.
 
     Indices, statistics and attachments are skipped: their lists have no limit of their own.
     """
@@ -101,8 +212,10 @@ def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iter
     stream, most = ReadDataStream(file, calculate_crc=validate), limit("mcap_record_bytes")
     if validate:
         stream._crc = zlib.crc32(_MAGIC)
-    skipped = 0
+    skipped, begin = 0, 0 if place is None else place.start
     while True:
+        if place is not None:
+            place.start = begin + stream.count
         before = stream.checksum() if validate else 0
         opcode, length = stream.read1(), stream.read8()
         if length > most:
@@ -122,8 +235,9 @@ def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iter
             yield Channel.read(stream)
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(stream)
-        elif opcode == Opcode.DATA_END and validate and DataEnd.read(stream).data_section_crc not in (0, before):
-            raise ValueError("checksum of the data section")
+        elif opcode == Opcode.DATA_END and validate and whole:
+            if DataEnd.read(stream).data_section_crc not in (0, before):
+                raise ValueError("checksum of the data section")
         if stream.count < end:
             stream.read(end - stream.count)
 

@@ -7,6 +7,7 @@ logs; ``detect`` finds the reader of a file.
 
 from safedpa.records.readers.bags.detect import kind_of, topic_log
 from safedpa.records.readers.bags.join import read_log_table
+from safedpa.records.readers.bags.rosbag2 import check_readable_mcap
 from safedpa.records.readers.bags.topics import AbstractLog, LoggedTopic, Series
 
-__all__ = ["AbstractLog", "LoggedTopic", "Series", "kind_of", "read_log_table", "topic_log"]
+__all__ = ["AbstractLog", "LoggedTopic", "Series", "check_readable_mcap", "kind_of", "read_log_table", "topic_log"]

@@ -8,18 +8,25 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sqlite3
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from safedpa.errors import RunError
 from safedpa.extras import need
 from safedpa.limits import limit, readable, text_of_file, too_much
 from safedpa.records.readers.bags.messages import AbstractBag, DeclaredTopic
-from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
+from safedpa.records.readers.mcap_recovery import (
+    DamageError,
+    channels_at_end,
+    damage_finding,
+    undamaged_records,
+)
 from safedpa.records.run import Finding
 from safedpa.ros.definitions import plain_type
 
@@ -34,6 +41,8 @@ __all__ = [
 ]
 
 MAGIC = b"SQLite format 3\0"
+_MAX_TRIES = 200
+"""Tries to find the next whole row after damage."""
 _UNSAFE_SIZE = "it is damaged or malicious; sqlite3 FILE.db3 .recover restores what is left"
 _TABLES = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
 
@@ -50,7 +59,7 @@ class SqliteBag(AbstractBag):
         if size > limit("bag_bytes"):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
         try:
-            with closing(self._connect()) as base:
+            with self._closed() as path, closing(self._connect(path)) as base:
                 self._check(base)
                 numbers = self._declare(base)
                 chosen = {number: name for number, name in numbers.items() if self.is_chosen(name, topics)}
@@ -61,10 +70,34 @@ class SqliteBag(AbstractBag):
                 "sqlite3 FILE.db3 .recover brings back what is left"
             ) from error
 
-    def _connect(self) -> sqlite3.Connection:
+    @contextmanager
+    def _closed(self) -> Iterator[Path]:
+        """Yields the file; if messages are only in its write-ahead log, a copy that takes them in.
+
+        SQLite reads a write-ahead log only where it may write, and an input is never written.
+        """
+        log = self.path.with_name(f"{self.path.name}-wal")
+        if not log.is_file() or not log.stat().st_size:
+            yield self.path
+            return
+        if log.stat().st_size > limit("bag_bytes"):
+            raise too_much("bag_bytes", f"{log.stat().st_size} bytes", str(log))
+        sentence = f"the bag was not closed: messages in {log.name} are read as well; some of the last may be missing"
+        self.findings.append(Finding("cut_off", sentence))
+        with tempfile.TemporaryDirectory(prefix="safedpa-bag-") as folder:
+            copy = Path(folder) / "bag.db3"
+            shutil.copyfile(self.path, copy)
+            shutil.copyfile(log, f"{copy}-wal")
+            with closing(sqlite3.connect(copy)) as base:
+                base.execute("PRAGMA trusted_schema = OFF")
+                base.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+                base.execute("PRAGMA journal_mode = DELETE").fetchall()
+            yield copy
+
+    def _connect(self, path: Path) -> sqlite3.Connection:
         from urllib.parse import quote
 
-        base = sqlite3.connect(f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1", uri=True)
+        base = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)
         base.text_factory = lambda text: text.decode("utf-8", "replace")
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limit("bag_message_bytes"))
         base.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
@@ -79,10 +112,6 @@ class SqliteBag(AbstractBag):
             present = {row[1] for row in base.execute(f"PRAGMA table_info({table})")} if table in kinds else set()
             if kinds.get(table) != "table" or not wanted <= present:
                 raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: it has no such table '{table}'")
-        log = self.path.with_name(self.path.name + "-wal")
-        if log.exists() and log.stat().st_size:
-            sentence = f"{log.name} holds messages that never came into the bag: it was not closed; without them"
-            self.findings.append(Finding("cut_off", f"{sentence} the rest is read. 'ros2 bag reindex' takes them in"))
 
     def _declare(self, base: sqlite3.Connection) -> dict[int, str]:
         texts: dict[str, tuple[str, str]] = {}
@@ -111,21 +140,30 @@ class SqliteBag(AbstractBag):
     ) -> Iterator[tuple[str, int, bytes]]:
         data = "x''" if every else "data"  # without a selection messages are only counted
         marks = ",".join("?" * len(chosen)) if len(chosen) <= 500 else ""
-        where = f" WHERE topic_id IN ({marks})" if marks and not every else ""
-        cursor = base.execute(
-            f"SELECT topic_id, timestamp, {data} FROM messages{where}", tuple(chosen) if where else ()
-        )
+        where = f" AND topic_id IN ({marks})" if marks and not every else ""
+        query = f"SELECT rowid, topic_id, timestamp, {data} FROM messages WHERE rowid > ?{where} ORDER BY rowid"
+        selection = tuple(chosen) if where else ()
         left = max(limit("expansion_free_bytes"), self.path.stat().st_size)  # corrupt rows may share bytes
-        try:
-            for number, at, content in cursor:
-                if number in chosen and isinstance(at, int) and isinstance(content, bytes):
-                    left -= len(content)
-                    if left < 0:
-                        raise RunError(f"{self.path}: its messages are larger than the file; {_UNSAFE_SIZE}")
-                    yield chosen[number], at, content
-        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-            sentence = f"the bag is damaged ({readable(str(error), 60)}); read up to there, the rest ignored"
-            self.findings.append(Finding("cut_off", sentence))
+        last, skip, reason, start = -1, 0, "", None
+        for _ in range(_MAX_TRIES):
+            try:
+                for row, number, at, content in base.execute(query, (last + skip, *selection)):
+                    if skip and start is None:
+                        start = at
+                    last, skip = row, 0
+                    if number in chosen and isinstance(at, int) and isinstance(content, bytes):
+                        left -= len(content)
+                        if left < 0:
+                            raise RunError(f"{self.path}: its messages are larger than the file; {_UNSAFE_SIZE}")
+                        yield chosen[number], at, content
+                break
+            except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+                reason = reason or readable(str(error), 60)
+                skip += 1 + skip // 8  # rows of a damaged page; the next whole one is looked for
+        if reason:
+            near = start / 1e9 if isinstance(start, int) else None
+            sentence = f"the bag is damaged ({reason}); what can be read before and after the damage is read"
+            self.findings.append(Finding("damaged", sentence, start_t=near))
 
 
 class McapBag(AbstractBag):
@@ -133,6 +171,8 @@ class McapBag(AbstractBag):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "MCAP file")
+        self._last: int | None = None
+        """Time of receipt of the last message that was read [ns]."""
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
         """Yields (topic, receipt time in ns, encoded message) in file order; stops at damage, with a finding."""
@@ -143,23 +183,26 @@ class McapBag(AbstractBag):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
         schemas: dict[int, tuple[str, str, bytes]] = {}
         chosen: dict[int, str] = {}
-        try:
-            for record in records_of(self.path):
-                if isinstance(record, Message):
-                    name = chosen.get(record.channel_id)
-                    if name is not None:
-                        yield name, record.log_time, record.data
-                elif isinstance(record, Schema):
-                    schemas[record.id] = (record.name, record.encoding, record.data)
-                elif isinstance(record, Channel):
-                    kind, form, text = schemas.get(record.schema_id, ("", "", b""))
-                    declared = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
-                    name = self.declare(record.topic, DeclaredTopic(readable(plain_type(declared[0])), *declared[1:]))
-                    if self.is_chosen(name, topics):
-                        chosen[record.id] = name
-        except DamageError as damage:
-            where = f"is cut off or damaged at byte {damage.offset} of {damage.size}"
-            self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest ignored"))
+        damage: list[DamageError] = []
+        seen, before = 0, None
+        for record in undamaged_records(self.path, damage):
+            if len(damage) > seen:
+                seen, before = len(damage), before or self._last
+            if isinstance(record, Message):
+                self._last = record.log_time
+                name = chosen.get(record.channel_id)
+                if name is not None:
+                    yield name, record.log_time, record.data
+            elif isinstance(record, Schema):
+                schemas[record.id] = (record.name, record.encoding, record.data)
+            elif isinstance(record, Channel):
+                kind, form, text = schemas.get(record.schema_id, ("", "", b""))
+                declared = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
+                name = self.declare(record.topic, DeclaredTopic(readable(plain_type(declared[0])), *declared[1:]))
+                if self.is_chosen(name, topics):
+                    chosen[record.id] = name
+        if damage:
+            self.findings.append(damage_finding("bag", damage, before or self._last))
 
 
 def is_recording_of_the_bus(path: Path) -> bool:
@@ -171,15 +214,19 @@ def is_recording_of_the_bus(path: Path) -> bool:
     require_file(path)
     channels = channels_at_end(path)
     if channels is None:
-        channels = []
-        try:
-            for record in records_of(path, validate=False):
-                if isinstance(record, Channel):
-                    channels.append(record)
-                    break
-        except DamageError:
-            pass
+        records = undamaged_records(path, [])
+        channels = list(islice((record for record in records if isinstance(record, Channel)), 1))
     return not channels or any(channel.message_encoding == "msgpack" for channel in channels)
+
+
+def check_readable_mcap(path: Path) -> None:
+    """Raises RunError that says where an MCAP file is damaged or cut off if nothing in it can be read."""
+    damage: list[DamageError] = []
+    if any(True for _ in undamaged_records(path, damage)) or not damage:
+        return
+    first = damage[0]
+    what = f"cut off after {first.size} bytes" if first.offset >= first.size else f"damaged at byte {first.offset}"
+    raise RunError(f"{path}: is an MCAP file that is {what}; nothing can be read; copy it again, or name another log")
 
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
