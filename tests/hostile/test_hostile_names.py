@@ -96,7 +96,7 @@ def test_the_table_of_processes_shows_it_as_text(text: str) -> None:
         state=None, verdict=None, finding=None, health={"policy": (message, 0.0)}, silent_for=lambda _: 0.0
     )
     policy, robot = (Child(name, "", (), Path("log")) for name in ("policy", "robot"))
-    shown = drawn(render_view(watch, [policy], robot, [text], [text]))
+    shown = drawn(render_view(watch, [robot, policy], [text], [text]))
     assert "policy" in shown
     assert not CONTROL.search(shown)
 

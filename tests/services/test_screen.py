@@ -34,7 +34,7 @@ def child_of(folder, code=None, *, heartbeat=True, restarts=0):
 def drawn(watch, child):
     """Returns the lines of the view."""
     console = terminal(file=io.StringIO(), width=200)
-    console.print(render_view(watch, [], child, ["a hint"], ["a warning"]))
+    console.print(render_view(watch, [child], ["a hint"], ["a warning"]))
     return console.file.getvalue().splitlines()
 
 
@@ -106,7 +106,7 @@ def test_a_terminal_is_redrawn_four_times_a_second(watch, clock, tmp_path, monke
     monkeypatch.setattr(sys, "stderr", out)
     monkeypatch.setenv("TERM", "xterm")
     moments: list[float] = []
-    with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=False) as redraw:
+    with screen(watch, [child_of(tmp_path)], ["a hint"], tmp_path, quiet=False) as redraw:
         while clock.now < 52.0:
             before = len(out.getvalue())
             redraw()
@@ -121,7 +121,7 @@ def test_a_terminal_is_redrawn_four_times_a_second(watch, clock, tmp_path, monke
 def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(watch, tmp_path, capsys):
     for quiet, notice in ((True, ""), (False, "a hint\nlive view http://127.0.0.1:9090\n")):
         watch.health.clear()
-        with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=quiet) as redraw:
+        with screen(watch, [child_of(tmp_path)], ["a hint"], tmp_path, quiet=quiet) as redraw:
             for turn in range(4):
                 if turn == 2:
                     watch.health["dashboard"] = (health_of("dashboard", detail="http://127.0.0.1:9090"), 0.0)
@@ -145,7 +145,7 @@ def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_ti
 
     monkeypatch.setattr(socket, "create_connection", connected)
     clock.now = 50.0
-    with screen(watch, [], child_of(tmp_path), [], tmp_path, quiet=False, page=PAGE) as redraw:
+    with screen(watch, [child_of(tmp_path)], [], tmp_path, quiet=False, page=PAGE) as redraw:
         for _ in range(300):
             before = clock.now
             redraw()

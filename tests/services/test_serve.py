@@ -20,7 +20,7 @@ def served(monkeypatch, tmp_path):
 
     def run(turns):
         class Supervisor:
-            def __init__(self, _services, _robot, watch, _stop, on_turn, _):
+            def __init__(self, _services, _robot, watch, _stop, on_turn, *_others):
                 self.watch, self.on_turn = watch, on_turn
 
             def run(self):

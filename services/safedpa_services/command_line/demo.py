@@ -106,7 +106,7 @@ class _DemoRun:
         self._picture_error = ""
 
     @contextmanager
-    def shown(self, watch: RunMonitor, services: Sequence[Child], robot: Child) -> Iterator[Callable[[], None]]:
+    def shown(self, watch: RunMonitor, children: Sequence[Child]) -> Iterator[Callable[[], None]]:
         """Yields the function that the supervisor calls in each turn."""
         from safedpa_services.supervisor.demo_narrator import DemoNarrator
         from safedpa_services.supervisor.log_warnings import LogWarnings
@@ -115,7 +115,7 @@ class _DemoRun:
             if not self._options["as_json"]:
                 print_plain(f"{0.0 if watch.state is None else watch.state.robot_time:5.0f} s  {line}")
 
-        warnings = LogWarnings((robot, *services), self.plan.folder)
+        warnings = LogWarnings(children, self.plan.folder)
         self.story = story = DemoNarrator(watch.bus, watch.robot, report_progress, self._options["yes"])
         report_progress(
             f"a car drives behind its filter; after {_FAULT_SECONDS:.0f} s its steering is bent, which no model knows"

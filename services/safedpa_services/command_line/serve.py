@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,12 +14,11 @@ from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
 from safedpa_services.command_line.options import PATH, recordings_option
-from safedpa_services.command_line.up import default_options, make_plan
+from safedpa_services.command_line.up import default_options, make_plan, supervise
 
 if TYPE_CHECKING:
     from safedpa_services.ros_gateway.robot_file import ServedRobot
     from safedpa_services.supervisor.certificate_store import CertificateStore
-    from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.run_monitor import RunMonitor
 
@@ -93,7 +93,8 @@ def command(file: Path, **options: Any) -> None:
             role = "" if plan.certificates is None else f" with the certificate of role {role_of_robot(plan.name)}"
             where = plan.listen or plan.endpoint
             report_progress(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; waiting for it to join{role}")
-        _serve(plan, gateway, services, stop)
+        _report_start(plan)
+        supervise(plan, services, gateway, stop, lambda watch, _children: nullcontext(_drive_reporter(watch)))
 
 
 def _own_certificates(options: dict[str, Any], *, uses_ros: bool) -> CertificateStore | None:
@@ -124,28 +125,15 @@ def _drive_options(robot_file: ServedRobot, options: dict[str, Any]) -> dict[str
     }
 
 
-def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: Any) -> None:
-    from safedpa.bus import Bus, ZenohTransport
-    from safedpa.errors import SafedpaError
-    from safedpa_services.supervisor.run_monitor import RunMonitor
-    from safedpa_services.supervisor.supervisor import Supervisor
-
+def _report_start(plan: Plan) -> None:
     where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.listen or plan.endpoint}
     report_progress(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
     if plan.workbench_address:
         report_progress(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
     if plan.certificates is not None:
-        arguments = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.certificates.folder}"
         facts = {"certificates": str(plan.certificates.folder)}
-        report_progress(f"status: safedpa status --watch {arguments}", facts=facts)
+        report_progress(f"status: safedpa status --watch {plan.join_options}", facts=facts)
     finish()  # print the JSON document now: the command runs until Ctrl-C
-    if plan.certificates is not None:
-        services[0].start()  # the router, which the supervisor itself needs to join
-    with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-        watch = RunMonitor(bus, plan.name)
-        code = Supervisor(list(services), gateway, watch, stop, _drive_reporter(watch), lambda: stop.hurried).run()
-    if code != 0 and gateway is not None:
-        raise SafedpaError(f"robot: {gateway.last_text()}")
 
 
 def _drive_reporter(watch: RunMonitor) -> Callable[[], None]:

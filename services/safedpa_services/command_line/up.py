@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.run_monitor import RunMonitor
 
-    Display = Callable[[RunMonitor, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
+    Display = Callable[[RunMonitor, Sequence[Child]], AbstractContextManager[Callable[[], None]]]
 
 
 LOADS = ("none", "box", "chair", "large_chair")
@@ -381,45 +381,55 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
         )
 
 
-def run_plan(plan: Plan, stop: StopSignal, display: Display) -> dict[str, Any]:
-    """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError if the robot failed."""
+def supervise(
+    plan: Plan, services: list[Child], robot: Child | None, stop: StopSignal, display: Display
+) -> tuple[RunMonitor, list[Child]]:
+    """Runs services and robots until the end or ``stop``; returns what was heard, and all processes.
+
+    ``display`` gets the same. Raises SafedpaError if the robot failed.
+    """
     from safedpa.bus import Bus, ZenohTransport
-    from safedpa_services.supervisor.run_monitor import RunMonitor, run_summary
+    from safedpa_services.supervisor.run_monitor import RunMonitor
     from safedpa_services.supervisor.supervisor import Supervisor
 
-    services, robot = plan.services(), plan.robot_process()
     if plan.certificates is not None:
         services[0].start()  # the router, which the supervisor itself needs to join
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = RunMonitor(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), RunMonitor(bus, name)) for k, name in enumerate(plan.names[1:])]
-        shown = [*(child for child, _ in others), *services]
-        with display(watch, shown, robot) as on_turn:
+        children = [*([] if robot is None else [robot]), *(child for child, _ in others), *services]
+        with display(watch, children) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
-    if code != 0:
+    if code != 0 and robot is not None:
         raise SafedpaError(f"robot: {robot.last_text()}")
+    return watch, children
+
+
+def run_plan(plan: Plan, stop: StopSignal, display: Display) -> dict[str, Any]:
+    """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError if the robot failed."""
+    from safedpa_services.supervisor.run_monitor import run_summary
+
+    robot = plan.robot_process()
+    watch, children = supervise(plan, plan.services(), robot, stop, display)
     if stop.hurried:
         click.echo(f"safedpa: ended immediately by the second signal; recording: {plan.recording}", err=True)
         raise click.exceptions.Exit(_EXIT_CODE_INTERRUPTED)
     if not robot.has_begun:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
-    children, others_files = [robot, *shown], plan.other_summaries
-    return run_summary(plan.summary, watch.verdicts, children, health, plan.recording, watch.standstills, others_files)
+    others = plan.other_summaries
+    return run_summary(plan.summary, watch.verdicts, children, health, plan.recording, watch.standstills, others)
 
 
 def _display_of(plan: Plan, *, quiet: bool) -> Display:
     from safedpa_services.supervisor.screen import screen
 
-    where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
-    where += f" --certificates {plan.certificates.folder}" if plan.certificates is not None else ""
-    hints = [f"recording {plan.recording}", f"others join with {where}"]
-    hints.append(f"status: safedpa status --watch {where}")
+    where = plan.join_options
+    hints = [f"recording {plan.recording}", f"others join with {where}", f"status: safedpa status --watch {where}"]
     if plan.diagnosis:
         hints.append(f"accept a proposed effect: safedpa accept {plan.name} EFFECT {where}")
-    return lambda watch, services, robot: screen(
-        watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address
-    )
+    page = plan.workbench_address
+    return lambda watch, children: screen(watch, children, hints, plan.folder, quiet=quiet, page=page)
 
 
 def _report(summary: dict[str, Any]) -> None:

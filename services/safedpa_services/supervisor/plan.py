@@ -146,6 +146,12 @@ class Plan:
         """Returns this plan without the dashboard; the live page stays."""
         return replace(self, dashboard=False)
 
+    @property
+    def join_options(self) -> str:
+        """Options with which other commands join the bus."""
+        certificates = "" if self.certificates is None else f" --certificates {self.certificates.folder}"
+        return f"--connect {self.endpoint} --fleet {self.fleet}{certificates}"
+
     def own_session(self) -> ZenohSettings:
         """Returns how the supervisor joins: in plain text it listens for the others, with TLS it is an operator."""
         if self.certificates is None:

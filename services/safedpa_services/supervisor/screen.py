@@ -26,8 +26,7 @@ _PROBE_SECONDS = 0.05
 @contextmanager
 def screen(
     watch: RunMonitor,
-    services: Sequence[Child],
-    robot: Child,
+    children: Sequence[Child],
     hints: list[str],
     folder: Path,
     *,
@@ -41,7 +40,7 @@ def screen(
     :param page: address of the workbench, shown as soon as it accepts connections
     """
     if quiet:
-        yield LogWarnings((robot, *services), folder).look
+        yield LogWarnings(children, folder).look
         return
     from rich.live import Live  # a slow import that a quiet run does not need
 
@@ -53,9 +52,9 @@ def screen(
         say = partial(console.print, soft_wrap=True)
         for hint in hints:
             say(hint)
-        yield _announcement(addresses, LogWarnings((robot, *services), folder, say), say)
+        yield _announcement(addresses, LogWarnings(children, folder, say), say)
         return
-    warnings = LogWarnings((robot, *services), folder)
+    warnings = LogWarnings(children, folder)
     drawn = 0.0
     with Live(console=console, auto_refresh=False) as live:
 
@@ -64,7 +63,7 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                view = render_view(watch, services, robot, [*addresses(), *hints], warnings.newest)
+                view = render_view(watch, children, [*addresses(), *hints], warnings.newest)
                 live.update(SanitizedRenderable(view), refresh=True)
 
         yield redraw

@@ -19,14 +19,14 @@ _COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
 
 
 def render_view(
-    watch: RunMonitor, services: Sequence[Child], robot: Child, hints: Sequence[str], warnings: Iterable[str] = ()
+    watch: RunMonitor, children: Sequence[Child], hints: Sequence[str], warnings: Iterable[str] = ()
 ) -> Group:
     """Renders a headline, the table of processes, hints for the user, and the newest warnings."""
     return Group(
         _headline(watch),
         *_stationary(watch),
         _finding(watch),
-        _processes(watch, services, robot),
+        _processes(watch, children),
         *(Text(hint, style=_hint_style(hint)) for hint in hints),
         *(Text(line, style="yellow", no_wrap=True, overflow="ellipsis") for line in warnings),
     )
@@ -77,11 +77,11 @@ def _finding(watch: RunMonitor) -> Text:
     return Text.assemble((f"model {finding.model}  ", "bold"), (f"{finding.stage}: {finding.sentence}", colour))
 
 
-def _processes(watch: RunMonitor, services: Sequence[Child], robot: Child) -> Table:
+def _processes(watch: RunMonitor, children: Sequence[Child]) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in ("process", "state", "pid", "steps", "stale", "refused", "last step", "restarts", ""):
         table.add_column(column, justify="right" if column in ("pid", "steps", "stale", "refused") else "left")
-    for child in (robot, *services):
+    for child in children:
         table.add_row(*_row(watch, child))
     return table
 
