@@ -101,7 +101,7 @@ def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
     damage: list[DamageError] = []
     yield from undamaged_records(path, damage)
     if damage:
-        findings.append(damage_finding("recording", damage, None))
+        findings.append(damage_finding(damage, "recording", None))
 
 
 Stamp = tuple[int, int]

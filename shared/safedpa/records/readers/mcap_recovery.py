@@ -154,7 +154,7 @@ def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
     return None
 
 
-def damage_finding(what: str, damage: list[DamageError], last: int | None) -> Finding:
+def damage_finding(damage: list[DamageError], what: str, last: int | None) -> Finding:
     """The finding for damage, and where reading could not continue; ``last`` is the time [ns] of the message before."""
     start = None if last is None else last * 1e-9
     first = damage[0]
@@ -212,10 +212,11 @@ def _records_in(
     stream, most = ReadDataStream(file, calculate_crc=validate), limit("mcap_record_bytes")
     if validate:
         stream._crc = zlib.crc32(_MAGIC)
-    skipped, begin = 0, 0 if place is None else place.start
+    skipped, checked = 0, validate and whole
+    place = place or _Place(0)
+    begin = place.start
     while True:
-        if place is not None:
-            place.start = begin + stream.count
+        place.start = begin + stream.count
         before = stream.checksum() if validate else 0
         opcode, length = stream.read1(), stream.read8()
         if length > most:
@@ -235,9 +236,8 @@ def _records_in(
             yield Channel.read(stream)
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(stream)
-        elif opcode == Opcode.DATA_END and validate and whole:
-            if DataEnd.read(stream).data_section_crc not in (0, before):
-                raise ValueError("checksum of the data section")
+        elif opcode == Opcode.DATA_END and checked and DataEnd.read(stream).data_section_crc not in (0, before):
+            raise ValueError("checksum of the data section")
         if stream.count < end:
             stream.read(end - stream.count)
 

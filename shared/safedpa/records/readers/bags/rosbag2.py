@@ -202,7 +202,7 @@ class McapBag(AbstractBag):
                 if self.is_chosen(name, topics):
                     chosen[record.id] = name
         if damage:
-            self.findings.append(damage_finding("bag", damage, before or self._last))
+            self.findings.append(damage_finding(damage, "bag", before or self._last))
 
 
 def is_recording_of_the_bus(path: Path) -> bool:
