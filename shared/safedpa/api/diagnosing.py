@@ -53,7 +53,7 @@ class SavedDiagnosis:
     Example:
 
         >>> found = safedpa.diagnose("frictionless.toml", "log.csv", out="found")
-        >>> sorted(path.name for path in found.saved.folder.iterdir())
+        >>> sorted(path.name for path in found.saved.folder.iterdir()) if found.saved else []
         ['diagnosis.rrd', 'margin.toml', 'model.toml', 'report.html', 'report.json']
     """
 

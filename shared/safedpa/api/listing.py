@@ -35,8 +35,8 @@ class ProposedColumns(AbstractResult):
     Example:
 
         >>> proposal = safedpa.columns("degrees.csv", "pendulum")
-        >>> proposal.column_map.columns["angle"].source
-        'theta_deg'
+        >>> list(proposal.column_map.columns)
+        ['t', 'angle', 'rate', 'torque']
         >>> run = safedpa.read_log("degrees.csv", "pendulum", proposal)
     """
 

@@ -71,7 +71,7 @@ class SafetyFilter:
         >>> def affine(x):
         ...     return np.array([x[0] + 0.05 * x[1], x[1]]), np.array([[0.00125], [0.05]])
         >>> room = safedpa.FunctionBarrier(lambda x: 1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6, kind="wall")
-        >>> settings = safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.1, epsilon=0.002)
+        >>> settings = safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.1)
         >>> safe = safedpa.SafetyFilter(affine, [room], settings)
         >>> verdict = safe.decide([0.5, 0.8], nominal=[1.0])
         >>> verdict.status.value, verdict.action.round(1).tolist()
