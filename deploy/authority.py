@@ -17,7 +17,7 @@ import shutil
 import socketserver
 from pathlib import Path
 
-from container_name import container_at, number_in
+from container_name import container_at
 
 from safedpa.bus.logging import log_event
 from safedpa.bus.security.access_control import ROUTER, check_names, roles_of
@@ -99,9 +99,10 @@ class Enrolment(socketserver.StreamRequestHandler):
 
 def robot_role(container: str) -> str:
     """The role that a container of this name may have. Raises ValueError when it is no robot's."""
-    if re.search(r"[_-]robot[_-]\d+$", container.split(".", maxsplit=1)[0]) is None:
+    found = re.search(r"[_-]robot[_-](\d+)$", container.split(".", maxsplit=1)[0])
+    if found is None:
         raise ValueError(f"container '{container}' is no robot")
-    return f"robot.robot-{number_in(container)}"
+    return f"robot.robot-{int(found[1])}"
 
 
 def main() -> None:

@@ -10,11 +10,6 @@ ENGINE = ("127.0.0.11", 53)
 _LARGEST_ANSWER = 512
 
 
-def own_address() -> str:
-    """An address of this container."""
-    return socket.gethostbyname(socket.gethostname())
-
-
 def container_at(address: str, server: tuple[str, int] = ENGINE, seconds: float = 2.0) -> str:
     """The name of the container that has an IPv4 address, such as ``fleet_robot_3.fleet_bus``.
 

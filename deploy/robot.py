@@ -17,7 +17,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from container_name import container_at, number_in, own_address
+from container_name import container_at, number_in
 
 NAME_FILE = Path("/tmp/name")
 AUTHORITY = ("authority", 7448)
@@ -51,7 +51,10 @@ def enrol(role: str, folder: Path) -> None:
         return
     key = ec.generate_private_key(ec.SECP256R1())
     request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(key, hashes.SHA256())
-    certificate = _answer(request.public_bytes(serialization.Encoding.PEM))
+    with socket.create_connection(AUTHORITY, _PATIENCE_SECONDS) as connection, connection.makefile("rb") as answer:
+        connection.sendall(request.public_bytes(serialization.Encoding.PEM))
+        connection.shutdown(socket.SHUT_WR)
+        certificate = answer.read()
     if not certificate:
         raise OSError(f"{role}: the authority signed nothing; see its log")
     private = key.private_bytes(
@@ -60,23 +63,15 @@ def enrol(role: str, folder: Path) -> None:
     descriptor = os.open(folder / f"{role}.key.pem", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     with os.fdopen(descriptor, "wb") as file:
         file.write(private)
-    trusted = TRUSTED.read_bytes()
-    (folder / "authority.pem").write_bytes(trusted)
+    (folder / "authority.pem").write_bytes(TRUSTED.read_bytes())
     (folder / f"{role}.pem").write_bytes(certificate)
-
-
-def _answer(request: bytes) -> bytes:
-    with socket.create_connection(AUTHORITY, _PATIENCE_SECONDS) as connection:
-        connection.sendall(request)
-        connection.shutdown(socket.SHUT_WR)
-        with connection.makefile("rb") as answer:
-            return answer.read()
 
 
 def main() -> None:
     """Becomes the robot."""
     arguments = sys.argv[1:]
-    name = os.environ.get("SAFEDPA_NAME") or f"robot-{number_in(container_at(own_address()))}"
+    own_address = socket.gethostbyname(socket.gethostname())
+    name = os.environ.get("SAFEDPA_NAME") or f"robot-{number_in(container_at(own_address))}"
     NAME_FILE.write_text(name, encoding="utf-8")
     phrase = command(os.environ, name, arguments)
     if "--certificates" in arguments:
