@@ -1,4 +1,4 @@
-"""The interface of an attack, rows of measured values with their limits, and what is said of a judged answer."""
+"""The interface of an attack, rows of measured values with their limits, and answers compared with a grid."""
 
 from __future__ import annotations
 

@@ -267,7 +267,7 @@ class NoisyRobot:
         self._robot = robot
         self._draw = np.random.default_rng([robot.scene.seed, 17])
         self._deviations = np.array([noise, noise, noise / _YAW_BASE, noise / _SPEED_BASE])
-        self.receive, self.advance = robot.receive, robot.advance
+        self.receive, self.advance, self.scans = robot.receive, robot.advance, robot.scans
 
     def state_message(self) -> StateMessage:
         """State k as measured; to be read once per tick."""

@@ -106,8 +106,8 @@ def draw_curves(result: Mapping[str, Any], path: Path) -> None:
             ends, dots = [share - low, high - share], {"markersize": 3.6}
             above.errorbar(values, share, ends, color=RED, marker="o", elinewidth=0.8, **dots)
             below.plot(values, [row["goals_a_minute"] for row in rows], color=BLUE, marker="o", **dots)
-            told = [row["goals_a_minute_told_everything"] for row in rows]
-            below.plot(values, told, color=GREY, marker=".", linewidth=0.8, **dots)
+            known = [row["goals_a_minute_told_everything"] for row in rows]
+            below.plot(values, known, color=GREY, marker=".", linewidth=0.8, **dots)
             below.set_xlabel(title, fontsize=8)
             for axes, top in ((above, 105.0), (below, 1.1 * max(most, 1.0))):
                 axes.set_ylim(-0.04 * top, top)

@@ -46,10 +46,10 @@ from safedpa.operations import NUMPY
 from safedpa.perception import PerceptionSettings
 from safedpa.perception.odometry import Pose
 from safedpa.perception.scan import within_body
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
-from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.robots.car.scenes.sensed import reversal_braking
 from safedpa.safety.settings import FilterSettings
