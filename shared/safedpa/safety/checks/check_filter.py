@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
@@ -57,8 +58,7 @@ def check_filter(
     ticks: int = 60,
     seed: int = 0,
 ) -> FilterReport:
-    """Returns what is wrong with a filter at ``states`` (k, states) or (states,), and where it can be driven from
-    there.
+    """Returns what is wrong with a filter at ``states`` (k, states) or (states,), and where it drives from there.
 
     ``barriers``, ``latent`` and ``epsilon`` are as in ``decide``. ``can_stop``: whether the backup is meant to satisfy
     every constraint, as braking does; False for a robot without a safe standstill. From states with h >= epsilon / eta
@@ -74,8 +74,7 @@ def check_filter(
     - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
     - a gradient that contradicts its own h; anything that raises, is not finite, or that the filter refuses.
 
-    A report without issues is no proof, since only these states were probed. Raises InputError for states of a wrong
-    shape, or without barriers.
+    A report without issues says nothing about other states. Raises InputError for a wrong shape, or without barriers.
 
     Example:
 
@@ -88,9 +87,7 @@ def check_filter(
         raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter")
     if period is not None and not 0.0 < period < inf:
         raise InputError(f"period: got {period!r}, wanted a finite number of seconds > 0")
-    rows = np.atleast_2d(checked_output("states", states))
-    if rows.ndim != 2 or not rows.size or not np.isfinite(rows).all():
-        raise InputError(f"states: got shape {np.shape(states)}, wanted (k, states) finite numbers, k at least 1")
+    rows = _checked_rows(states)
     scene = safe.barriers if barriers is None else barriers
     # Without names only the type of each barrier is checked here; the filter has checked the states.
     check_reads(scene, ())
@@ -99,8 +96,7 @@ def check_filter(
         raise InputError("barriers: got none, wanted at least one to check")
     free = None if latent is None else checked_output("latent", latent)
     # The same precedence as in a decision: the call overrides the settings by kind.
-    margins = {**safe.settings.epsilon, **(epsilon or {})}
-    checked = FilterUnderTest(safe, barrier_set, margins, free)
+    checked = FilterUnderTest(safe, barrier_set, {**safe.settings.epsilon, **(epsilon or {})}, free)
     try:
         probes = collect_probes(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
@@ -110,3 +106,11 @@ def check_filter(
         notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), notice)], len(rows))
     return FilterReport(issues, len(probes))
+
+
+def _checked_rows(states: ArrayLike) -> FloatArray:
+    """Returns the states (k, states); raises InputError if they are none or not finite."""
+    rows = np.atleast_2d(checked_output("states", states))
+    if rows.ndim != 2 or not rows.size or not np.isfinite(rows).all():
+        raise InputError(f"states: got shape {np.shape(states)}, wanted (k, states) finite numbers, k at least 1")
+    return rows
