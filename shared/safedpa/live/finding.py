@@ -93,14 +93,6 @@ class _Finding:
     outcome: WorkOutcome | None = None
 
 
-@dataclass(frozen=True)
-class _Adopted:
-    at: float
-    """s"""
-    before: float
-    """Error of the previous model."""
-
-
 @final
 class RobotDiagnosis:
     """Live diagnosis of one robot. Call ``observe`` once per tick; searches run in ``worker``.
@@ -134,7 +126,8 @@ class RobotDiagnosis:
         self.number = number
         """Number of the newest finding, counted over all drives of the robot."""
         self._finding: _Finding | None = None
-        self._adopted: _Adopted | None = None
+        self._adopted: tuple[float, float] | None = None
+        """Time [s] of the last change of the model, and the error of the previous one."""
         self.time = 0.0
         """Time of the newest tick in s, by the robot's clock."""
         self._reported: tuple[object, ...] = ()
@@ -161,7 +154,7 @@ class RobotDiagnosis:
         Predicts the last seconds with the new model, so that its error is available immediately.
         """
         model = parse_model(document, self._folder)
-        self._adopted = _Adopted(self.time, self.watch.error)
+        self._adopted = self.time, self.watch.error
         self._document, self.fingerprint = document, fingerprint(model)
         self.watch = ModelMonitor(model, self._horizon, self.watch.scale, self._period)
         for tick, state, applied in self.history.last(_REPLAYED * self._horizon):
@@ -269,8 +262,8 @@ class RobotDiagnosis:
     def _sentence(self, stage: str) -> str:
         watch, finding = self.watch, self._finding
         error = f"the error over {self._horizon:g} s is {watch.error:.3f}"
-        if self._adopted is not None and self.time - self._adopted.at < _COMPARISON_SECONDS and finding is None:
-            error = f"{error}, {self._adopted.before:.3f} with the previous model"
+        if self._adopted is not None and self.time - self._adopted[0] < _COMPARISON_SECONDS and finding is None:
+            error = f"{error}, {self._adopted[1]:.3f} with the previous model"
         if finding is None or watch.band is None:
             learned = f"still learning the usual error: {watch.seconds_to_learn:.0f} s of driving to go"
             return (

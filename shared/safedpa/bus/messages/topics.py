@@ -87,24 +87,7 @@ TAKEOVER = Topic("takeover", TakeoverMessage, "*", "all", 0)
 ASKED = Topic("asked", AskedMessage, "diagnosis", "all", 0)
 SETUP = Topic("setup", SetupMessage, "*", "all", 0, _DOCUMENT_BYTES)
 
-TOPICS: dict[str, Topic] = {
-    topic.name: topic
-    for topic in (
-        STATE,
-        SCAN,
-        SURROUNDINGS,
-        LATENT,
-        NOMINAL,
-        ACTION,
-        VERDICT,
-        HEALTH,
-        FINDING,
-        MODEL,
-        TAKEOVER,
-        ASKED,
-        SETUP,
-    )
-}
+TOPICS: dict[str, Topic] = {topic.name: topic for topic in tuple(vars().values()) if isinstance(topic, Topic)}
 """Every topic, by name."""
 
 

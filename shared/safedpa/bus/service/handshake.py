@@ -8,7 +8,6 @@ time, and the diagnosis offers the agreed model again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from safedpa.bus.messages.requests import Answer
 from safedpa.bus.messages.topics import MODEL, STATE, Topic
@@ -19,13 +18,6 @@ from safedpa.bus.transport.inbox import Inbox, ReceivedMessage
 # Time-out for the diagnosis, and again for the other services. A process on the same machine answers in milliseconds;
 # if no process answers such questions, the bus reports that immediately.
 _TIMEOUT_SECONDS = 0.3
-
-
-@dataclass
-class _Waiting:
-    newest: dict[Topic, ReceivedMessage]
-    """The newest message by topic."""
-    give_up: float
 
 
 class ModelHandshake:
@@ -47,7 +39,8 @@ class ModelHandshake:
         if MODEL in node.listens:
             bus.answer_agreed(node.agreed)
         self._met: set[str] = set()
-        self._waiting: dict[str, _Waiting] = {}
+        self._waiting: dict[str, tuple[dict[Topic, ReceivedMessage], float]] = {}
+        """By robot: the newest message of each topic, and the time [s] at which to give up."""
 
     def holds(self, item: ReceivedMessage) -> bool:
         """Whether a message has to wait. ``ready`` returns it later, if it is still the newest of its topic."""
@@ -55,13 +48,13 @@ class ModelHandshake:
             return False
         waiting = self._waiting.get(item.robot)
         if waiting is not None:
-            waiting.newest[item.topic] = item
+            waiting[0][item.topic] = item
             return True
         # Only a state proves that there is a robot to serve. Other inputs are useless without one.
         if item.topic is not STATE:
             return False
         # Two questions of one time-out each, and one in reserve for a busy machine.
-        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 3.0 * _TIMEOUT_SECONDS)
+        self._waiting[item.robot] = {STATE: item}, self._clock() + 3.0 * _TIMEOUT_SECONDS
         self._bus.ask_model(self._inbox, item.robot, self._node.name, _TIMEOUT_SECONDS)
         return True
 
@@ -70,19 +63,19 @@ class ModelHandshake:
         answers: dict[str, Answer | None] = {item.robot: item.answer for item in self._inbox.take_answers()}
         now = self._clock()
         served: list[ReceivedMessage] = []
-        for robot in [name for name, item in self._waiting.items() if name in answers or now >= item.give_up]:
+        for robot in [name for name, (_, until) in self._waiting.items() if name in answers or now >= until]:
             self._met.add(robot)
             try:
                 self._node.adopt_model(robot, answers.get(robot))
             except Exception as error:  # noqa: BLE001
                 # Serve the robot with the model of the command line rather than not at all.
                 self._failed(robot, error)
-            served += self._waiting.pop(robot).newest.values()
+            served += self._waiting.pop(robot)[0].values()
         return served
 
     def deadline(self) -> float:
         """Returns the time [s] of the next time-out; infinite if no question is open."""
-        return min((item.give_up for item in self._waiting.values()), default=float("inf"))
+        return min((until for _, until in self._waiting.values()), default=float("inf"))
 
     def forget(self, robot: str) -> None:
         """Forgets a robot that left; its model is asked for again when it returns."""
