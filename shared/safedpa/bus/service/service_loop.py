@@ -415,8 +415,6 @@ class ServiceLoop:
     def _hear(self, item: ReceivedMessage) -> None:
         try:
             self._node.hear(item.robot, item.message)
-        except _PROCESS_ERRORS:
-            raise
         except Exception as error:  # noqa: BLE001
             # An error about one robot must not end the service of the others; the same applies below.
             self._failed(item.robot, error)
@@ -486,8 +484,6 @@ class ServiceLoop:
             slot.prepared = True
             try:
                 self._node.prepare(robot, slot.state)
-            except _PROCESS_ERRORS:
-                raise
             except Exception as error:  # noqa: BLE001
                 # Only logged: the step follows in any case, and if it fails, too, `rescue` decides.
                 self._failed(robot, error, slot.state.tick)
@@ -507,8 +503,6 @@ class ServiceLoop:
             outputs = slot.trace.on(node.step(robot, slot.state, inputs))
             slot.counts.microseconds = 1e6 * (time.perf_counter() - started)
             self._publish(robot, outputs)  # before all bookkeeping: the robot waits for it
-        except _PROCESS_ERRORS:
-            raise
         except Exception as error:  # noqa: BLE001
             self._rescue(robot, slot, error)
             return
@@ -532,8 +526,6 @@ class ServiceLoop:
             self._publish(robot, outputs)
             slot.outputs = outputs
             self._service_log.notice(robot, outputs)
-        except _PROCESS_ERRORS:
-            raise
         except Exception as again:  # noqa: BLE001
             # Without an action, the robot's own watchdog brakes.
             self._failed(robot, again, slot.state.tick)
@@ -545,8 +537,6 @@ class ServiceLoop:
             further = self._node.afterwards(robot)
             if further:
                 self._publish(robot, slot.trace.on(further))
-        except _PROCESS_ERRORS:
-            raise
         except Exception as error:  # noqa: BLE001
             # Only logged: the action of this tick was sent before.
             self._failed(robot, error, slot.state.tick)
@@ -588,7 +578,9 @@ class ServiceLoop:
         counts.detail = f"refused: {reason}"
 
     def _failed(self, robot: str, error: Exception, tick: int = -1) -> str:
-        """Counts and logs an exception about a robot; returns it as text."""
+        """Counts and logs an exception about a robot; returns it as text. Raises an error of the process again."""
+        if isinstance(error, _PROCESS_ERRORS):
+            raise error
         # InputError means invalid data from outside; any other exception is a defect of this program.
         if isinstance(error, InputError):
             self._refuse(str(error), robot, tick)
