@@ -22,7 +22,7 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title)
 
@@ -36,7 +36,8 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
 def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]:
     """Yields ``report_progress(done, total, notice)``, for work whose duration cannot be predicted.
 
-    The bar shows the elapsed instead of the remaining time. A changed ``notice`` is printed above the bar.
+    The bar shows the elapsed instead of the remaining time. A changed ``notice`` is printed above the bar; a
+    notebook shows it in the bar.
     """
     console = _console()
     if console is None:
@@ -44,16 +45,18 @@ def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task, last = bar.add_task(title), ""
 
         def report_progress(done: int, everything: int, notice: str) -> None:
             nonlocal last
-            if notice != last:
+            if notice != last and not console.is_jupyter:
                 bar.console.print(f"{title}: {notice}", highlight=False, markup=False)
                 last = notice
-            bar.update(task, completed=done, total=everything)
+            # A cell keeps what is printed, so a notebook has the notice in the bar.
+            description = f"{title}: {notice}" if console.is_jupyter else title
+            bar.update(task, completed=done, total=everything, description=description)
 
         yield report_progress
 
