@@ -43,7 +43,8 @@ def command(
     the learning curves, baselines.md and a picture of the curves.
     """
     from safedpa_lab.experiments.point.baselines import markdown_of, write_baselines
-    from safedpa_lab.point.baseline_set import TASKS, baselines_in, train_baselines
+    from safedpa_lab.point.baseline_set import TASKS, baselines_in
+    from safedpa_lab.point.baselines import train_baselines
 
     chosen = _split("--names", names, BASELINES), _split("--tasks", tasks, tuple(TASKS))
     numbers = _numbers(seeds)

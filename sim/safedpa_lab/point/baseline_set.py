@@ -1,13 +1,9 @@
-"""The baselines' policies: on disk, as plain numpy, and all of them on both tasks, trained one after the other.
-
-What is trained already is not trained again.
-"""
+"""The baselines' tasks, and their policies on disk, as plain numpy."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
@@ -15,14 +11,13 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import InputError, did_you_mean
+from safedpa.errors import InputError
 from safedpa.limits import check_tensor_file, parse_json
 from safedpa.networks import dense_stack
 from safedpa.networks.layers import layers_of
 from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.point.inputs import entries_of
-from safedpa_lab.point.plan import BASELINES, Plan
-from safedpa_sim.training.progress import ReportProgress, silent
+from safedpa_lab.point.plan import Plan
 
 _KEY = "safedpa"
 
@@ -93,33 +88,6 @@ PUBLISHED: Final = {
 SHIPPED: Final = Path(str(files("safedpa_sim.point"))) / "weights"
 
 
-def train_baselines(
-    out: Path,
-    names: Iterable[str] = BASELINES,
-    tasks: Iterable[str] = tuple(TASKS),
-    seeds: Iterable[int] = (0,),
-    report_progress: ReportProgress = silent,
-    changes: Mapping[str, Any] = {},
-) -> dict[str, dict[str, Any]]:
-    """Trains each name on each task from each seed into ``out``/seed_N/KEY.safetensors; accounts by seed_N/KEY.
-
-    ``changes`` are fields of ``Plan`` that are other than the task's; KEY is ``Plan.key``'s. Raises InputError for
-    names of baselines and tasks that are none.
-    """
-    from safedpa_lab.point.baselines import train_baseline
-
-    chosen = [(name, task, seed) for seed in seeds for task in tasks for name in names]
-    for name, task, _ in chosen:
-        _known("baseline", name, BASELINES)
-        _known("task", task, TASKS)
-    accounts = {}
-    for name, task, seed in chosen:
-        plan = replace(TASKS[task], seed=seed, **changes)
-        key = f"{folder_of(seed)}/{plan.key(name, task)}"
-        accounts[key] = train_baseline(name, plan, out / f"{key}.safetensors", report_progress)
-    return accounts
-
-
 def folder_of(seed: int) -> str:
     """Where the policies of one training seed lie."""
     return f"seed_{seed}"
@@ -147,8 +115,3 @@ def seeds_of(key: str, folder: Path) -> tuple[int, ...]:
     """The training seeds of which there is a policy of that KEY, in the folder or shipped."""
     paths = [path for place in (folder, SHIPPED) for path in place.glob(f"seed_*/{key}.safetensors")]
     return tuple(sorted({int(path.parent.name.removeprefix("seed_")) for path in paths}))
-
-
-def _known(kind: str, name: str, names: Iterable[str]) -> None:
-    if name not in names:
-        raise InputError(f"{kind} '{name}': {did_you_mean(name, tuple(names))}")

@@ -23,7 +23,8 @@ Lagrangian Methods, ICML 2020.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
@@ -37,7 +38,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_lab.point.baseline_set import BaselinePolicy, load_policy, save_policy
+from safedpa_lab.point.baseline_set import TASKS, BaselinePolicy, folder_of, load_policy, save_policy
 from safedpa_lab.point.inputs import Inputs
 from safedpa_lab.point.plan import BASELINES, Plan, score
 from safedpa_lab.point.shield import true_shelter
@@ -105,14 +106,43 @@ _LAST_SEED, _CHOICE_SEED = 50_000, 51_000
 """Development seeds, on top of the plan's: of the last evaluation; of the choice."""
 
 
+def train_baselines(
+    out: Path,
+    names: Iterable[str] = BASELINES,
+    tasks: Iterable[str] = tuple(TASKS),
+    seeds: Iterable[int] = (0,),
+    report_progress: ReportProgress = silent,
+    changes: Mapping[str, Any] = {},
+) -> dict[str, dict[str, Any]]:
+    """Trains each name on each task from each seed into ``out``/seed_N/KEY.safetensors; accounts by seed_N/KEY.
+
+    ``changes`` are fields of ``Plan`` that are other than the task's; KEY is ``Plan.key``'s. Raises InputError for
+    names of baselines and tasks that are none.
+    """
+    chosen = [(name, task, seed) for seed in seeds for task in tasks for name in names]
+    for name, task, _ in chosen:
+        _known("baseline", name, BASELINES)
+        _known("task", task, TASKS)
+    accounts = {}
+    for name, task, seed in chosen:
+        plan = replace(TASKS[task], seed=seed, **changes)
+        key = f"{folder_of(seed)}/{plan.key(name, task)}"
+        accounts[key] = train_baseline(name, plan, out / f"{key}.safetensors", report_progress)
+    return accounts
+
+
+def _known(kind: str, name: str, names: Iterable[str]) -> None:
+    if name not in names:
+        raise InputError(f"{kind} '{name}': {did_you_mean(name, tuple(names))}")
+
+
 def train_baseline(name: str, plan: Plan, path: Path, report_progress: ReportProgress = silent) -> dict[str, Any]:
     """Trains one of ``BASELINES`` and writes its policy to ``path``; a file from the same plan stays as it is.
 
     Returns its account: mean reward and cost of whole episodes, seconds, learning curve. Raises InputError for a name
     that is none.
     """
-    if name not in BASELINES:
-        raise InputError(f"baseline '{name}': {did_you_mean(name, BASELINES)}")
+    _known("baseline", name, BASELINES)
     made_from = {"name": name, **plan.__dict__}
     if path.exists() and (known := load_policy(path)).reported.get("plan") == made_from:
         return {**known.reported, "skipped": True}

@@ -16,8 +16,8 @@ from torch.distributions import kl_divergence
 from safedpa.errors import InputError
 from safedpa_lab.experiments.point.baselines import markdown_of
 from safedpa_lab.point import baselines, trust_region
-from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named, baselines_in, seeds_of, train_baselines
-from safedpa_lab.point.baselines import STANDING_STILL, Multiplier, algorithm_of, evaluate_policy
+from safedpa_lab.point.baseline_set import BaselinePolicy, baseline_named, baselines_in, seeds_of
+from safedpa_lab.point.baselines import STANDING_STILL, Multiplier, algorithm_of, evaluate_policy, train_baselines
 from safedpa_lab.point.beliefs import weights_named
 from safedpa_lab.point.drivers import Wheel, driver_of
 from safedpa_lab.point.inputs import OBSERVATION_SCALE, Inputs, WayAhead, entries_of
@@ -26,9 +26,9 @@ from safedpa_lab.point.plan import Plan, score
 from safedpa_lab.point.shield import shield_of
 from safedpa_lab.point.trust_region import constrained_step
 from safedpa_lab.point.vector_environment import PointEnvironment
-from safedpa_sim.point.simulation import actions_of, controls_of
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.route_planner import RoutePlanner
+from safedpa_sim.point.simulation import actions_of, controls_of
 from safedpa_sim.point.task import PointTask
 
 
