@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final, runtime_checkable
+from typing import Protocol, final
 
 from safedpa.bus import (
     ACTION,
@@ -31,6 +31,9 @@ _NAME = "r1"
 class Robot(Protocol):
     """The interface that the closed loop needs of a robot."""
 
+    def scans(self) -> Sequence[ScanMessage]:
+        """Returns the new scans before the state of this tick; none for a robot without sensors."""
+
     def state_message(self) -> StateMessage:
         """Returns the state of this tick."""
 
@@ -41,23 +44,11 @@ class Robot(Protocol):
         """Simulates one period."""
 
 
-@runtime_checkable
-class Sensing(Protocol):
-    """A robot with its own sensors."""
-
-    def scans(self) -> Sequence[ScanMessage]:
-        """Returns the new scans before the state of this tick."""
-
-
-class SensingRobot(Robot, Sensing, Protocol):
-    """A robot with sensors, for ``drive_together``."""
-
-
 class RobotGroup(Protocol):
     """Robots that advance together, such as the cars of a shared field."""
 
     @property
-    def robots(self) -> Sequence[SensingRobot]:
+    def robots(self) -> Sequence[Robot]:
         """The robots, in a fixed order."""
 
     def advance(self) -> None:
@@ -96,7 +87,7 @@ def drive(
         for _ in range(ticks):
             state = robot.state_message()
             now = state.robot_time
-            for scan in robot.scans() if isinstance(robot, Sensing) else ():
+            for scan in robot.scans():
                 bus.publish(SCAN, _NAME, scan)
             bus.publish(STATE, _NAME, state)
             for loop in loops:
@@ -137,7 +128,7 @@ def drive_together(
 class _WaitingRobot:
     """A robot that is advanced by its field."""
 
-    def __init__(self, robot: SensingRobot) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.state_message, self.receive, self.scans = robot.state_message, robot.receive, robot.scans
 
     def advance(self) -> None:

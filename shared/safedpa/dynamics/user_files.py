@@ -81,17 +81,14 @@ def _entry_points_once() -> None:
 def _added(module: ModuleType, path: Path) -> list[str]:
     # in this order: a base model needs its system, an effect its robot
     robots_found = _robots_in(module, path)
-    for robot in robots_found:
-        try:
+    try:
+        for robot in robots_found:
             add_robot(robot)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-    own = _systems_in(module)
-    for system in own:
-        try:
+        own = _systems_in(module)
+        for system in own:
             add_system(system)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     bases = _bases_in(module)
     for base in bases:
         _check_base(base, path)

@@ -6,13 +6,12 @@ after the start, and its action must arrive within 0.9 periods; otherwise the wa
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 
 from safedpa.bus import ACTION, HEALTH, SCAN, SETUP, STATE, Bus, ReceivedMessage
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
+from safedpa.bus.messages.messages import ActionMessage, SetupMessage, StateMessage
 from safedpa.bus.messages.service_info import SETUP_SECONDS, software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
@@ -209,20 +208,10 @@ class RobotLoop:
             self._bus.publish(SETUP, self._name, self._setup, "robot")
 
     def _report_health(self, state: str) -> None:
-        robot = self.robot
         reported, self._reported_latencies = self._reported_latencies, len(self.latencies)
-        message = HealthMessage(
-            epoch=robot.guard.epoch,
-            tick=robot.tick,
-            robot_time=robot.tick * robot.period,
-            publish_time=time.time(),
-            service="robot",
-            pid=os.getpid(),
-            state=state,
+        message = self.robot.health_message(
+            state,
             detail=self._detail,
-            steps=robot.tick,
-            stale=robot.watchdog_ticks,
-            refused=sum(robot.guard.refusals.values()),
             step_microseconds=self._step_microseconds,
             software=software_version(),
             latencies=tuple(self.latencies[max(reported, len(self.latencies) - _MOST_REPORTED_LATENCIES) :]),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import struct
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, final
 
-from safedpa.bus.messages.messages import ActionMessage, ScanMessage, StateMessage
+from safedpa.bus.messages.messages import ActionMessage, HealthMessage, ScanMessage, StateMessage
 from safedpa_sim.robots.guard import ActionGuard
 
 Numbers = tuple[float, ...]
@@ -100,6 +102,23 @@ class SimulatedRobot(ABC):
         self.tick += 1
         self.guard.begin(self.tick)
         self._record()
+
+    @final
+    def health_message(self, state: str = "running", **more: Any) -> HealthMessage:
+        """Returns the heartbeat of the robot's process, with ``more`` fields if given."""
+        return HealthMessage(
+            epoch=self.guard.epoch,
+            tick=self.tick,
+            robot_time=self.tick * self.period,
+            publish_time=time.time(),
+            service="robot",
+            pid=os.getpid(),
+            state=state,
+            steps=self.tick,
+            stale=self.watchdog_ticks,
+            refused=sum(self.guard.refusals.values()),
+            **more,
+        )
 
     @abstractmethod
     def _watchdog_action(self) -> Numbers:

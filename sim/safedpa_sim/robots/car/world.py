@@ -221,11 +221,6 @@ class TowedBody:
         space.add(*self._joints)
 
     @property
-    def hitched(self) -> bool:
-        """Whether the load is still hitched to the car."""
-        return bool(self._joints)
-
-    @property
     def hitch_error(self) -> float:
         """Distance between the two halves of the hitch [m]; 0 when unhitched."""
         for joint in self._joints:

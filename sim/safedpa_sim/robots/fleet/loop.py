@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
-import os
 import time
 from array import array
 from collections import Counter, deque
@@ -19,7 +18,7 @@ from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, final
 
-from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, ReceivedMessage
+from safedpa.bus import ACTION, HEALTH, STATE, Bus, ReceivedMessage
 from safedpa.bus.messages.messages import ActionMessage
 from safedpa_sim.robots.robot import SimulatedRobot
 
@@ -185,7 +184,7 @@ class FleetLoop:
         scheduled.published = self._clock()
         self._bus.publish(STATE, name, robot.state_message())
         if robot.tick % scheduled.reported_every == scheduled.reported_at:
-            self._report_health(name, robot)
+            self._bus.publish(HEALTH, name, robot.health_message(), "robot")
         heapq.heappush(self._events, (scheduled.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
 
     def _sent(self, sensed: Sequence[_ScheduledRobot]) -> None:
@@ -233,21 +232,6 @@ class FleetLoop:
             apart = robot.period / self._moments
             scheduled.due = self._begin + ceil((self._clock() - self._begin) / apart) * apart  # a time it shares
         heapq.heappush(self._events, (scheduled.due, name, robot.tick, True))
-
-    def _report_health(self, name: str, robot: SimulatedRobot) -> None:
-        message = HealthMessage(
-            epoch=robot.guard.epoch,
-            tick=robot.tick,
-            robot_time=robot.tick * robot.period,
-            publish_time=time.time(),
-            service="robot",
-            pid=os.getpid(),
-            state="running",
-            steps=robot.tick,
-            stale=robot.watchdog_ticks,
-            refused=sum(robot.guard.refusals.values()),
-        )
-        self._bus.publish(HEALTH, name, message, "robot")
 
     def account(self) -> dict[str, Any]:
         """Returns the counts: robot ticks, late ticks, sense-to-act latency and own lateness in microseconds."""

@@ -60,9 +60,14 @@ def scales(cars: BatchedSimulator, seed: int) -> dict[str, Tensor]:
         "feature_scale": 0.5 * (high - low),
         "increment_scale": drawn.increment.std(0),
     }
+    return vectors | range_scales(cars)
+
+
+def range_scales(cars: BatchedSimulator) -> dict[str, Tensor]:
+    """Returns the vectors that map the ranges of actions and environments to [-1, 1]."""
+    vectors = {}
     for name, ranges in (("action", cars.action_ranges), ("environment", cars.environment_ranges)):
-        vectors[f"{name}_middle"] = ranges.mean(1)
-        vectors[f"{name}_scale"] = 0.5 * (ranges[:, 1] - ranges[:, 0])
+        vectors[f"{name}_middle"], vectors[f"{name}_scale"] = ranges.mean(1), 0.5 * (ranges[:, 1] - ranges[:, 0])
     return vectors
 
 

@@ -166,6 +166,12 @@ class HistoryNetwork(nn.Module):
         return latent
 
 
+def unit_latent(latents: int) -> dict[str, Tensor]:
+    """Returns the latent's range before training: -1 to 1, nominal 0."""
+    zeros = torch.zeros(latents)
+    return {"latent_low": zeros - 1.0, "latent_high": zeros + 1.0, "latent_nominal": zeros}
+
+
 def affine_networks(weights: Weights) -> AffineNetworks:
     """Builds f and g, and mu if present, from a weights file."""
     described = weights.description

@@ -16,7 +16,7 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import export_weights, normalise_latent
-from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes
+from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, unit_latent
 from safedpa_sim.training.networks.prediction_errors import affine_floor, evaluate
 from safedpa_sim.training.optimisation import Checkpoint, cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
@@ -185,8 +185,7 @@ def _networks(cars: BatchedSimulator, configuration: Configuration, hidden: int,
     )
     vectors = scales(cars, configuration.seed * 10 + _STREAMS["scales"])
     if whole:
-        zeros = torch.zeros(configuration.latents)
-        vectors |= {"latent_low": zeros - 1.0, "latent_high": zeros + 1.0, "latent_nominal": zeros}
+        vectors |= unit_latent(configuration.latents)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.seed)
         return AffineNetworks(system.name, sizes, vectors)

@@ -20,10 +20,16 @@ from safedpa_sim.point.layout import FIELD, GOAL_RADIUS
 from safedpa_sim.point.observation import ENTRIES, GROUPS, SENSED_FRAME, sensed, without_goal
 from safedpa_sim.point.simulation import LARGEST_TURN, PointSimulation, controls_of, put_state
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.data.transitions import Transitions, TransitionSequence, concatenate, transition_sequence
+from safedpa_sim.training.data.transitions import (
+    Transitions,
+    TransitionSequence,
+    concatenate,
+    range_scales,
+    transition_sequence,
+)
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 from safedpa_sim.training.export.weights import export_weights, normalise_latent
-from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
+from safedpa_sim.training.networks.modules import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of, unit_latent
 from safedpa_sim.training.networks.prediction_errors import evaluate, explained
 from safedpa_sim.training.optimisation import cosine_rate, descend, training_device
 from safedpa_sim.training.progress import ReportProgress, silent
@@ -111,17 +117,13 @@ def _networks(cars: BatchedSimulator, configuration: Configuration) -> AffineNet
     """Returns the initial networks; an entry that never changes has scale 1."""
     drawn = draw_sensed(cars, _SAMPLES, cars.generator(_seed(configuration, "scales")))
     low, high = drawn.state.amin(0), drawn.state.amax(0)
-    zeros = torch.zeros(configuration.latents)
     vectors = {
         "feature_middle": 0.5 * (low + high),
         "feature_scale": _or_one(0.5 * (high - low)),
         "increment_scale": _or_one(drawn.increment.std(0)),
-        "latent_low": zeros - 1.0,
-        "latent_high": zeros + 1.0,
-        "latent_nominal": zeros,
+        **range_scales(cars),
+        **unit_latent(configuration.latents),
     }
-    for name, ranges in (("action", cars.action_ranges), ("environment", cars.environment_ranges)):
-        vectors[f"{name}_middle"], vectors[f"{name}_scale"] = ranges.mean(1), 0.5 * (ranges[:, 1] - ranges[:, 0])
     phase, hidden, many = configuration.phase_1a, configuration.phase_1a.hidden, len(ENTRIES)
     sizes = AffineSizes(many, many, 2, len(cars.entries), configuration.latents, hidden, phase.encoder_hidden)
     with torch.random.fork_rng(devices=[]):

@@ -251,13 +251,6 @@ class SpeedCompensation:
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
-    def compensated(self, state: FloatArray, nominal: FloatArray, latent: FloatArray) -> FloatArray:
-        """Returns the nominal action (actions,) with compensated target speed, for state (states,), latent
-        (latents,)."""
-        changed = nominal.copy()
-        changed[self._target] = self.target(state.tolist(), nominal.tolist(), latent.tolist())
-        return changed
-
     def target(self, state: Sequence[float], nominal: Sequence[float], latent: Sequence[float]) -> float:
         """Returns the compensated target speed [m/s], over plain floats."""
         loaded, unloaded, hold = self._speeds(state, nominal, latent)
