@@ -54,7 +54,8 @@ def _hostile_node(nominal_policy: NominalPolicy, seed: int) -> AbstractNode:
 def at_nearest(state: StateMessage, random: np.random.Generator) -> tuple[float, ...]:
     """A car at full speed at the nearest thing that is not behind it, or at the nearest of all."""
     x, y, yaw, _ = state.values
-    ahead = [place for place in _places(state) if _along(place, x, y, yaw) > 0.0]
+    heading = math.cos(yaw), math.sin(yaw)
+    ahead = [at for at in _places(state) if heading[0] * (at[0] - x) + heading[1] * (at[1] - y) > 0.0]
     near = _nearest(ahead if ahead and random.uniform() < 0.7 else _places(state), x, y)
     bearing = math.atan2(near[1] - y, near[0] - x) - yaw
     return _SPEED[1], math.copysign(_STEER, math.sin(bearing))
@@ -92,10 +93,6 @@ def _places(state: StateMessage) -> list[tuple[float, ...]]:
 
 def _nearest(places: Sequence[tuple[float, ...]], x: float, y: float) -> tuple[float, ...]:
     return min(places, key=lambda place: math.hypot(place[0] - x, place[1] - y) - place[2])
-
-
-def _along(place: tuple[float, ...], x: float, y: float, yaw: float) -> float:
-    return math.cos(yaw) * (place[0] - x) + math.sin(yaw) * (place[1] - y)
 
 
 _LOADS: Final = {"forward": LOADS, "any direction": LOADS, "killed": LOADS, "reversing": TOWED}

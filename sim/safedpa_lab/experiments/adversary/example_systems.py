@@ -63,7 +63,11 @@ class ControlSystem:
             eta=self.eta,
             epsilon=margin,  # type: ignore[arg-type]
         )
-        return SafetyFilter(lambda x: (self.f(x), self.g(x)), self.given(), settings, backup=self._backup)
+
+        def backup(state: FloatArray | None) -> Any:
+            return self._middle if state is None else np.clip(self.backup(state), self.low, self.high)
+
+        return SafetyFilter(lambda x: (self.f(x), self.g(x)), self.given(), settings, backup=backup)
 
     def given(self) -> list[AbstractBarrier]:
         """The barriers that the filter is given."""
@@ -91,9 +95,6 @@ class ControlSystem:
     @property
     def _middle(self) -> FloatArray:
         return np.array([0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True)])
-
-    def _backup(self, state: FloatArray | None) -> Any:
-        return self._middle if state is None else np.clip(self.backup(state), self.low, self.high)
 
 
 _HALF_SQUARE = 0.5 * PERIOD**2

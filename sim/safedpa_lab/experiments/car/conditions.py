@@ -21,7 +21,7 @@ from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.robots.car.loads import Load, footprint, load_named
-from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, CarParameters
+from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands, PlannedChange
 from safedpa_sim.robots.car.scene import Scene
 
@@ -234,11 +234,10 @@ class Conditions:
             scene = dataclasses.replace(scene, load=None)
         late = DelayedCommands(self.delay, self.delay) if self.delay else None
         reported = self.delay if self.reported else 0.0
-        return CarRobot(scene, PERIOD, late=late, until_action=reported, parameters=self._parameters())
-
-    def _parameters(self) -> CarParameters:
         own = CAR_PARAMETERS
-        return dataclasses.replace(own, friction=self.friction * own.friction, speed_high=self.speed * own.speed_high)
+        changed = {"friction": self.friction * own.friction, "speed_high": self.speed * own.speed_high}
+        parameters = dataclasses.replace(own, **changed)
+        return CarRobot(scene, PERIOD, late=late, until_action=reported, parameters=parameters)
 
     def measured(self, robot: CarRobot) -> Robot:
         """The robot as the nodes see it."""

@@ -70,22 +70,14 @@ class Cell:
     @property
     def key(self) -> str:
         """Changes with everything that the outcomes depend on but the program itself."""
-        models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
+        names = self.method.model, self.method.filter_model or self.method.model
+        models = [fingerprint(named_model(name, self.folder)) for name in names]
         epsilon = {} if self.margin is None else self.margin.select(self.settings.margin).epsilon
-        reported: list[Any] = [
-            self.method.name,
-            self.load,
-            *models,
-            write_settings(self.settings),
-            sorted(epsilon.items()),
-        ]
+        settings = write_settings(self.settings)
+        reported: list[Any] = [self.method.name, self.load, *models, settings, sorted(epsilon.items())]
         if self.conditions != Conditions():
             reported.append(asdict(self.conditions))
         return hashlib.sha256(json.dumps(reported).encode()).hexdigest()[:16]
-
-    @property
-    def _filter_model(self) -> str:
-        return self.method.filter_model or self.method.model
 
     def groups(self, seeds: Sequence[int]) -> list[Cell]:
         """The work of so many seeds, in parts."""

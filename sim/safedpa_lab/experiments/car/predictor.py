@@ -93,16 +93,13 @@ class _WithHistory:
         states, found = self._states[list(starts)], []
         for step in range(steps):
             actions = self._actions[[start + step for start in starts]]
-            following = self._advanced(states, actions, encoder.encode(histories))
+            memory, latents = self._model.initial_memory(actions), encoder.encode(histories)
+            following = np.asarray(self._model.advance(states, actions, memory, latents)[0])
             rows = encoder.rows(np.stack([states, following], axis=1), actions[:, None])
             histories = np.concatenate([histories[:, 1:], rows], axis=1)
             states = following
             found.append(states)
         return np.stack(found, axis=1)
-
-    def _advanced(self, states: FloatArray, actions: FloatArray, latents: FloatArray) -> FloatArray:
-        memory = self._model.initial_memory(actions)
-        return np.asarray(self._model.advance(states, actions, memory, latents)[0])
 
 
 STEPS = 20

@@ -18,6 +18,7 @@ _ULOG = b"ULog\x01\x12\x35\x01" + bytes(8)
 _ROS1 = b"#ROSBAG V2.0\n"
 _MCAP = b"\x89MCAP0\r\n"
 _MANY = 60_000
+_MEBI = 1 << 20
 
 
 def _logged(kind: str, body: bytes) -> bytes:
@@ -29,13 +30,11 @@ def _subscriptions() -> bytes:
     return _ULOG + described + b"".join(_logged("A", struct.pack("<BH", 0, number) + b"a") for number in range(_MANY))
 
 
-def _described_by_itself() -> bytes:
-    return _ULOG + _logged("F", b"a:" + b"a b;" * 12_000) + _logged("A", bytes(3) + b"a")
-
-
 def _nothing_known() -> bytes:
-    described = _logged("F", b"a:uint64_t timestamp;float x") + _logged("A", bytes(3) + b"a")
-    return _ULOG + described + bytes(3 * 3_000_000)
+    return _ULOG + _logged("F", b"a:uint64_t timestamp;float x") + _SUBSCRIBED + bytes(3 * 3_000_000)
+
+
+_SUBSCRIBED = _logged("A", bytes(3) + b"a")
 
 
 def _header(fields: Mapping[str, bytes]) -> bytes:
@@ -54,8 +53,9 @@ def _connection(number: int, kind: bytes, definition: bytes) -> bytes:
     return _record(fields, _header(about))
 
 
-def _empty_message() -> bytes:
-    return _record({"op": b"\x02", "conn": bytes(4), "time": struct.pack("<II", 1, 0)}, b"")
+def _bag(connections: bytes) -> bytes:
+    message = _record({"op": b"\x02", "conn": bytes(4), "time": struct.pack("<II", 1, 0)}, b"")
+    return _ROS1 + connections + message
 
 
 def _chunks() -> bytes:
@@ -66,11 +66,7 @@ def _chunks() -> bytes:
 
 def _definitions() -> bytes:
     text = b"".join(b"float64 x%d\n" % number for number in range(2000))
-    return _ROS1 + b"".join(_connection(k, b"a/B%d" % k, text) for k in range(300)) + _empty_message()
-
-
-def _blank_lines() -> bytes:
-    return _ROS1 + _connection(0, b"a/B", b" \n" * 65_000 + b"float64 x\n") + _empty_message()
+    return _bag(b"".join(_connection(k, b"a/B%d" % k, text) for k in range(300)))
 
 
 def _database(statements: str) -> bytes:
@@ -104,16 +100,10 @@ def _topics_without_numbers() -> bytes:
     )
 
 
-def _empty_records() -> bytes:
+def _packed(records: bytes) -> bytes:
     import zstandard
 
-    return zstandard.compress(_MCAP + bytes(7 * _MEBI), 19)
-
-
-def _private_records() -> bytes:
-    import zstandard
-
-    return zstandard.compress(_MCAP + (b"\x80" + bytes(8)) * 800_000, 19)
+    return zstandard.compress(_MCAP + records, 19)
 
 
 def _references(last: str) -> bytes:
@@ -127,33 +117,6 @@ def _merged() -> bytes:
     text = "a0: &a0 {" + ", ".join(f"k{k}: 1" for k in range(500)) + "}\n"
     text += "".join(f"a{k}: &a{k}\n  <<: [{', '.join(f'*a{j}' for j in range(k))}]\n" for k in range(1, 200))
     return text.encode()
-
-
-def _one_file_often() -> bytes:
-    return ("rosbag2_bagfile_information:\n  relative_file_paths:\n" + "    - x.db3\n" * 80_000).encode()
-
-
-BAG_BOMBS: tuple[tuple[str, str, Callable[[], bytes]], ...] = (
-    ("60 000 subscriptions of 3900 numbers", ".ulg", _subscriptions),
-    ("a message made of itself", ".ulg", _described_by_itself),
-    ("3 million messages that no one knows", ".ulg", _nothing_known),
-    ("200 chunks of 60 MB", ".bag", _chunks),
-    ("300 definitions of 27 KB", ".bag", _definitions),
-    ("a definition of blank lines", ".bag", _blank_lines),
-    ("200 000 rows that share 400 KB", ".db3", _shared_bytes),
-    ("topics without numbers", ".db3", _topics_without_numbers),
-    ("a million empty records", ".zstd", _empty_records),
-    ("a million private records", ".zstd", _private_records),
-    ("references to references, as a word", ".yaml", lambda: _references("compression_mode: *a11")),
-    ("references to references, as a file", ".yaml", lambda: _references("relative_file_paths: [*a11]")),
-    ("tables merged into tables", ".yaml", _merged),
-    ("one file 80 000 times", ".yaml", _one_file_often),
-)  # fmt: skip
-"""What it is, its ending (``.yaml``: a bag's metadata, ``.zstd``: an MCAP file packed whole), its bytes."""
-
-
-_MAGIC = b"\x89MCAP0\r\n"
-_MEBI = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -173,7 +136,7 @@ def _mcap(compression: str, packed: bytes, reported: int) -> bytes:
     name = compression.encode()
     body = struct.pack("<QQQII", 0, 1, reported, 0, len(name)) + name + struct.pack("<Q", len(packed)) + packed
     header = struct.pack("<BQII", 1, 8, 0, 0)
-    return _MAGIC + header + struct.pack("<BQ", 6, len(body)) + body
+    return _MCAP + header + struct.pack("<BQ", 6, len(body)) + body
 
 
 def _zstd(reported: int | None = None) -> bytes:
@@ -193,7 +156,7 @@ def _many_chunks() -> bytes:
     size = 8 * _MEBI
     private = struct.pack("<BQ", 0x80, 0) * (size // 9)
     one = _mcap("zstd", zstandard.compress(private, 19), len(private))
-    return one + one[len(_MAGIC) + 17 :] * 400
+    return one + one[len(_MCAP) + 17 :] * 400
 
 
 def _lz4() -> bytes:
@@ -203,24 +166,16 @@ def _lz4() -> bytes:
 
 
 def _parquet(rows: int, columns: int = 7) -> bytes:
+    import numpy as np
     import pyarrow
     from pyarrow import parquet
 
     names = ["t", "x", "y", "yaw", "speed", "target_speed", "steer"]
     names += [f"c{number}" for number in range(columns - len(names))]
-    constant = pyarrow.array([1.0]).cast(pyarrow.float64())
-    if rows > 1:
-        constant = pyarrow.concat_arrays([pyarrow.nulls(0, pyarrow.float64()), _repeated(rows)])
+    constant = pyarrow.array(np.ones(rows))
     sink = io.BytesIO()
     parquet.write_table(pyarrow.table(dict.fromkeys(names, constant)), sink, compression="zstd")
     return sink.getvalue()
-
-
-def _repeated(rows: int) -> object:
-    import numpy as np
-    import pyarrow
-
-    return pyarrow.array(np.ones(rows))
 
 
 def _tensors(header: object, length: int | None = None) -> bytes:
@@ -245,15 +200,8 @@ def _zip_that_lies() -> bytes:
     return sink.getvalue()
 
 
-def _many_tables() -> bytes:
-    return b"\x81\xa1x\xdd" + struct.pack(">I", 4_000_000) + b"\x80" * 4_000_000
-
-
-def _many_fields() -> bytes:
-    return b"\xde\x27\x10" + b"".join(b"\xa5" + f"{number:05d}".encode() + b"\xc0" for number in range(10_000))
-
-
 _LONG = "1" * 100_000
+_PATHS = "rosbag2_bagfile_information:\n  relative_file_paths:\n"
 _CAR = "format = 1\nrobot = 'car'\n[base]\nkind='kinematic_bicycle'\ndrive='speed_servo'\n"
 _EMPTY = {"dtype": "F32", "shape": [0], "data_offsets": [0, 0]}
 _HUGE = {"dtype": "F32", "shape": [1 << 30] * 4, "data_offsets": [0, 0]}
@@ -285,13 +233,30 @@ BOMBS: tuple[Bomb, ...] = (
     Bomb("12 000 tensors", ".safetensors", lambda: _tensors({f"t{n}": _EMPTY for n in range(12_000)})),
     Bomb("a gigabyte in a megabyte", ".npz", _zip),
     Bomb("3000 members", ".npz", _zip_that_lies),
-    Bomb("4 million empty tables", ".msgpack", _many_tables),
+    Bomb("4 million empty tables", ".msgpack", lambda: b"\x81\xa1x\xdd\x00\x3d\x09\x00" + b"\x80" * 4_000_000),
     Bomb("arrays in arrays", ".msgpack", lambda: b"\x81\xa1x" + b"\x91" * 4_000_000),
     Bomb("a list that says 2^32 entries", ".msgpack", lambda: b"\x81\xa8document\xdd\xff\xff\xff\xff"),
-    Bomb("10 000 fields", ".msgpack", _many_fields),
+    Bomb(
+        "10 000 fields", ".msgpack",
+        lambda: b"\xde\x27\x10" + b"".join(b"\xa5%05d\xc0" % number for number in range(10_000)),
+    ),
     Bomb("arrays in arrays", ".json", _text("[" * 100_000)),
     Bomb("a number of 100 000 digits", ".json", _text(f'{{"coverage": {_LONG}}}')),
     Bomb("10 million bytes", ".json", _text('"' + "a" * 10_000_000 + '"')),
-    *(Bomb(*item) for item in BAG_BOMBS),
+    Bomb("60 000 subscriptions of 3900 numbers", ".ulg", _subscriptions),
+    Bomb("a message made of itself", ".ulg", lambda: _ULOG + _logged("F", b"a:" + b"a b;" * 12_000) + _SUBSCRIBED),
+    Bomb("3 million messages that no one knows", ".ulg", _nothing_known),
+    Bomb("200 chunks of 60 MB", ".bag", _chunks),
+    Bomb("300 definitions of 27 KB", ".bag", _definitions),
+    Bomb("a definition of blank lines", ".bag", lambda: _bag(_connection(0, b"a/B", b" \n" * 65_000 + b"float64 x\n"))),
+    Bomb("200 000 rows that share 400 KB", ".db3", _shared_bytes),
+    Bomb("topics without numbers", ".db3", _topics_without_numbers),
+    Bomb("a million empty records", ".zstd", lambda: _packed(bytes(7 * _MEBI))),
+    Bomb("a million private records", ".zstd", lambda: _packed((b"\x80" + bytes(8)) * 800_000)),
+    Bomb("references to references, as a word", ".yaml", lambda: _references("compression_mode: *a11")),
+    Bomb("references to references, as a file", ".yaml", lambda: _references("relative_file_paths: [*a11]")),
+    Bomb("tables merged into tables", ".yaml", _merged),
+    Bomb("one file 80 000 times", ".yaml", _text(_PATHS + "    - x.db3\n" * 80_000)),
 )  # fmt: skip
-"""What is too long, too deep, too wide, or becomes too much when it is opened."""
+"""What is too long, too deep, too wide, or becomes too much when it is opened. Endings: ``.yaml`` is a bag's metadata,
+``.zstd`` an MCAP file packed whole."""

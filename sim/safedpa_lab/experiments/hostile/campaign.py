@@ -42,9 +42,11 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         result |= floods_benchmark(seconds, report_progress=report_progress)
     else:
         load = load_average()
-        result |= (
-            _roads(report_progress) if attack == "roads" else _mutations(seconds, seed, options["out"], report_progress)
-        )
+        if attack == "roads":
+            rows = walk(list(pairs()), report_progress)
+            result |= {"held": not any(row["hole"] for row in rows), "pairs": rows}
+        else:
+            result |= _mutations(seconds, seed, options["out"], report_progress)
         result["load_average"] = [load, load_average()]
     if options["page"] is not None:
         write_page(options["page"], attack, result)
@@ -57,11 +59,6 @@ def _mutations(seconds: float, seed: int, out: Path | None, report_progress: Rep
         tallies = fuzz(seconds, seed, out, lambda share: report_progress(round(100.0 * share), 100), further)
     held = not any(tally.holes for tally in tallies)
     return {"seconds": seconds, "seed": seed, "held": held, "targets": [tally.as_row() for tally in tallies]}
-
-
-def _roads(report_progress: ReportProgress) -> dict[str, Any]:
-    rows = walk(list(pairs()), report_progress)
-    return {"held": not any(row["hole"] for row in rows), "pairs": rows}
 
 
 def _attack(result: Result) -> str:

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from safedpa.adaptation import AdaptationNode
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport, ServiceLoop
 from safedpa.bus.messages.topics import TOPICS, key_of
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.policy import PolicyNode
-from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa_lab.experiments.common.drives import shipped_nodes
 from safedpa_lab.experiments.hostile.targets import Target, messages, targets
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.fleet.loop import FleetLoop
@@ -74,11 +72,7 @@ class DrivenLoop:
         self._now = 100.0
         self._broker = MemoryBroker()
         model = load_model("car")
-        nodes = (
-            AdaptationNode(model),
-            PolicyNode(model),
-            SafetyFilterNode(model, settings_named("car"), margin_for(model)),
-        )
+        nodes = shipped_nodes(model, settings_named("car"))
         self._services = [ServiceLoop(node, self._bus(), clock=self._clock) for node in nodes]
         car = CarRobot(Scene.random(0, "none"), 0.05, lockstep=False, epoch=1)
         self._robots = FleetLoop({"r1": car}, self._bus(), clock=self._clock)
@@ -206,15 +200,11 @@ def _note(tally: Tally, hole: str, data: bytes, out: Path | None) -> None:
 
 
 def _drive(loop: DrivenLoop, tally: Tally, chance: random.Random) -> None:
-    for spent, raised in _turns(loop, chance):
+    for _ in range(_AT_A_TIME):
+        spent, raised = loop.attacked(chance)
         tally.inputs += 1
         tally.worst_seconds = max(tally.worst_seconds, spent)
         hole = raised or (f"a turn took {1e3 * spent:.0f} ms" if spent > MOST_STEP_SECONDS else "")
         if hole and hole not in tally.holes:
             tally.holes.append(hole)
     tally.refused = loop.refused
-
-
-def _turns(loop: DrivenLoop, chance: random.Random) -> Iterator[tuple[float, str]]:
-    for _ in range(_AT_A_TIME):
-        yield loop.attacked(chance)

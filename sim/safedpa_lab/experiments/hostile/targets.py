@@ -92,15 +92,11 @@ def targets() -> Iterator[tuple[Target, ...]]:
         yield (*_codecs(), *_texts(), *_files(Path(name)))
 
 
-def _decoded(kind: type[Any], data: bytes) -> object:
-    return decode(kind, data)
-
-
 def _codecs() -> Iterator[Target]:
     kinds = messages()
     for kind, payload in kinds:
         others = tuple(other for _, other in kinds)
-        yield Target(f"message {kind.__name__}", (payload, *others), partial(_decoded, kind), 0.05)
+        yield Target(f"message {kind.__name__}", (payload, *others), partial(decode, kind), 0.05)
     state = encode(state_at(1))
     yield Target("bundle", (pack_bundle([("r1", state), ("r2", state)]),), unpack_bundle, 0.05)
     keys = (b"safedpa/fleet/r1/state", b"safedpa/fleet/-/health/policy", b"safedpa/fleet/+/action")

@@ -182,6 +182,8 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
     unsafe_now = bool((judge.now / judge.scale < -judge.rounding - _SIGN).any())
     safe_now = bool((judge.now / judge.scale > judge.rounding).all())
     broken = judge.broken(action) if kept else None
+    asks = status == "corrected" and broken is not None and broken <= BROKEN
+    nearest = judge.nearest() if asks else None
     missed, shortfall, needless = (False, None, False) if kept else _least_violation(problem, judge, verdict)
     return Judged(
         status=status,
@@ -190,7 +192,7 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
         broken=broken,
         below=kept and (verdict.h_next < 0.0 or judge.lowest(action) < -_SIGN),
         untold=(unsafe_now and status != "violated") or (safe_now and status == "violated"),
-        excess=_excess(judge, verdict) if status == "corrected" and broken is not None and broken <= BROKEN else None,
+        excess=None if nearest is None else max(0.0, judge.distance(action) - nearest.distance),
         missed=missed,
         shortfall=shortfall,
         needless=needless,
@@ -210,8 +212,3 @@ def _least_violation(problem: LinearProblem, judge: LinearJudge, verdict: Verdic
     if judge.keeps_movable(action, BROKEN):
         best = own
     return status != "violated" and room > BROKEN, max(0.0, best - own), needless
-
-
-def _excess(judge: LinearJudge, verdict: Verdict) -> float | None:
-    nearest = judge.nearest()
-    return None if nearest is None else max(0.0, judge.distance(verdict.action) - nearest.distance)
