@@ -13,6 +13,7 @@ import pandas
 import polars
 import pyarrow
 import pytest
+from IPython.core.formatters import DisplayFormatter
 
 import safedpa
 from safedpa.errors import ColumnMapError, InputError, RunError
@@ -55,14 +56,15 @@ def test_a_function_gives_what_the_command_prints(
     assert len(shown) <= 400
     assert "\n" not in shown
     assert " at 0x" not in shown
-    text = re.sub("<[^>]*>", "", result._repr_html_())
+    cell = DisplayFormatter().format(result)[0]
+    text = re.sub("<[^>]*>", "", cell["text/html"])
     assert 20 < len(text) <= 400
     table = result.to_arrow()
     assert table.to_pydict().keys() == dict.fromkeys(result.to_dataframe().columns).keys()
     assert polars.DataFrame(result).height == table.num_rows
     assert result.to_html(user_folder / "page.html").read_text(encoding="utf-8").startswith("<!doctype html>")
     if isinstance(result, AbstractPlottedResult):
-        assert result.plot()._repr_png_().startswith(b"\x89PNG")
+        assert DisplayFormatter().format(result.plot())[0]["image/png"]
 
 
 @pytest.fixture(scope="module")
