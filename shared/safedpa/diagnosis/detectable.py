@@ -84,17 +84,12 @@ def with_manoeuvres(
     """Adds the manoeuvre that would show them to parameters whose typical size these recordings do not show."""
     by_name = {item.name: item for item in library}
     hidden = [size for size in sizes if not size.shown and size.effect in by_name]
-    others = [
-        with_effect_at(null.fit.model, by_name[size.effect], _typical_values(by_name[size.effect])) for size in hidden
-    ]
+    # An effect whose typical value is 0, such as an angle, is shown at a tenth of its range.
+    typical = {name: {p.name: p.typical or 0.1 * p.high for p in item.parameters} for name, item in by_name.items()}
+    others = [with_effect_at(null.fit.model, by_name[size.effect], typical[size.effect]) for size in hidden]
     drives = discriminating_manoeuvres(null.fit.model, others, np.maximum(null.fit.scale, 1e-9))
     reported = {id(size): drive for size, drive in zip(hidden, drives, strict=True)}
     return tuple(replace(size, drive=reported[id(size)]) if id(size) in reported else size for size in sizes)
-
-
-def _typical_values(item: AbstractEffect) -> dict[str, float]:
-    """Returns parameter values of typical size."""
-    return {p.name: p.typical or 0.1 * p.high for p in item.parameters}
 
 
 def _free_directions(null: EffectTrial) -> FloatArray:
@@ -112,7 +107,7 @@ def _sensitivities(
 ) -> list[_ParameterSensitivity]:
     """Returns the displacement by each parameter of an effect that has a neutral value."""
     chosen = [p for p in item.parameters if p.neutral is not None]
-    values = [_values(item, parameter, 1.0) for parameter in chosen]
+    values = [changed_values(item, parameter, 1.0) for parameter in chosen]
     return [] if not chosen else _sensitivities_at(null, item, chosen, values, shooting, known)
 
 
@@ -128,22 +123,18 @@ def _sensitivities_at(
     now = shooting.residuals([model])[0]
     every = shooting.residuals([with_effect_at(model, item, parameters) for parameters in values])
     scale = np.maximum(change_scale(shooting.windows, shooting.windows.end), 1e-9)
+    inside = shooting.windows.steps[:, None] >= shooting.rows
+    last_row = inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)  # of each window that is compared
     found = []
     for parameter, moved in zip(chosen, every, strict=True):
         change = moved - now
         whole = shooting.eliminated(change[..., None], null.fit.scale)[..., 0]
         flat = whole.reshape(-1)
         remaining = (flat - known @ (known.T @ flat)).reshape(whole.shape)
-        last = np.take_along_axis(change, _last_compared_row(shooting)[:, None, None], axis=1)[:, 0]
+        last = np.take_along_axis(change, last_row[:, None, None], axis=1)[:, 0]
         ends = np.sqrt((last**2).mean(axis=0)) / scale
         found.append(_ParameterSensitivity(item, parameter, _typical_change(parameter), whole, remaining, ends))
     return found
-
-
-def _last_compared_row(shooting: Shooting) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Returns the index of the last compared row inside each window, (windows,)."""
-    inside = shooting.windows.steps[:, None] >= shooting.rows
-    return np.asarray(inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1), dtype=np.int64)
 
 
 def _typical_change(parameter: Parameter) -> float:
@@ -152,7 +143,7 @@ def _typical_change(parameter: Parameter) -> float:
     return change if change > 0 else 0.1 * (parameter.high - parameter.low)
 
 
-def _values(item: AbstractEffect, parameter: Parameter, size: float) -> dict[str, float]:
+def changed_values(item: AbstractEffect, parameter: Parameter, size: float) -> dict[str, float]:
     """Returns the effect's parameters with one moved by ``size`` typical changes and the others at neutral."""
     values = {p.name: p.typical if p.neutral is None else p.neutral for p in item.parameters}
     neutral = parameter.neutral or 0.0
@@ -173,7 +164,7 @@ def _smallest_size(
         if found is None or 0.8 < found < 1.25:
             break
         item, parameter = moved.item, moved.parameter
-        again = _sensitivities_at(null, item, [parameter], [_values(item, parameter, found)], shooting, known)[0]
+        again = _sensitivities_at(null, item, [parameter], [changed_values(item, parameter, found)], shooting, known)[0]
         found = _passing(again, null, shooting, error, found)
     # Extrapolation may leave the bounds of the parameter, where no effect of that size exists.
     most = (moved.parameter.high - moved.parameter.low) / moved.ordinary

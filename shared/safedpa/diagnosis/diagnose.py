@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ from safedpa.effects import AbstractEffect, effects_of
 from safedpa.records.run import Finding, Run
 
 __all__ = ["Addition", "add_effect", "candidate_of", "diagnose", "experiment_for", "library_for"]
+
+_Unmodelled = tuple[Unexplained | None, list[JudgedTrial]]
 
 # Share of the library's parameters whose typical size these data would have shown. Below it, "nothing is missing"
 # would claim more than the data support, and the verdict is "undecided".
@@ -89,14 +92,14 @@ def diagnose(
     )
     usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
-    found = _unmodelled(search, judge, library)
+    unexplained, likely = found = _unmodelled(search, judge, library)
     sizes: Sequence[Detectable] = ()
     if judge.enough:
         sizes = detectable_sizes(search.current, search.available, search.shooting, search.error)
         sizes = with_manoeuvres(sizes, search.current, library)
     doubtful = doubtful_effects(search)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
-    possible, noise = [*doubtful, *found.likely], np.maximum(search.current.fit.scale, 1e-9)
+    possible, noise = [*doubtful, *likely], np.maximum(search.current.fit.scale, 1e-9)
     possible_values = [values_of(item.trial, search.shooting) for item in possible]
     return Report(
         robot=model.system.name,
@@ -106,7 +109,7 @@ def diagnose(
         stages=tuple(reported.stages),
         candidates=_candidates(search, shown, reported, final),
         where=_where(model, usable.runs, horizon),
-        unexplained=found.unexplained,
+        unexplained=unexplained,
         next_experiment=experiment_for(search),
         data_quality=tuple(usable.quality),
         parameters=final,
@@ -121,27 +124,19 @@ def diagnose(
     )
 
 
-@dataclass(frozen=True)
-class _Unmodelled:
-    """Unmodelled structure, and effects that may be missing."""
-
-    unexplained: Unexplained | None
-    likely: list[JudgedTrial]
-
-
 def _unmodelled(search: SearchState, judge: DataSufficiency, library: Sequence[AbstractEffect]) -> _Unmodelled:
-    """Looks for what the accepted effects leave: a formula instead of them, or structure in the residual."""
+    """Returns what the accepted effects leave, a formula or a dependence, and effects that may be missing."""
     if not judge.enough:
         # If columns or units are wrong, even a list of the closest effects would mislead.
         near = [] if judge.wrong else nearest_effects(search, library)
-        return _Unmodelled(Unexplained((), judge.why_not, 0.0), near)
+        return Unexplained((), judge.why_not, 0.0), near
     names = LibraryMatcher(search)
     structure = alternative_formula(search, names) or find_unexplained_structure(
         search.current, search.shooting, search.region, names
     )
     named = {item.trial.effects for item in names.found}
     others = [item for item in likely_effects(search) if item.trial.effects not in named]
-    return _Unmodelled(structure, [*names.found, *others])
+    return structure, [*names.found, *others]
 
 
 def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
@@ -176,9 +171,10 @@ def _verdict(search: SearchState, found: _Unmodelled, judge: DataSufficiency, si
         return "unexplained"
     if search.added:
         return "effect_missing"
-    if found.unexplained is not None:
+    unexplained, likely = found
+    if unexplained is not None:
         return "unexplained"
-    if found.likely or sum(size.shown for size in sizes) < _MIN_DETECTABLE * len(sizes):
+    if likely or sum(size.shown for size in sizes) < _MIN_DETECTABLE * len(sizes):
         return "undecided"
     return "nothing_missing"
 
@@ -237,18 +233,9 @@ def experiment_for(search: SearchState) -> Experiment | None:
     noise = np.maximum(search.current.fit.scale, 1e-9)
     for item in search.candidates:
         if item.decision != "rejected" and item.equals:
-            models = _equivalent_models(item, search)
+            same = [one for one in search.candidates if one.stage == item.stage and one.trial.name in item.equals]
+            # At most four models: the experiment has to separate all pairs, and more hardly have one in common.
+            models = {one.trial.name: one.trial.fit.model for one in (item, *same)}
             if len(models) > 1:
-                return choose_experiment(models, noise)
+                return choose_experiment(dict(islice(models.items(), 4)), noise)
     return None
-
-
-def _equivalent_models(item: JudgedTrial, search: SearchState) -> dict[str, PhysicsModel]:
-    """Returns a candidate's model and those of at most three equivalents, by name."""
-    same = [other for other in search.candidates if other.stage == item.stage]
-    models = {item.trial.name: item.trial.fit.model}
-    for other in same:
-        # At most four models: the experiment has to separate all pairs, and more hardly have one in common.
-        if other.trial.name in item.equals and len(models) < 4:
-            models[other.trial.name] = other.trial.fit.model
-    return models

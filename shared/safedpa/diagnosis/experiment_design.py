@@ -22,10 +22,12 @@ _SMALL, _LARGE = 0.2, 0.5
 def manoeuvres(model: PhysicsModel) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Returns the start (states,) and actions (rows, actions) of each manoeuvre, by its description for the user."""
     t = np.arange(0.0, _SECONDS, model.period)
-    names = model.system.action_names
-    if names == ("torque",):
+    # By the system's name: a user's robot may have an action "steer" or "torque" and entirely different states.
+    if model.system.name == "pendulum":
         return _pendulum(t)
-    return _car(t, names[0] == "throttle") if "steer" in names else general_manoeuvres(model.system, t)
+    if model.system.name == "car":
+        return _car(t, model.system.action_names[0] == "throttle")
+    return general_manoeuvres(model.system, t)
 
 
 def _car(t: FloatArray, throttle: bool) -> dict[str, tuple[FloatArray, FloatArray]]:

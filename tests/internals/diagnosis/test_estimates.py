@@ -72,7 +72,7 @@ def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_
     """Six pieces of one innovation and one number: curvature 6 * 4 = 24; scores are slope times innovation."""
     scores = np.array([2.0, 1.0, -1.0, 3.0, 1.0, 2.0])
     innovations: Any = SimpleNamespace(columns=np.full((6, 1, 1), 2.0), white=scores[:, None] / 2.0)
-    monkeypatch.setattr(prediction_error_method, "_prior", lambda *_: np.zeros((1, 1)))
+    monkeypatch.setattr(prediction_error_method, "prior_curvature", lambda *_: np.zeros(1))
     monkeypatch.setattr(prediction_error_method, "_MIN_RUNS", 3)
     given = None if runs is None else np.array(runs)
     found = prediction_error_method._deviations(None, ("a.x",), innovations, given)  # type: ignore[arg-type]
@@ -180,7 +180,7 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_law_is_not_fitted_with_the_slopes_of_the_plain_effect(floor: Any, begin: tuple[float, float]) -> None:
     start = dict(zip(("x_above", "deceleration"), begin, strict=True))
     item = effect("car", "rolling_resistance")
-    found = _fit_law(floor, ConditionalCandidate(item, Where("above", "x", 0.05), start, 0.0, 0.0))
+    found = _fit_law(floor, ConditionalCandidate(item, Where("above", "x", 0.05), start))
     settings = found.fit.model.settings  # type: ignore[union-attr]
     assert settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.1)
     assert settings["rolling_resistance.deceleration"].value == pytest.approx(0.9, abs=0.05)

@@ -75,13 +75,13 @@ def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few
     search: Any = SimpleNamespace(current=None, shooting=None, region=None)
     judge: Any = SimpleNamespace(enough=enough, wrong=wrong, why_not="too little data")
     monkeypatch.setattr(diagnose, "LibraryMatcher", lambda _: SimpleNamespace(found=[judged("lag")]))
-    rest: Any = diagnose._unmodelled(search, judge, [])
+    unexplained, likely = diagnose._unmodelled(search, judge, [])
     if enough:
-        assert rest.unexplained == "a formula"
-        assert [item.trial.effects for item in rest.likely] == [("lag",), ("drag",)], "each is named once"
+        assert unexplained == "a formula"
+        assert [item.trial.effects for item in likely] == [("lag",), ("drag",)], "each is named once"
     else:
-        assert rest.unexplained == Unexplained((), "too little data", 0.0)
-        assert rest.likely == ([] if wrong else ["nearest"])
+        assert unexplained == Unexplained((), "too little data", 0.0)
+        assert likely == ([] if wrong else ["nearest"])
 
 
 @pytest.mark.parametrize(("library", "laws", "rounds"), [((), True, 1), (("drag",), False, 1), (("drag",), True, 2)])

@@ -72,8 +72,7 @@ class Fit:
     @property
     def prior(self) -> FloatArray:
         """Curvature of a weak Gaussian prior (paths,), which keeps directions without data near their start."""
-        # Five typical changes: far too wide to affect a parameter that the data determine at all.
-        return np.array([(5.0 * typical_change(self.model.parameters[path])) ** -2 for path in self.paths])
+        return prior_curvature(self.model, self.paths)
 
     def deviations(self, shooting: Shooting) -> FloatArray:
         """Returns one standard deviation of each parameter (paths,), NaN where the data do not determine it.
@@ -215,7 +214,7 @@ def _iterate(
             last = _linear_update(best, shift, shooting, _NEGLIGIBLE * done)
             if last is not None:
                 return last, 0.0
-        new = _linearised(_with_shift(best, shift), best.paths, shooting, best.scale, known)
+        new = _linearised(shifted(best.model, best.paths, shift), best.paths, shooting, best.scale, known)
         if new.value < best.value:
             # Levenberg-Marquardt damping: raised tenfold after a failure until a step helps, relaxed tenfold after a
             # success because Gauss-Newton converges faster near the minimum.
@@ -240,12 +239,19 @@ def _linear_update(at: Fit, shift: FloatArray, shooting: Shooting, done: float) 
     decrease = 0.5 * float((at.residual**2).sum() - (residual**2).sum()) / float(shooting.size.sum())
     if not 0.0 <= decrease < done:
         return None
-    return replace(at, model=_with_shift(at, shift), value=at.value - decrease, residual=residual)
+    return replace(at, model=shifted(at.model, at.paths, shift), value=at.value - decrease, residual=residual)
 
 
-def _with_shift(at: Fit, shift: FloatArray) -> PhysicsModel:
-    values = np.clip(at.values + shift, *bounds_of(at.model, at.paths))
-    return with_values(at.model, dict(zip(at.paths, values.tolist(), strict=True)))
+def prior_curvature(model: PhysicsModel, paths: Sequence[str]) -> FloatArray:
+    """Returns the curvature of a weak Gaussian prior, (paths,)."""
+    # Five typical changes: far too wide to affect a parameter that the data determine at all.
+    return np.array([(5.0 * typical_change(model.parameters[path])) ** -2 for path in paths])
+
+
+def shifted(model: PhysicsModel, paths: Sequence[str], shift: FloatArray) -> PhysicsModel:
+    """Returns the model with parameters moved by ``shift`` (paths,), clipped to their bounds."""
+    values = np.array([model.settings[path].value for path in paths]) + shift
+    return with_values(model, dict(zip(paths, np.clip(values, *bounds_of(model, paths)).tolist(), strict=True)))
 
 
 def known_slopes(fitted: Fit, paths: Sequence[str]) -> FloatArray:

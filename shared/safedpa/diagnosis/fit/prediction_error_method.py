@@ -26,10 +26,10 @@ from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows
 from safedpa.diagnosis.fit.kalman import Innovations, LinearizedTrajectory, Noise, kalman_innovations
 from safedpa.diagnosis.fit.least_squares import (
-    bounds_of,
     difference_step,
+    prior_curvature,
     regularized_inverse,
-    typical_change,
+    shifted,
     with_values,
 )
 from safedpa.dynamics import PhysicsModel
@@ -63,10 +63,6 @@ _MIN_RUNS = 4
 _NUMERICAL = 2e-4
 # Numerical error of a border, relative to the width of its smooth edge: sharp edges came out 2 to 4 mm off for 50 mm.
 _BORDER = 0.1
-# Arrays of a linearised trajectory that have one entry per piece: what a selection of pieces has to index.
-_BY_PIECE = (
-    "transition", "drift", "columns", "measured", "period", "inside", "counted", "noise_factor", "nonlinearity",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -112,7 +108,7 @@ def _fit_rounds(
         shift = _shift(model, chosen, found)
         reference = reference + found.states
         noise_factor = np.maximum(1.0, np.abs(found.ratio) * noise_factor / _OUTLIER)
-        model, before = _with_shift(model, chosen, shift), model
+        model, before = shifted(model, chosen, shift), model
         # Not before the third round: the substeps change until then.
         if round_index > 1 and _has_converged(before, model, chosen, found):
             break
@@ -260,10 +256,7 @@ def _initial_noise(windows: Windows) -> Noise:
 def _update_noise(track: LinearizedTrajectory, noise: Noise, rounds: int) -> Noise:
     """Takes Newton steps for the logarithms of the noise parameters, each one separately, on some of the pieces."""
     pick = np.unique(np.linspace(0, len(track.measured) - 1, _NOISE_PIECES).astype(int))
-    part = replace(
-        track,
-        **{name: getattr(track, name)[pick] for name in _BY_PIECE},
-    )
+    part = replace(track, **{name: value[pick] for name, value in vars(track).items() if name != "disturbed"})
     now = np.log(np.concatenate([noise.measured[0], noise.disturbances[0], noise.seconds]))
     states, width = noise.measured.shape[-1], 0.2
     for _ in range(rounds):
@@ -296,18 +289,7 @@ def _shift(model: PhysicsModel, paths: Sequence[str], found: Innovations) -> Flo
     """Returns the Gauss-Newton step -(J'J + prior)^-1 J' e, (paths,)."""
     slope = np.einsum("wip,wi->p", found.columns, found.white)
     curvature = np.einsum("wip,wiq->pq", found.columns, found.columns)
-    return -np.asarray(regularized_inverse(curvature + _prior(model, paths)) @ slope)
-
-
-def _prior(model: PhysicsModel, paths: Sequence[str]) -> FloatArray:
-    """Returns the curvature of a weak prior, as in ``least_squares.Fit.prior``."""
-    return np.diag([(5.0 * typical_change(model.parameters[path])) ** -2 for path in paths])
-
-
-def _with_shift(model: PhysicsModel, paths: Sequence[str], shift: FloatArray) -> PhysicsModel:
-    values = np.array([model.settings[path].value for path in paths]) + shift
-    low, high = bounds_of(model, paths)
-    return with_values(model, dict(zip(paths, np.clip(values, low, high).tolist(), strict=True)))
+    return -np.asarray(regularized_inverse(curvature + np.diag(prior_curvature(model, paths))) @ slope)
 
 
 def _has_converged(before: PhysicsModel, after: PhysicsModel, paths: Sequence[str], found: Innovations) -> bool:
@@ -352,7 +334,7 @@ def _deviations(
     one run can all be biased to the same side, which only the sandwich over runs shows.
     """
     curvature = np.einsum("wip,wiq->pq", found.columns, found.columns)
-    information = regularized_inverse(curvature + _prior(model, paths), 1e-12)
+    information = regularized_inverse(curvature + np.diag(prior_curvature(model, paths)), 1e-12)
     scores = np.einsum("wip,wi->wp", found.columns, found.white)
     squares = [np.diag(information), np.diag(information @ (scores.T @ scores) @ information)]
     groups = np.unique(runs) if runs is not None else np.zeros(0)

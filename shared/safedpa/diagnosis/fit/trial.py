@@ -117,19 +117,18 @@ def fit_trial(
 ) -> EffectTrial:
     """Fits the effects on top of the null model, together with all parameters that the null fitted."""
     models = list(starts) if starts is not None else _start_models(null.fit.model, items)
-    # Only the best start is fitted: simulating all starts once is far cheaper than fitting from each.
-    chosen = models[0] if len(models) == 1 else _best_start(models, shooting, null.fit.scale)
+    chosen = best_start(models, shooting, null.fit.scale)
     # All parameters are refitted: those of the null have compensated for the missing effect.
     paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
-    if steps is None:
-        found = fit(chosen, paths, shooting, null.fit.scale)
-    else:
-        found = fit(chosen, paths, shooting, null.fit.scale, steps, null.fit.slopes)
+    rough = () if steps is None else (steps, null.fit.slopes)
+    found = fit(chosen, paths, shooting, null.fit.scale, *rough)
     return trial_of(found, shooting, tuple(item.name for item in items), null)
 
 
-def _best_start(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArray) -> PhysicsModel:
-    """Returns the model with the lowest objective."""
+def best_start(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArray) -> PhysicsModel:
+    """Returns the model with the lowest objective: simulating all starts is far cheaper than fitting from each."""
+    if len(models) == 1:
+        return models[0]
     return models[int(np.argmin(objectives(shooting.residuals(models), shooting, scale)))]
 
 

@@ -13,13 +13,15 @@ from itertools import pairwise
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.diagnosis.detectable import changed_values
 from safedpa.diagnosis.diagnose import diagnose, library_for
 from safedpa.diagnosis.fit.data_checks import MOST_ROWS, prepare_runs
 from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.trial import with_effect_at
 from safedpa.diagnosis.identifiability.check import IdentifiabilityCheck, check_identifiability
 from safedpa.diagnosis.report_schema import Detectable
 from safedpa.diagnosis.search.initial_model import initial_search
-from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run, Stretch
@@ -86,15 +88,8 @@ def rehearse_diagnosis(
         report_progress(number, len(jobs))
         hidden = next(effect for effect in library if effect.name == item.effect)
         random = np.random.default_rng([seed, number + 1])
-        trials.append(
-            _trial(
-                model,
-                hidden,
-                item,
-                size,
-                list(simulate_runs(_with_hidden_effect(model, hidden, item, size), runs, noise, random)),
-            )
-        )
+        simulated = simulate_runs(_with_hidden_effect(model, hidden, item, size), runs, noise, random)
+        trials.append(_trial(model, hidden, item, size, list(simulated)))
     report_progress(len(jobs), len(jobs))
     return RehearsalResult(check, tuple(trials))
 
@@ -122,12 +117,8 @@ def _chosen(library: Sequence[AbstractEffect], names: Sequence[str]) -> list[Abs
 
 def _with_hidden_effect(model: PhysicsModel, item: AbstractEffect, size: Detectable, share: float) -> PhysicsModel:
     """Returns the model with one parameter of an effect moved away from its neutral value."""
-    values = {p.name: p.typical if p.neutral is None else p.neutral for p in item.parameters}
     parameter = next(p for p in item.parameters if p.name == size.parameter)
-    neutral = parameter.neutral or 0.0
-    side = -1.0 if parameter.typical < neutral else 1.0
-    values[parameter.name] = float(np.clip(neutral + side * share * size.ordinary, parameter.low, parameter.high))
-    return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
+    return with_effect_at(model, item, changed_values(item, parameter, share))
 
 
 def _trial(

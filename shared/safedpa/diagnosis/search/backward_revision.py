@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
-from safedpa.diagnosis.fit.least_squares import fit, known_slopes, objectives, regularized_inverse
-from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, initial_values, trial_of, with_effect_at
+from safedpa.diagnosis.fit.least_squares import fit, known_slopes, regularized_inverse
+from safedpa.diagnosis.fit.trial import EffectTrial, best_start, block_gain, initial_values, trial_of, with_effect_at
 from safedpa.diagnosis.search.acceptance import CLEAR_FALL, SAME, SIMPLER, is_spurious_delay, passes, with_reason
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, given_effect_names, known_effects
 from safedpa.effects import AbstractEffect
@@ -29,6 +29,7 @@ _ONE_STANDARD_ERROR = 1.0
 _ABANDONED = 0.01
 # Standard errors, and ratio of errors, from which a model without an effect is so much worse that a rough fit decides.
 _CLEARLY_NEEDED, _FAR_WORSE = 4.0, 1.5
+_NOT_NEEDED = "no longer needed next to the others"
 # Correlation of their parameters from which two effects are also removed together: each hides the loss of the other.
 _CORRELATED = 0.7
 
@@ -53,9 +54,7 @@ def refit_effects(search: SearchState, items: Sequence[AbstractEffect], enough: 
 def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: float) -> EffectTrial:
     now = search.current.fit.model
     known = {item.name for item in now.effects}
-    model = search.first.fit.model
-    for path in search.first.fit.paths:
-        model = model.with_settings({path: now.settings[path]})
+    model = search.first.fit.model.with_settings({path: now.settings[path] for path in search.first.fit.paths})
     new_items = []
     for item in items:
         if item.name in known:
@@ -67,13 +66,8 @@ def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: floa
     starts = [model]
     for item in new_items:
         starts = [with_effect_at(start, item, values) for start in starts for values in initial_values(item)]
-    values = (
-        objectives(search.shooting.residuals(starts), search.shooting, search.current.fit.scale)
-        if len(starts) > 1
-        else np.zeros(1)
-    )
+    start = best_start(starts, search.shooting, search.current.fit.scale)
     paths = [*search.first.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
-    start = starts[int(np.argmin(values))]
     slopes = known_slopes(search.current.fit, paths) if enough < np.inf else None
     found = fit(start, paths, search.shooting, search.current.fit.scale, known=slopes, enough=enough)
     return trial_of(found, search.shooting, (), None)
@@ -163,9 +157,7 @@ def backward_elimination(search: SearchState) -> None:
         error = search.error_of(reduced.fit)
         if gain >= SIMPLER or search.error.value < (1.0 - CLEAR_FALL) * error.value:
             break
-        search.added = [name for name in search.added if name not in group]
-        search.current, search.error = reduced, error
-        withdraw_candidates(search, group)
+        _remove(search, group, reduced, error)
     # Only then can the rest depend on what was removed.
     if search.added != before:
         _check_remaining(search)
@@ -204,9 +196,8 @@ def select_smallest_model(search: SearchState) -> None:
             and _improves_some_run(search.without[least][1], search.error)
         ):
             return
-        search.added = [other for other in search.added if other != least]
-        search.current, search.error = search.without[least]
-        withdraw_candidates(search, (least,), "reduces the error over whole runs by less than one standard error")
+        why = "reduces the error over whole runs by less than one standard error"
+        _remove(search, (least,), *search.without[least], why)
     search.without = {}
 
 
@@ -254,10 +245,14 @@ def _merged_rivals(
     Rivals with fewer parameters are covered by a removal and an exchange, which are tried before.
     """
     parameter_count = sum(len(by_name[name].parameters) for name in pair)
+    return [item for name in _rivals(search, pair) if len((item := by_name[name]).parameters) == parameter_count]
+
+
+def _rivals(search: SearchState, group: Sequence[str]) -> list[str]:
+    """Returns the best rivals of accepted effects that are not accepted themselves, each once."""
     # dict.fromkeys removes duplicates and keeps the order, best rivals first.
-    names = dict.fromkeys(rival for name in pair for rival in search.rivals.get(name, [])[:_RIVALS])
-    found = [by_name[name] for name in names if name not in search.added]
-    return [item for item in found if len(item.parameters) == parameter_count]
+    names = dict.fromkeys(rival for name in group for rival in search.rivals.get(name, [])[:_RIVALS])
+    return [name for name in names if name not in search.added]
 
 
 def _is_as_good(trial: EffectTrial, search: SearchState) -> bool:
@@ -274,10 +269,8 @@ def remove_effects_at_bounds(search: SearchState) -> None:
     bound = effects_at_bounds(search.current)
     group = [name for name in search.added if name in bound]
     if group:
-        search.added = [name for name in search.added if name not in group]
-        search.current = refit_effects(search, [by_name[name] for name in search.added])
-        search.error = search.error_of(search.current.fit)
-        withdraw_candidates(search, group, "fits only at a bound")
+        reduced = refit_effects(search, [by_name[name] for name in search.added if name not in group])
+        _remove(search, group, reduced, search.error_of(reduced.fit), "fits only at a bound")
 
 
 def _check_remaining(search: SearchState) -> None:
@@ -310,9 +303,16 @@ def _groups(search: SearchState) -> list[tuple[str, ...]]:
     return [*singles, *found]
 
 
-def withdraw_candidates(
-    search: SearchState, group: Sequence[str], why: str = "no longer needed next to the others"
+def _remove(
+    search: SearchState, group: Sequence[str], reduced: EffectTrial, error: HeldoutError, why: str = _NOT_NEEDED
 ) -> None:
+    """Continues with the model without a group of accepted effects."""
+    search.added = [name for name in search.added if name not in group]
+    search.current, search.error = reduced, error
+    withdraw_candidates(search, group, why)
+
+
+def withdraw_candidates(search: SearchState, group: Sequence[str], why: str = _NOT_NEEDED) -> None:
     """Marks accepted candidates as rejected, with the reason ``why``."""
     for index, item in enumerate(search.candidates):
         removed = set(group) & set(item.trial.effects)
@@ -351,8 +351,7 @@ def split_effect(search: SearchState) -> None:
     for name in list(search.added):
         if name not in search.added:
             continue  # already removed together with another effect
-        names = [other for other in search.rivals.get(name, [])[:_RIVALS] if other not in search.added]
-        best = _best_instead(search, (name,), list(combinations(names, 2)), by_name)
+        best = _best_instead(search, (name,), list(combinations(_rivals(search, (name,)), 2)), by_name)
         if best is None:
             continue
         trial, new = best
@@ -375,9 +374,7 @@ def _with_fewer(
 ) -> list[tuple[str, ...]]:
     """Returns combinations of as many rivals with fewer parameters in total."""
     parameter_count = sum(len(by_name[name].parameters) for name in group)
-    rivals = dict.fromkeys(rival for name in group for rival in search.rivals.get(name, [])[:_RIVALS])
-    names = [name for name in rivals if name not in search.added]
-    found = combinations(names, len(group))
+    found = combinations(_rivals(search, group), len(group))
     return [one for one in found if sum(len(by_name[name].parameters) for name in one) < parameter_count]
 
 
@@ -403,12 +400,11 @@ def mark_equivalent_rivals(search: SearchState) -> None:
     by_name = known_effects(search)
     for name in search.added if len(search.added) > 1 else ():
         parameter_count = len(by_name[name].parameters)
-        rivals = [other for other in search.rivals.get(name, [])[:_RIVALS] if other not in search.added]
         same = []
-        for rival in (other for other in rivals if len(by_name[other].parameters) == parameter_count):
-            trial = _best_instead(search, (name,), [(rival,)], by_name)
-            if trial is not None and _is_as_good(trial[0], search):
-                same.append(rival)
+        for rival in _rivals(search, (name,)):
+            if len(by_name[rival].parameters) == parameter_count:
+                trial = _best_instead(search, (name,), [(rival,)], by_name)
+                same += [rival] if trial is not None and _is_as_good(trial[0], search) else []
         for index, item in enumerate(search.candidates):
             if item.decision == "accepted" and name in item.trial.effects:
                 equals = dict.fromkeys((*item.equals, *same))

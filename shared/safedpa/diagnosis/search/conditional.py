@@ -40,15 +40,12 @@ def conditions_of(model: PhysicsModel, names: Iterable[str]) -> tuple[Condition,
 
     ``rolling resistance 0.9 m/s2 beyond x = 1.00 m``; ``speed command gain 1.00 at time 0 s, falls by 0.4 % a second``.
     """
-    wanted = list(names)
+    lawful = {item.name: item for item in model.effects if isinstance(item, Conditioned)}
     found = []
-    for item in model.effects:
-        if item.name in wanted and isinstance(item, Conditioned):
-            law = item.law
-            assert isinstance(law, (Varies, Where))
-            edge = law.edge if isinstance(law, Where) else None
-            found.append(Condition(item.name, law.key, law.phrase, edge, _sentence(model, item)))
-    return tuple(sorted(found, key=lambda one: wanted.index(one.effect)))
+    for item in (lawful[name] for name in names if name in lawful):
+        edge = item.law.edge if isinstance(item.law, Where) else None
+        found.append(Condition(item.name, item.law.key, item.law.phrase, edge, _sentence(model, item)))
+    return tuple(found)
 
 
 def _sentence(model: PhysicsModel, item: Conditioned) -> str:
@@ -194,9 +191,7 @@ def _law_trials(
 def _initial_candidate(search: SearchState, item: AbstractEffect, law: Where | Varies) -> ConditionalCandidate:
     """Returns an effect under a chosen law with the initial values of the screen."""
     alone = fit_trial(search.current, [item], search.shooting, steps=1)
-    return ConditionalCandidate(
-        item, law, initial_law_values(search.current, alone, item, law, search.shooting), 0.0, 0.0
-    )
+    return ConditionalCandidate(item, law, initial_law_values(search.current, alone, item, law, search.shooting))
 
 
 def _law_trials_without_one(search: SearchState) -> Iterator[tuple[ConditionalCandidate, tuple[str, ...]]]:
@@ -227,9 +222,9 @@ def _law_on_rival(
         return None
     start = {p.name: models[0].settings[f"{rival.name}.{p.name}"].value for p in rival.parameters}
     if isinstance(proposal.law, Varies):
-        return ConditionalCandidate(rival, Varies(varied, proposal.law.variable), start, proposal.gain, proposal.fall)
+        return ConditionalCandidate(rival, Varies(varied, proposal.law.variable), start)
     borders = {name: value for name, value in proposal.start.items() if name not in _names(proposal.item)}
-    return ConditionalCandidate(rival, proposal.law, {**borders, **start}, proposal.gain, proposal.fall)
+    return ConditionalCandidate(rival, proposal.law, {**borders, **start})
 
 
 def _names(item: AbstractEffect) -> set[str]:
@@ -303,7 +298,7 @@ def _one_sided(best: EffectTrial, search: SearchState) -> EffectTrial:
     for shape, end in (("above", "from"), ("below", "to")):
         start = {name: values[name] for name in _names(plain_one)}
         start[f"{law.variable}_{shape}"] = values[f"{law.variable}_{end}"]
-        proposal = ConditionalCandidate(plain_one, Where(shape, law.variable, law.edge), start, 0.0, 0.0)
+        proposal = ConditionalCandidate(plain_one, Where(shape, law.variable, law.edge), start)
         trial = _fit_law(search, proposal, tuple(sorted(replaced)))
         if trial is not None and bool(trial.fit.free.all()) and _covers_some_rows(trial, search):
             found.append(trial)
@@ -435,8 +430,6 @@ def region_effect(region_fit: RegionFit, search: SearchState) -> EffectTrial | N
     for variable, shape in product(POSITION, ("above", "below")):
         law = Where(shape, variable, _EDGE)
         starts[law] = initial_law_values(search.current, alone, item, law, shooting)
-    every = [
-        _fit_law(search, ConditionalCandidate(item, law, start, region_fit.gain, 0.0)) for law, start in starts.items()
-    ]
+    every = [_fit_law(search, ConditionalCandidate(item, law, start)) for law, start in starts.items()]
     found = [trial for trial in every if trial is not None and bool(trial.fit.free.all())]
     return _simplest(found, search) if found else None

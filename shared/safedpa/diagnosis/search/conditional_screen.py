@@ -53,9 +53,9 @@ class ConditionalCandidate:
     law: Where | Varies
     start: dict[str, float]
     """Parameters of effect and law by name."""
-    gain: float
+    gain: float = 0.0
     """Gain on unseen blocks in standard errors, to first order."""
-    fall: float
+    fall: float = 0.0
     """Reduction of the squares of unseen windows, in units of the noise."""
 
 
@@ -104,31 +104,31 @@ def initial_law_values(
     null: EffectTrial, alone: EffectTrial, item: AbstractEffect, law: Where | Varies, shooting: Shooting
 ) -> dict[str, float]:
     """Returns the initial values for a fit of one effect under a chosen law; ``alone`` is its trial without a law."""
-    column = _column_of_trial(alone, item, law, null, shooting)
+    columns = {column.parameter: column for column in _columns_of_trial(alone, item, null, shooting)}
+    # The parameter that varies, or the first one with a neutral value.
+    column = columns[law.parameter if isinstance(law, Varies) else next(iter(columns))]
     sums = _NormalEquations(null, shooting)
     if isinstance(law, Varies):
         at = _rows(shooting)
         weights = _Weights(None, law.variable, [{}], _values(law.variable, at, shooting).mean(axis=1)[None])
     else:
-        weights = next(
-            weights_of_law
-            for weights_of_law in _weights(shooting, anywhere=True)
-            if isinstance(weights_of_law.law, Where)
-            and (weights_of_law.law.shape, weights_of_law.law.variable) == (law.shape, law.variable)
-        )
+        kind = law.shape, law.variable
+        every = ((one, one.law) for one in _weights(shooting, anywhere=True))
+        weights = next(one for one, own in every if isinstance(own, Where) and (own.shape, own.variable) == kind)
     found = _best_law(column, weights, sums)
     return column.now if found is None else found.start
 
 
-def _column_of_trial(
-    trial: EffectTrial, item: AbstractEffect, law: Where | Varies, null: EffectTrial, shooting: Shooting
-) -> _ParameterColumn:
-    """Returns the column of the parameter that varies, or of the first one with a neutral value."""
-    named = law.parameter if isinstance(law, Varies) else next(p.name for p in item.parameters if p.neutral is not None)
-    index = [p.name for p in item.parameters].index(named) - len(item.parameters)
+def _columns_of_trial(
+    trial: EffectTrial, item: AbstractEffect, null: EffectTrial, shooting: Shooting
+) -> Iterator[_ParameterColumn]:
+    """Yields the columns of the parameters of one effect on trial, in units of the null's noise."""
     scale = np.tile(trial.fit.scale / null.fit.scale, len(shooting.rows))
     now = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
-    return _ParameterColumn(item, named, trial.fit.columns[..., index] * scale, now)
+    for index, parameter in enumerate(item.parameters):
+        if parameter.neutral is not None:
+            column = trial.fit.columns[..., index - len(item.parameters)] * scale
+            yield _ParameterColumn(item, parameter.name, column, now)
 
 
 def _columns(search: SearchState, most: int | None) -> Iterator[_ParameterColumn]:
@@ -148,20 +148,14 @@ def _columns(search: SearchState, most: int | None) -> Iterator[_ParameterColumn
     by_name = {item.name: item for item in search.library}
     last = max((item.stage for item in search.candidates), default=0)
     singles = [item.trial for item in search.candidates if item.stage == last and len(item.trial.effects) == 1]
-    ratios, last_tried = len(search.shooting.rows), {trial.effects[0] for trial in singles}
+    last_tried = {trial.effects[0] for trial in singles}
     # Effects that were removed from the model have no trial on top of the current one: one rough step gives a column.
     removed = [by_name[name] for name in search.rivals if name in by_name and name not in last_tried | have]
     again = [fit_trial(null, [item], search.shooting, steps=1) for item in removed if may_have_law(item, system)]
     for trial in [*sorted(singles, key=lambda trial: trial.loss)[:most], *again]:
         new = by_name.get(trial.effects[0])
-        if new is None or new.name in have or not may_have_law(new, system):
-            continue
-        scale = np.tile(trial.fit.scale / fitted.scale, ratios)
-        now = {p.name: trial.fit.model.settings[f"{new.name}.{p.name}"].value for p in new.parameters}
-        for index, parameter in enumerate(new.parameters):
-            if parameter.neutral is not None:
-                column = trial.fit.columns[..., index - len(new.parameters)] * scale
-                yield _ParameterColumn(new, parameter.name, column, now)
+        if new is not None and new.name not in have and may_have_law(new, system):
+            yield from _columns_of_trial(trial, new, null, search.shooting)
 
 
 def _rows(shooting: Shooting) -> IndexArray:

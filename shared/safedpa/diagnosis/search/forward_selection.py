@@ -75,7 +75,7 @@ from safedpa.diagnosis.search.backward_revision import (
 from safedpa.diagnosis.search.conditional import accept_law, add_conditions, region_effect
 from safedpa.diagnosis.search.final_parameters import with_final_values, with_model_uncertainty
 from safedpa.diagnosis.search.initial_model import initial_search
-from safedpa.diagnosis.search.regions import RegionFit, best_region
+from safedpa.diagnosis.search.regions import best_region
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial, known_effects
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
@@ -142,7 +142,8 @@ def _add_one_by_one(search: SearchState, report_progress: ReportProgress, other_
     most = first + MOST - len(search.added)
     for stage in range(first, most if search.library else first):
         available, notice = search.available, f"stage {stage + 1} of at most {most}; {_so_far(search)}"
-        report = lambda done, size=len(available), text=notice: report_progress(done, size, text)  # noqa: E731
+        size = len(available)
+        report = lambda done, size=size, text=notice: report_progress(done, size, text)  # noqa: E731
         trials = fit_trials(search.current, available, search.shooting, before, report)
         # The fitted values of this stage are starts for the next: adding one effect moves most others little.
         before = {trial.effects[0]: trial for trial in trials}
@@ -206,11 +207,14 @@ def add_best_trial(
     if passed and best is not None:
         best = fewest_parameters(best, stage.trials, search)
         # A region where the floor brakes looks like several weak effects, so it is compared before one is accepted.
-        search.region = _better_region(null, best, shooting)
+        found = best_region(null, shooting)
+        search.region = found if found is not None and found.beats(best, shooting) else None
         passed = search.region is None
-    search.candidates += [
-        _with_other_horizon(at_other_horizon, judge_trial(search, stage, trial, best, passed)) for trial in stage.trials
-    ]
+    for trial in stage.trials:
+        item = judge_trial(search, stage, trial, best, passed)
+        if at_other_horizon is not None and trial is at_other_horizon.trial:
+            item = replace(item, reason=f"{item.reason}; {at_other_horizon.reason}")
+        search.candidates.append(item)
     region_trial = None if search.region is None else region_effect(search.region, search)
     if region_trial is not None:
         accept_law(search, region_trial, number)
@@ -223,13 +227,6 @@ def add_best_trial(
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
     accept_trial(search, best)
     return True
-
-
-def _with_other_horizon(at_other_horizon: PassingCandidate | None, item: JudgedTrial) -> JudgedTrial:
-    """Returns the verdict on a trial, with the result of another horizon added to its reason."""
-    if at_other_horizon is None or item.trial is not at_other_horizon.trial:
-        return item
-    return replace(item, reason=f"{item.reason}; {at_other_horizon.reason}")
 
 
 def _stage(search: SearchState, number: int, trials: list[EffectTrial], at_most: int = 6) -> SearchStage:
@@ -288,14 +285,6 @@ def _first_confirmed(
             return trial, frozenset(refused)
         refused.append(trial.effects)
     return None, frozenset(refused)
-
-
-def _better_region(null: EffectTrial, best: EffectTrial, shooting: Shooting) -> RegionFit | None:
-    """Returns a region of the plane that predicts unseen blocks clearly better than the effect, or None."""
-    region_fit = best_region(null, shooting)
-    if region_fit is None or not region_fit.beats(best, shooting):
-        return None
-    return region_fit
 
 
 # Pairs that are fitted at one stage; the order to first order is reliable enough for the best to be among five.

@@ -18,10 +18,10 @@ from safedpa.arrays import FloatArray
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, with_effect_at
+from safedpa.effects import Where
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
 from safedpa.effects.friction import REST_SPEED, direction_of
 from safedpa.effects.parameter import Parameter
-from safedpa.operations import Scalar
 
 # Step of the difference quotient: small against any real disturbance, far above rounding.
 _STEP = 0.01
@@ -93,10 +93,6 @@ class RegionEffect(RateEffect):
         self.robot = robot  # type: ignore[misc]
 
     @abstractmethod
-    def depth(self, parameters: Named, x: Scalar, y: Scalar, context: Context) -> Scalar:
-        """Returns the distance [m] from a point to the edge, positive inside."""
-
-    @abstractmethod
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:
         """Yields regions to try, as parameters without the deceleration, and which points (windows, 2) lie inside."""
 
@@ -105,11 +101,10 @@ class RegionEffect(RateEffect):
         """Returns the region as a condition on x and y."""
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        operations, state = context.operations, context.state
-        depth = self.depth(parameters, state["x"], state["y"], context)
-        pull = parameters["deceleration"] * (0.5 + 0.5 * operations.tanh(depth / _EDGE))
+        pull = parameters["deceleration"] * Where(self.shape, "", _EDGE).inside(parameters, context)
         # The smoothed sign needs a typical size: 1, the typical value of the deceleration.
-        return {**rates, "speed": rates["speed"] - pull * direction_of(state["speed"], 1.0, REST_SPEED, context)}
+        direction = direction_of(context.state["speed"], 1.0, REST_SPEED, context)
+        return {**rates, "speed": rates["speed"] - pull * direction}
 
 
 @final
@@ -124,11 +119,6 @@ class CircularRegion(RegionEffect):
         Parameter("radius", "m", 0.1, 100.0, 1.0, neutral=None),
         _DECELERATION,
     )
-
-    def depth(self, parameters: Named, x: Scalar, y: Scalar, context: Context) -> Scalar:  # noqa: D102
-        del context
-        dx, dy = x - parameters["at_x"], y - parameters["at_y"]
-        return parameters["radius"] - (dx * dx + dy * dy + 1e-12) ** 0.5
 
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:  # noqa: D102
         # Quantiles, because a single stray position would stretch the grid.
@@ -156,12 +146,6 @@ class StripRegion(RegionEffect):
         Parameter("half_width", "m", 0.05, 100.0, 0.5, neutral=None),
         _DECELERATION,
     )
-
-    def depth(self, parameters: Named, x: Scalar, y: Scalar, context: Context) -> Scalar:  # noqa: D102
-        operations = context.operations
-        angle = parameters["angle"]
-        across = x * operations.cos(angle) + y * operations.sin(angle) - parameters["offset"]
-        return parameters["half_width"] - (across * across + 1e-12) ** 0.5
 
     def starts(self, points: FloatArray) -> Iterator[tuple[dict[str, float], FloatArray]]:  # noqa: D102
         for angle in (math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS).tolist():
