@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -532,3 +533,12 @@ def test_add_takes_a_learned_model(runs, tmp_path, capsys):
     assert document["after"] < 0.6 * document["before"]
     assert abs(load_model(out).settings["quadratic_drag.coefficient"].value - DRAG) < 0.01
     assert out.with_suffix(".safetensors").is_file()
+
+
+@pytest.mark.parametrize("action", ["steer", "torque", "throttle"])
+def test_an_action_named_as_one_of_a_shipped_robot_makes_no_other_robot_of_a_system(action: str) -> None:
+    states = tuple(Variable(name, "m", -9.0, 9.0) for name in ("depth", "range", "drift"))
+    system = System(name="glider", state=states, action=(Variable(action, "1", -1.0, 1.0),))
+    starts = [start for start, _ in general_manoeuvres(system, np.arange(0.0, 6.0, 0.05)).values()]
+    model = SimpleNamespace(system=system, period=0.05)
+    assert [start.tolist() for start, _ in manoeuvres(model).values()] == [start.tolist() for start in starts]

@@ -30,6 +30,7 @@ _SUITES = (
     "speed_gains", "bad", "wheels", "wheels_none", "all",
 )  # fmt: skip
 """Of hidden effects; the list of all experiments is read without the optional packages that a suite needs."""
+_OWN_SUITES = ("own_one", "own_two", "own_none", "own_outside")
 
 EXPERIMENTS = (
     Experiment(
@@ -176,6 +177,32 @@ EXPERIMENTS = (
         ),
         report=f"{__name__}.long_logs:report",
         extras=("sim", "diagnosis"),
+    ),
+    Experiment(
+        name="own-robots",
+        help="""How often the diagnosis is right about robots that do not ship.
+
+    Ten robots with models as a user writes them: servo, joint, tank, boat, omnidirectional base, crane, motor,
+    quadrotor, bicycle with slip, conveyor. Their commands change between the rows of the log; every second round of
+    robots has one log, the others three. own_one, own_two: so many hidden effects. own_none: nothing hidden.
+    own_outside: an effect that no library has, which has to be reported as unexplained.
+
+    With the same --out, an interrupted run continues; other suites and seeds may be added to it.""",
+        run=f"{__name__}.own_robots:run",
+        parameters=(
+            integer("--cases", 20, "per suite", least=1),
+            integer("--seed", 0, "seed of strengths, drives and noise", least=0),
+            repeated("--suite", "suites", "repeatable; default: all", type=SuggestingChoice(_OWN_SUITES)),
+            integer("--processes", 2, "with one thread each", least=1),
+            path(
+                "--out",
+                "also write every case to this JSON file; cases that it holds are not repeated",
+                writes="record",
+            ),
+        ),
+        report=f"{__name__}.own_robots:report",
+        extras=("sim", "diagnosis"),
+        small=("--cases", "1", "--suite", "own_none"),
     ),
     Experiment(
         name="real-logs",

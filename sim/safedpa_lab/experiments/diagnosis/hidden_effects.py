@@ -121,13 +121,13 @@ def write_document(document: Mapping[str, Any], path: Path) -> None:
     write_result(path, document)
 
 
-def read_outcomes(path: Path) -> tuple[list[Outcome], list[int]]:
+def read_outcomes(path: Path, experiment: str = "hidden-effects") -> tuple[list[Outcome], list[int]]:
     """The cases and seeds of a record, none of one that is not there yet. Raises InputError for another document."""
     if not path.exists():
         return [], []
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if (document["experiment"], document.get("format")) != ("hidden-effects", _FORMAT):
+        if (document["experiment"], document.get("format")) != (experiment, _FORMAT):
             raise KeyError("format")
         return [_read_outcome(row) for row in document["cases"]], list(document["seeds"])
     except (ValueError, KeyError, TypeError) as error:
@@ -280,13 +280,13 @@ def _outcomes(groups: Sequence[Sequence[Case]], processes: int) -> Iterator[list
     if processes == 1:
         yield from map(run_cases, groups)
         return
-    with _one_thread_each(), ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with one_thread_each(), ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         for future in as_completed([pool.submit(run_cases, group) for group in groups]):
             yield future.result()
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes that start within use one thread: more would get into each other's way."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
