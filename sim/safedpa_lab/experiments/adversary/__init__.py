@@ -1,7 +1,7 @@
 """Attacks on the safety filter whose answers are checked by independent implementations.
 
-An attack is a class in its own module; ``attack`` defines their interface, ``campaign`` runs them and ``linear`` holds
-the linear problems and their judge. Read ``attack`` first.
+An attack is a class in its own module; ``attack`` defines their interface and judges answers by a grid of actions,
+``campaign`` runs them and ``linear`` holds the linear problems and their judge. Read ``attack`` first.
 """
 
 from __future__ import annotations

@@ -82,16 +82,12 @@ def peer_problems(seed: int, count: int, mixed: bool) -> list[LinearProblem]:
         rows, states, actions = len(problem.q), len(problem.f), len(problem.low)
         if rows > _ROWS or states > _STATES or actions != _ACTIONS or problem.shape in ("parallel", "costly", "feeble"):
             continue
-        at_scale_one = bool(np.array_equal(problem.weights, np.ones(actions))) and _ordinary(problem)
+        width = problem.high - problem.low  # as it was drawn, not in other units
+        at_scale_one = bool((problem.weights == 1.0).all() and width.max() < 4.0 and width.min() > 0.4)
         if at_scale_one is mixed:
             continue
         found.append(_padded(problem))
     return found
-
-
-def _ordinary(problem: LinearProblem) -> bool:
-    """Whether the problem is in the units in which it was drawn."""
-    return bool((problem.high - problem.low).max() < 4.0 and (problem.high - problem.low).min() > 0.4)
 
 
 def _padded(problem: LinearProblem) -> LinearProblem:

@@ -106,7 +106,8 @@ class Scales(AbstractAttack):
 def _rows(what: str, found: Sequence[Drive], reference: Drive) -> list[Row]:
     """With a moved origin, h itself has fewer digits: only the wall is checked there."""
     strict = None if what == "origin" else 0
-    apart = max((_apart(driven, reference) for driven in found), default=0.0)
+    changes = (np.abs(np.subtract(driven.actions, reference.actions)).max() for driven in found)
+    apart = float(max(changes, default=0.0)) / 2.0
     others = sum(driven.statuses != reference.statuses for driven in found)
     return [
         Row(f"{what}: furthest point", max((driven.furthest for driven in found), default=0.0), len(found), most=_WALL),
@@ -115,10 +116,6 @@ def _rows(what: str, found: Sequence[Drive], reference: Drive) -> list[Row]:
             f"{what}: largest change of an action, in ranges", apart, len(found), most=None if strict is None else _SAME
         ),
     ]
-
-
-def _apart(one: Drive, other: Drive) -> float:
-    return float(np.abs(np.subtract(one.actions, other.actions)).max()) / 2.0
 
 
 def _filter(units: Units) -> SafetyFilter:

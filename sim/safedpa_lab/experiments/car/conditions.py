@@ -235,8 +235,8 @@ class Conditions:
         late = DelayedCommands(self.delay, self.delay) if self.delay else None
         reported = self.delay if self.reported else 0.0
         own = CAR_PARAMETERS
-        changed = {"friction": self.friction * own.friction, "speed_high": self.speed * own.speed_high}
-        parameters = dataclasses.replace(own, **changed)
+        friction, fastest = self.friction * own.friction, self.speed * own.speed_high
+        parameters = dataclasses.replace(own, friction=friction, speed_high=fastest)
         return CarRobot(scene, PERIOD, late=late, until_action=reported, parameters=parameters)
 
     def measured(self, robot: CarRobot) -> Robot:

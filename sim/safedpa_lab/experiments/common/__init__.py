@@ -1,1 +1,1 @@
-"""Shared by the experiments: seeds, statistics, processes and drives that are kept, and the style of the figures."""
+"""Shared by the experiments: drives through the real nodes, seeds, statistics, processes, and the style of figures."""

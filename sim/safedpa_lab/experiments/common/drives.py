@@ -101,12 +101,8 @@ def driven_with_latents(robot: Robot, nodes: list[AbstractNode], count: int) -> 
 
 def stamp(state: StateMessage) -> dict[str, Any]:
     """The fields that a node's message of this tick shares with its state."""
-    return {
-        "epoch": state.epoch,
-        "tick": state.tick,
-        "robot_time": state.robot_time,
-        "publish_time": time.time(),
-    }
+    shared = {name: getattr(state, name) for name in ("epoch", "tick", "robot_time")}
+    return {**shared, "publish_time": time.time()}
 
 
 @final

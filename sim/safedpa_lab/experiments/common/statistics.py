@@ -185,18 +185,9 @@ def advantages(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], directions
                 if outcome in other:
                     pair = _flags(methods[_OWN], outcome), _flags(other, outcome)
                     more, fewer, p = mcnemar_exact(*pair)
-                    whole = sign_flip_exact(*pair, directions)
-                    rows.append(
-                        {
-                            "question": question,
-                            "against": name,
-                            "outcome": outcome,
-                            "only_safedpa": more,
-                            "only_other": fewer,
-                            "mcnemar": p,
-                            "directions": whole,
-                        }
-                    )
+                    found = {"only_safedpa": more, "only_other": fewer, "mcnemar": p}
+                    found["directions"] = sign_flip_exact(*pair, directions)
+                    rows.append({"question": question, "against": name, "outcome": outcome, **found})
     for test in ("mcnemar", "directions"):
         for row, p in zip(rows, holm([row[test] for row in rows]), strict=True):
             row[f"{test}_holm"] = p

@@ -15,6 +15,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -284,7 +285,8 @@ def _child(work: Callable[[], int], folder: Path, notice: Path, reported: int) -
         os.chdir(folder)
         os.environ["TMPDIR"] = str(folder.parent)
         resource.setrlimit(resource.RLIMIT_CPU, (int(_LONGEST_SECONDS), int(_LONGEST_SECONDS)))
-        _forget_peak()
+        with suppress(OSError):  # the peak begins again, where the kernel can do that
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
         before, began = _memory("VmRSS"), time.process_time()
         try:
             code = work()
@@ -297,14 +299,6 @@ def _child(work: Callable[[], int], folder: Path, notice: Path, reported: int) -
         os.write(reported, f"{time.process_time() - began} {_memory('VmHWM') - before}".encode())
     finally:
         os._exit(code)
-
-
-def _forget_peak() -> None:
-    """What this process took at most begins again, where the kernel can do that."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    except OSError:
-        return
 
 
 def _memory(what: str) -> float:

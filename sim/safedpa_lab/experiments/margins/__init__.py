@@ -1,6 +1,6 @@
 """Margins of the shipped robots, calibrated on whole drives and evaluated on unseen ones.
 
-``experiment`` calibrates and counts, ``drives`` has the drive of each robot, ``report`` the tables.
+``experiment`` calibrates, counts and shows the tables, ``drives`` has the drive of each robot.
 """
 
 from __future__ import annotations

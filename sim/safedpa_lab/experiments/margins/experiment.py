@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -228,17 +229,11 @@ def _driven(
     folder.mkdir(parents=True, exist_ok=True)
     missing = [order for order in orders if not _path(folder, order).exists()]
     count.advance(len(orders) - len(missing))
-    for result, order in zip(workers.map(driven, _until(missing, ends)), missing, strict=False):
+    in_time = takewhile(lambda _: time.monotonic() <= ends, missing)
+    for result, order in zip(workers.map(driven, in_time), missing, strict=False):
         _keep(_path(folder, order), result)
         count.advance(1)
     return [_retained(path) for path in (_path(folder, order) for order in orders) if path.exists()]
-
-
-def _until(orders: Sequence[DriveOrder], ends: float) -> Iterator[DriveOrder]:
-    for order in orders:
-        if time.monotonic() > ends:
-            return
-        yield order
 
 
 def _path(folder: Path, order: DriveOrder) -> Path:

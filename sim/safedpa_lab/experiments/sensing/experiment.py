@@ -213,6 +213,7 @@ _GUARDS = {
 def page_of(result: Mapping[str, Any]) -> str:
     """Markdown with a table of all rows, and the command that made it."""
     seeds, rows = result["seeds"], result["rows"]
+    lines = [f"{row['scene']} | {_GUARDS[row['guard']]} | {row['drives']} | {counted_cells(row)}" for row in rows]
     elsewhere = sum(row["of_them_it_did_not_drive_towards"] for row in rows)
     hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in rows for what in row["which"]]
     towards = "car or load did not drive towards it, at less than 0.1 m/s: it came to them"
@@ -222,7 +223,7 @@ def page_of(result: Mapping[str, Any]) -> str:
         f"controller {result.get('policy', 'goal_seeker')}. "
         "A collision is the car's where it was at 0.1 m/s or more.",
         result,
-        markdown_table(f"scene | behind | drives | {COUNTED}", (_line(row) for row in rows)),
+        markdown_table(f"scene | behind | drives | {COUNTED}", lines),
         *_by_load(result.get("by_load", ()), result["loads"]),
         *((f"Into what (in {elsewhere} of these {towards}):", "\n".join(hit)) if hit else ()),
     )
@@ -253,7 +254,3 @@ def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> tuple[
     kinds = dict.fromkeys((one["scene"], one["guard"]) for one in found)
     rows = (f"{kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)}" for kind in kinds)
     return "Goals a minute by load:", markdown_table(f"scene | behind | {' | '.join(loads)}", rows)
-
-
-def _line(row: Mapping[str, Any]) -> str:
-    return f"{row['scene']} | {_GUARDS[row['guard']]} | {row['drives']} | {counted_cells(row)}"
