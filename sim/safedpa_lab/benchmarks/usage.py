@@ -57,8 +57,8 @@ def output_of(*arguments: str, environment: Mapping[str, str] | None = None) -> 
     surroundings = {**os.environ, **(environment or {})}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=surroundings)
     if done.returncode != 0:
-        words = " ".join(takewhile(lambda word: not word.startswith("-"), arguments))
-        raise SafedpaError(f"safedpa {words}: {done.stderr.strip()}")
+        subcommand = " ".join(takewhile(lambda part: not part.startswith("-"), arguments))
+        raise SafedpaError(f"safedpa {subcommand}: {done.stderr.strip()}")
     return done.stdout
 
 
