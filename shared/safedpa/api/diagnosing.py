@@ -48,7 +48,9 @@ them."""
 @final
 @dataclass(frozen=True)
 class SavedDiagnosis:
-    """The files of a diagnosis: the ``folder``, the calibrated ``margin`` and the command that drives with both.
+    """The files of a diagnosis: the ``folder``, and the calibrated ``margin``.
+
+    ``drive`` is the shell command that drives the simulated robot with model and margin; None without a margin.
 
     Example:
 
@@ -60,7 +62,6 @@ class SavedDiagnosis:
     folder: Path
     margin: CalibratedMargin
     drive: str | None
-    """Shell command that drives the simulated robot with model and margin; None without a margin."""
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the part ``margin`` of ``safedpa diagnose --json``."""

@@ -30,7 +30,7 @@ class _HasColumnMap(Protocol):
 
 
 Columns: TypeAlias = ColumnMap | _HasColumnMap | Mapping[str, Any] | str | Path | None
-"""A column map: an object, the result of ``columns()``, ``[columns]`` as a dictionary, a file or shipped name, or None."""
+"""A column map, the result of ``columns()``, ``[columns]`` as a dictionary, a file or shipped name, or None."""
 
 
 def read_log(log: str | Path, model: Model | System, columns: Columns = None) -> Run:

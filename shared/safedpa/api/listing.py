@@ -16,7 +16,7 @@ from safedpa.records import ColumnMap
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.column_map.form import guess_columns, map_text
 from safedpa.records.column_map.propose import best_system, propose_map, sources_of
-from safedpa.records.readers.bags import AbstractLog, kind_of, topic_log
+from safedpa.records.readers.bags import AbstractLog, check_readable_mcap, kind_of, topic_log
 from safedpa.records.readers.preview import raw_rows
 from safedpa.result import AbstractResult
 from safedpa.systems import System
@@ -29,8 +29,9 @@ from safedpa.systems.robots import robots as known_robots
 class ProposedColumns(AbstractResult):
     """The contents of a log, and a proposal of its column map.
 
-    ``text`` is the map as TOML, with comments; check every line before you use it. ``topics`` describes each topic of
-    a bag or flight log: name, type, messages, rate [Hz], fields. ``print(proposal)`` shows the map.
+    ``log`` is the file, ``text`` the map as TOML, with comments; check every line before you use it. ``topics``
+    describes each topic of a bag or flight log: name, type, messages, rate [Hz], fields. ``print(proposal)`` shows the
+    map.
 
     Example:
 
@@ -174,6 +175,7 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
     systems = tuple(one.system for one in (known, *known.variants))
     kind = kind_of(path)
     if kind == "mcap":
+        check_readable_mcap(path)
         raise InputError(f"{log}: got a recording of the bus, which needs no column map; use it directly")
     if kind != "topics":
         return ProposedColumns(path, (), _table_map(path, systems))
