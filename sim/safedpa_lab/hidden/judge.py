@@ -99,7 +99,7 @@ def judged(
     """Compares report.json with the sealed truth; ``oracle`` is the held-out error with the true effects fitted."""
     hidden, added = tuple(truth["effects"]), tuple(document["added"])
     groups = {name: _group(document, name) for name in added}
-    # A group that names half of the library tells the user nothing.
+    # A group that names half of the library is no answer.
     most = truth.get("largest_group", inf)
     groups = {name: group if len(group) <= most else {name} for name, group in groups.items()}
     absorbed = set(truth["absorbed"])
