@@ -142,7 +142,8 @@ def test_a_data_frame_of_any_library_becomes_the_run_of_its_file(
         np.testing.assert_array_equal(run.states, file.states)
         np.testing.assert_array_equal(run.actions, file.actions)
         assert (run.findings, run.stretches, run.name) == (file.findings, file.stretches, file.name)
-    same = safedpa.Run.from_arrays(run.t, run.states, run.actions, "pendulum")
+    same = safedpa.Run.from_arrays(run.t, run.states, run.actions, "pendulum", name="drive.1")
+    assert same.name == "drive.1"
     np.testing.assert_array_equal(same.states, run.states)
     np.testing.assert_array_equal(run.to_dataframe()["angle"], run.states[:, 0])
 

@@ -25,7 +25,7 @@ _MARGINS = ("conformal", "drive", "theorem")
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class CalibratedMargins(AbstractPlottedResult):
     """Margins of the filter by kind of barrier, and the share of held-out data that they cover.
 

@@ -25,7 +25,7 @@ _WRITTEN = ("compare.html", "compare.json")
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ComparisonResult(AbstractPlottedResult):
     """A model compared with recordings.
 

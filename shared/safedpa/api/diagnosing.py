@@ -71,7 +71,7 @@ class SavedDiagnosis:
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Diagnosis(AbstractPlottedResult):
     """Which effects a model lacks.
 

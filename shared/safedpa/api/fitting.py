@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class FittedModel(AbstractPlottedResult):
     """A changed and fitted model.
 

@@ -25,7 +25,7 @@ from safedpa.systems.robots import robots as known_robots
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ProposedColumns(AbstractResult):
     """The contents of a log, and a proposal of its column map.
 
@@ -72,7 +72,7 @@ class ProposedColumns(AbstractResult):
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class EffectTable(AbstractResult):
     """The physical effects that models may have, by robot.
 
@@ -108,7 +108,7 @@ class EffectTable(AbstractResult):
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class RobotCheck(AbstractResult):
     """What is fine, missing or wrong about the robots that a file declares.
 

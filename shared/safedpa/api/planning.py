@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class DataCheck(AbstractPlottedResult):
     """Which effects recordings could show, and from which size on.
 
@@ -82,7 +82,7 @@ class DataCheck(AbstractPlottedResult):
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Rehearsal(AbstractPlottedResult):
     """Which hidden effects a diagnosis of simulated copies of recordings found.
 

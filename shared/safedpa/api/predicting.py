@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class PredictedRun(AbstractPlottedResult):
     """Predictions along a recording, from every tenth row, up to a horizon.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safedpa.errors import InputError, RunError
+from safedpa.limits import readable
 from safedpa.records.column_map.apply import check_map, mapped_rows
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import column_map_of
@@ -45,7 +47,7 @@ def run_of_arrays(t: ArrayLike, states: ArrayLike, actions: ArrayLike, source: A
             )
     # Copies: a run is immutable, and the caller may change the arrays.
     rows = RawRows(time.copy(), found["states"].copy(), found["actions"].copy())
-    return run_of_rows(Path(name), system, native_map(system), rows, ())
+    return _named(run_of_rows(Path(name), system, native_map(system), rows, ()), name)
 
 
 def run_of_frame(frame: Any, source: Any, columns: Any, name: str) -> Run:
