@@ -57,7 +57,11 @@ def run_of_frame(frame: Any, source: Any, columns: Any, name: str) -> Run:
     check_map(mapping, system)
     require_columns(Path(name), mapping.sources, _names(frame))
     table = Table({source: _numbers(frame[source], name, source) for source in mapping.sources})
-    return run_of_rows(Path(name), system, mapping, *mapped_rows(table, mapping, system))
+    return _named(run_of_rows(Path(name), system, mapping, *mapped_rows(table, mapping, system)), name)
+
+
+def _named(run: Run, name: str) -> Run:
+    return replace(run, name=readable(name))  # the whole name: that of a file would lose its ending
 
 
 def _names(frame: Any) -> list[str]:
