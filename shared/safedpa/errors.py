@@ -116,7 +116,7 @@ def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
     Empty without a similar name. Never raises.
     """
     try:
-        alongside = [item.name for item in path.parent.iterdir() if item.name != path.name]
+        alongside = [item.name for item in path.parent.iterdir() if item.name not in (path.name, "pyproject.toml")]
     except OSError:
         alongside = []
     near = difflib.get_close_matches(path.name, [*shipped, *alongside], n=1)

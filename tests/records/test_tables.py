@@ -189,7 +189,10 @@ def test_a_recording_is_a_file_with_bytes_and_each_column_once(tmp_path: Path) -
     require_columns(path, ("t",), ["t", "x", "x"])
     for wanted, problem in {
         ("t", "x"): r"column 'x' occurs 2 times; rename the others",
-        ("t", "y"): r"column 'y' is missing; .*rename it in the file, or name a column map",
+        (
+            "t",
+            "y",
+        ): r"column 'y' is missing; .*rename it in the file, or name a column map: 'safedpa columns a.csv' proposes",
         ("y", "z", "t", "a"): r"column 'y' is missing \(and 2 more: z, a\); ",
     }.items():
         with pytest.raises(RunError, match=problem):

@@ -18,7 +18,7 @@ from safedpa_services.workbench.session.inputs import InputSelection
 
 NATIVE, GUESSED, DART = "native names", "guessed from the names", "dart_car_columns"
 OWN = "t,x,y,yaw,speed,target_speed,steer"
-STRANGE = "time,east,north"
+STRANGE = "time,first,second"
 OF_DART = "elapsed time sensors,vicon time,vicon x,vicon y,vicon yaw,throttle,steering"
 BUS = "needs no column map"
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
-from safedpa.check_robot import PartFinding, check_robot
 from safedpa.dynamics import load_user_file
 from safedpa.effects import AbstractEffect, effects_of, robots
 from safedpa.errors import InputError, did_you_mean
@@ -22,6 +21,9 @@ from safedpa.result import AbstractResult
 from safedpa.systems import System
 from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
 from safedpa.systems.robots import robots as known_robots
+
+if TYPE_CHECKING:
+    from safedpa.check_robot import PartFinding
 
 
 @final
@@ -218,6 +220,8 @@ def check(file: str | Path, *, seed: int = 0) -> RobotCheck:
         >>> safedpa.check("drone.py").passed
         True
     """
+    from safedpa.check_robot import check_robot  # here: it imports what drives a robot, a second of a short command
+
     names = [name for name in load_user_file(Path(file)) if name in known_robots()]
     if not names:
         raise InputError(f"{file}: got no robot, wanted a class derived from AbstractRobot")

@@ -22,6 +22,8 @@ _MAX_AWAY = 100
 """Messages after which a clock that was interrupted by another one counts as another segment."""
 _DENSER = 1.5
 """Rows are denser by this factor where a clock that was set back runs over the same times again."""
+_EVEN = 0.3
+"""Largest deviation of a usual step, as a share of it."""
 _FEW = 3
 """Fewer single rows than this that are late by less than a period are a clock that was set back a little."""
 _MAX_CUTS = 100
@@ -191,7 +193,8 @@ def _is_cut(t: FloatArray, other: FloatArray | None, before: _Chain, after: _Cha
 def _set_back(t: FloatArray, usual: float) -> NDArray[np.intp]:
     """Rows at which the clock was set back by less than ``MAX_LATE``: it runs over the same times again.
 
-    Rows that are late instead fill a hole in the times before them, so that they are as dense there as elsewhere.
+    It then goes on in usual steps, also past the latest time before. Rows that are late instead fill a hole in the
+    times before them, so that they are as dense there as elsewhere, and a longer step follows.
     """
     cuts: list[int] = []
     start = 0
@@ -207,13 +210,20 @@ def _set_back(t: FloatArray, usual: float) -> NDArray[np.intp]:
         small = (ends - begins == 1) & (top[begins] - part[begins] < usual)
         jitter = small.sum() >= _FEW
         for begin, end, minor in zip(begins.tolist(), ends.tolist(), small.tolist(), strict=True):
-            if not (minor and jitter) and _is_denser(part, begin, end, float(top[begin]), usual):
+            goes_on = _moves_on(part, begin, end, usual) or _is_denser(part, begin, end, float(top[begin]), usual)
+            if goes_on and not (minor and jitter):
                 start += begin
                 cuts.append(start)
                 break
         else:
             break
     return np.array(cuts, dtype=np.intp)
+
+
+def _moves_on(t: FloatArray, begin: int, end: int, usual: float) -> bool:
+    """Whether the rows from ``begin`` to ``end``, and the one after them, follow each other in usual steps."""
+    steps = np.diff(t[begin : end + 1])
+    return bool(end < len(t) and np.all(np.abs(steps - usual) <= _EVEN * usual))
 
 
 def _is_denser(t: FloatArray, begin: int, end: int, top: float, usual: float) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from safedpa.records.column_map.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
-from safedpa.records.column_map.propose import propose_sources
+from safedpa.records.column_map.propose import COMMANDED, MEASURED, propose_sources
 from safedpa.records.column_map.units import UNITS
 from safedpa.systems import System
 
@@ -20,13 +20,24 @@ _DEFAULT_WINDOW = 0.1
 """Default window for a derivative, s."""
 _COLUMN_NAMES: Mapping[str, tuple[str, ...]] = {
     "t": ("t", "time", "timestamp", "stamp", "seconds", "secs", "clock"),
-    "x": ("x", "pos x", "position x", "px", "vicon x", "pose x"),
-    "y": ("y", "pos y", "position y", "py", "vicon y", "pose y"),
+    "x": ("x", "pos x", "position x", "px", "vicon x", "pose x", "pos east", "east", "easting"),
+    "y": ("y", "pos y", "position y", "py", "vicon y", "pose y", "pos north", "north", "northing"),
     "yaw": ("yaw", "heading", "theta", "psi", "orientation", "vicon yaw"),
-    "speed": ("speed", "v", "vel", "velocity", "vx", "vel encoder"),
-    "target_speed": ("target speed", "speed command", "cmd speed", "speed cmd", "desired speed", "reference speed"),
+    "speed": ("speed", "v", "vel", "velocity", "vx", "vel encoder", "wheel speed", "ground speed", "measured speed"),
+    "turn_rate": ("turn rate", "yaw rate", "gyro z", "wz", "omega", "angular velocity", "angular z"),
+    "target_turn_rate": ("target turn rate", "cmd turn rate", "turn rate cmd", "cmd yaw rate", "cmd angular z"),
+    "target_speed": (
+        "target speed",
+        "target",
+        "speed target",
+        "speed command",
+        "cmd speed",
+        "speed cmd",
+        "desired speed",
+        "reference speed",
+    ),
     "throttle": ("throttle", "gas", "drive", "duty", "motor"),
-    "steer": ("steer", "steering", "steering angle", "delta", "steer cmd", "steering command"),
+    "steer": ("steer", "steering", "steering angle", "delta", "steer cmd", "steering command", "servo"),
     "angle": ("angle", "position", "theta", "q", "pos"),
     "rate": ("rate", "velocity", "omega", "angular velocity", "qd", "vel"),
     "torque": ("torque", "tau", "effort", "u"),
@@ -36,6 +47,9 @@ _UNIT_ENDINGS = {
     "ms": "ms", "us": "us", "ns": "ns", "mm": "mm", "cm": "cm", "deg": "deg", "degrees": "deg", "kmh": "km/h",
     "kph": "km/h", "mph": "mph", "mps": "m/s", "rpm": "rpm", "rad": "rad", "dps": "deg/s",
 }  # fmt: skip
+_RIGHT = {"right", "cw", "clockwise"}
+"""Parts of the names of columns that count to the right."""
+_LEFT_POSITIVE = ("y", "yaw", "steer", "turn_rate", "target_turn_rate")
 
 
 @dataclass(frozen=True)
@@ -95,7 +109,8 @@ def guess_columns(system: System, names: Sequence[str]) -> list[QuantityForm]:
         if source:
             free.remove(source)
             unit = _unit_in(source, line.si)
-            lines.append(replace(line, source=source, unit=unit))
+            flip = line.target in _LEFT_POSITIVE and not _RIGHT.isdisjoint(_parts(source))
+            lines.append(replace(line, source=source, unit=unit, flip=flip))
         else:
             lines.append(replace(line, source=DERIVED) if line.derivation else line)
     return lines
@@ -148,23 +163,34 @@ def _empty_form(system: System) -> list[QuantityForm]:
 
 def _find_column(target: str, names: Sequence[str]) -> str:
     plain = {name: _normalized(name) for name in names}
-    for candidate in (_normalized(target), *_COLUMN_NAMES.get(target, ())):
+    candidates = (_normalized(target), *_COLUMN_NAMES.get(target, ()))
+    for candidate in candidates:
         for name, normalized in plain.items():
             if normalized == candidate:
+                return name
+    if target in _COLUMN_NAMES and target in MEASURED:  # a measured speed is better than one that is derived
+        for name, normalized in plain.items():
+            if not COMMANDED.search(normalized) and target.replace("_", " ") in normalized:
                 return name
     return ""
 
 
+def _parts(name: str) -> list[str]:
+    """The lower-case parts of a name: ``wheelspeed_kmh`` has ``wheel``, ``speed`` and ``kmh``."""
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    split = re.sub(r"(?<=[a-z])(speed|rate|angle)\b|(?<=[a-z])(speed|rate|angle)(?=_)", r" \1\2", split.lower())
+    return re.sub(r"[^a-z0-9/]+", " ", split).split()
+
+
 def _normalized(name: str) -> str:
-    """Lower-case name without punctuation and trailing unit: ``Yaw [deg]`` becomes ``yaw``."""
-    parts = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
-    while len(parts) > 1 and (parts[-1] in _UNIT_ENDINGS or parts[-1] in UNITS):
-        parts.pop()
-    return " ".join(parts)
+    """Lower-case name without punctuation, unit and direction: ``Yaw [deg]`` becomes ``yaw``."""
+    parts = _parts(name)
+    plain = [part for part in parts[1:] if part not in _UNIT_ENDINGS and part not in UNITS and part not in _RIGHT]
+    return " ".join([*parts[:1], *plain])
 
 
 def _unit_in(name: str, si: str) -> str:
-    parts = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
+    parts = _parts(name)
     for candidate in reversed(parts[1:]):
         unit = _UNIT_ENDINGS.get(candidate, candidate)
         if unit in UNITS and UNITS[unit].si == si:

@@ -6,12 +6,14 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 
+from safedpa.errors import InputError
 from safedpa.limits import printable
 from safedpa.records.column_map.column_map import DERIVATIONS
+from safedpa.records.readers.bags.timeline import place_messages
 from safedpa.records.readers.bags.topics import HEADER, RECEIPT, AbstractLog, LoggedTopic, split_source
 from safedpa.systems import System
 
-__all__ = ["best_system", "propose_map", "propose_sources", "sources_of"]
+__all__ = ["COMMANDED", "MEASURED", "best_system", "propose_map", "propose_sources", "sources_of"]
 
 _WINDOW = 0.1
 """Window for derived states in a proposal, s."""
@@ -21,10 +23,10 @@ _PATHS: Mapping[str, tuple[str, ...]] = {
     "yaw": (
         "pose.pose.orientation", "pose.orientation", "transform.rotation", "vehicle_local_position:heading",
     ),
-    "speed": ("twist.twist.linear.x", "state.speed"),
-    "yaw_rate": ("twist.twist.angular.z", "angular_velocity.z"),
+    "speed": ("twist.twist.linear.x", "state.speed", "twist.linear.x", "linear.x"),
+    "turn_rate": ("twist.twist.angular.z", "angular_velocity.z", "twist.angular.z", "angular.z"),
     "target_speed": ("drive.speed", "speed", "twist.linear.x", "linear.x"),
-    "target_yaw_rate": ("twist.angular.z", "angular.z"),
+    "target_turn_rate": ("twist.angular.z", "angular.z"),
     "steer": ("drive.steering_angle", "steering_angle", "actuator_servos:control[0]"),
     "throttle": ("actuator_motors:control[0]",),
     "angle": ("position[0]",),
@@ -36,11 +38,16 @@ _TOPIC_KEYWORDS: Mapping[str, tuple[str, ...]] = {
     "throttle": ("throttle", "motor", "duty"),
     "steer": ("steering", "steer", "servo"),
     "target_speed": ("target_speed", "speed_cmd", "cmd_speed", "v_ref"),
+    "speed": ("speed", "velocity"),
     "torque": ("torque", "effort"),
     "angle": ("angle",),
     "rate": ("rate",),
 }
 """Words in the names of topics with a single number."""
+COMMANDED = re.compile(r"cmd|command|target|desired|setpoint|reference|nominal|_ref\b|/ref\b|goal", re.IGNORECASE)
+"""Names of topics and columns with commands, not measurements."""
+MEASURED = ("speed", "turn_rate", "rate", "angle")
+"""Quantities whose fields commands also have."""
 _FLIPPED = ("vehicle_local_position:y", "vehicle_local_position:heading")
 """PX4 has y to the right and yaw clockwise, so the sign is flipped."""
 _MAX_FIELDS = 40
@@ -68,6 +75,10 @@ def propose_sources(targets: Sequence[str], sources: Sequence[str]) -> dict[str,
     found: dict[str, str] = {}
     for target in targets:
         free = [source for source in sources if source not in found.values()]
+        if target in MEASURED:
+            free = [source for source in free if not COMMANDED.search(split_source(source)[0])]
+        elif target.startswith("target_"):
+            free.sort(key=lambda source: not COMMANDED.search(split_source(source)[0]))
         candidates = _by_path(target, free) or _by_topic(target, free)
         if candidates:
             used = {split_source(source)[0] for source in found.values()}
@@ -110,10 +121,11 @@ def propose_map(log: AbstractLog, system: System, others: Sequence[System] = ())
     lines += ["", "format = 1", f'robot = "{system.name}"', "", "[columns]"]
     first = next((found[name] for name in system.state_names if name in found), "")
     if first:
-        stamped = "header.stamp" in topics[split_source(first)[0]].fields or log.kind.startswith("PX4")
-        clock = "header" if stamped else "receipt"
+        clocked = split_source(first)[0]
+        stamped = "header.stamp" in topics[clocked].fields or log.kind.startswith("PX4")
+        clock, reason = _clock_that_works(log, clocked, found.values()) if stamped else ("receipt", "")
         lines.append(
-            f't = {{ topic = "{split_source(first)[0]}", clock = "{clock}" }}   # a row for each of its messages'
+            f't = {{ topic = "{_toml_safe(clocked)}", clock = "{clock}" }}   # a row for each of its messages{reason}'
         )
     else:
         lines.append('# t = { topic = "/...", clock = "receipt" }   # a row for each message of this topic')
@@ -122,6 +134,28 @@ def propose_map(log: AbstractLog, system: System, others: Sequence[System] = ())
     for other in others:
         lines += _alternatives(other, names, found, sources_of(topics.values()))
     return "\n".join(lines) + "\n"
+
+
+def _clock_that_works(log: AbstractLog, topic: str, sources: Iterable[str]) -> tuple[str, str]:
+    """The clock for the rows: the stamps, unless they are missing, or on another clock than those of other topics."""
+    wanted: dict[str, tuple[str, ...]] = {topic: ()}
+    for source in sources:
+        name, path = split_source(source)
+        wanted[name] = (*wanted.get(name, ()), path)
+    before = len(log.findings)
+    try:
+        found = log.series(wanted)
+        if found[topic].stamp is None:
+            return "receipt", "; its stamps are 0"
+        _, findings = place_messages(log.path, found, topic, HEADER)
+        bad = sum(one.count for one in findings if one.kind == "bad_stamp" and one.message.startswith(f"{topic}:"))
+        if 2 * bad > len(found[topic].receipt):
+            return "receipt", "; most of its stamps are wrong"
+    except InputError:
+        return "receipt", "; the stamps of the topics are of two clocks"
+    finally:
+        del log.findings[before:]
+    return "header", ""
 
 
 def _alternatives(other: System, names: Sequence[str], found: Mapping[str, str], sources: Sequence[str]) -> list[str]:

@@ -129,6 +129,7 @@ def _are_times(cells: Sequence[str | None], found: Cells, parse: Callable[[str],
 
 def _date(text: str) -> float:
     """Seconds since 1970 of a date with a time: ISO 8601, with slashes after the year, or day.month.year."""
+    text = text.removesuffix(" UTC").removesuffix(" GMT")
     day_first = _DAY_FIRST.fullmatch(text)
     if day_first:
         text = f"{day_first[3]}-{int(day_first[2]):02d}-{int(day_first[1]):02d} {day_first[4]}"

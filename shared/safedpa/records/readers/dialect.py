@@ -11,6 +11,7 @@ import gzip
 import io
 import re
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +23,7 @@ from safedpa.limits import limit, too_much
 from safedpa.records.readers.cells import DATE, element_of, numbers_of_texts
 from safedpa.records.run import Finding
 
-__all__ = ["COMMENTS", "GZIP", "CsvFile", "Layout", "find_layout"]
+__all__ = ["COMMENTS", "GZIP", "CsvFile", "Layout", "decoded", "find_layout"]
 
 GZIP = b"\x1f\x8b"
 COMMENTS = ("#", "%", "//")
@@ -32,6 +33,8 @@ _MAX_HEADER_LINES = 60
 """The header is searched among so many first lines."""
 _PARTS, _PART_BYTES = 12, 2048
 """Pieces of the rest of the file from which further lines are taken."""
+_FIRST_LETTERS = 4
+"""Letters at the beginning of a text in UTF-16 that have to be ASCII: binary data may begin like one."""
 _MAX_UNIT = 16
 """Letters of the name of a unit."""
 _NUMBER = re.compile(r"[-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?")
@@ -54,7 +57,10 @@ class CsvFile:
         encoding = _wide_encoding(start)
         if encoding:
             data = path.read_bytes() if self._text is None else self._text
-            self._text = data.decode(encoding, "replace").lstrip("\ufeff").encode()
+            text = data.decode(encoding, "replace").lstrip("\ufeff")
+            if not text[:_FIRST_LETTERS].isascii():
+                raise RunError(f"{path}: cannot be read as text; wanted a CSV file in UTF-8 or UTF-16")
+            self._text = text.encode()
 
     def open(self) -> IO[bytes]:
         """The text as a new file."""
@@ -206,13 +212,26 @@ def _candidate(lines: Sequence[str], rest: Sequence[str], delimiter: str, wanted
     """The best header for a delimiter: the first line with most of the wanted names, else the first non-comment."""
     headers = [_cells(_bare(line), delimiter) for line in lines]
     matched = [_matched(header, wanted) for header in headers]
-    plain = next((number for number, line in enumerate(lines) if line.strip() and not line.startswith(COMMENTS)), 0)
-    number = matched.index(max(matched)) if any(matched) else plain
+    number = matched.index(max(matched)) if any(matched) else _probable_header(lines, headers)
     header = headers[number]
     rows = [_cells(row, delimiter) for row in (*lines[number + 1 :], *rest) if row.strip()]
     fitting = sum(len(row) in (len(header), len(header) + 1) for row in rows) / max(1, len(rows))
     width = len(header) if delimiter != _BLANKS else 1  # blanks only where nothing else separates
     return _Candidate(delimiter, number, header, (matched[number], round(fitting, 1), width))
+
+
+def _probable_header(lines: Sequence[str], headers: Sequence[list[str]]) -> int:
+    """The first line that is no comment and as long as most; a comment in front of numbers if it is as long."""
+    plain = [number for number, line in enumerate(lines) if line.strip() and not line.startswith(COMMENTS)]
+    if not plain:
+        return 0
+    usual = Counter(len(headers[number]) for number in plain).most_common(1)[0][0]
+    first = next(number for number in plain if len(headers[number]) in (usual, usual - 1, usual + 1))
+    if first and all(_NUMBER.fullmatch(cell) for cell in headers[first]):
+        comment = next((n for n in range(first - 1, -1, -1) if lines[n].startswith(COMMENTS)), None)
+        if comment is not None and len(headers[comment]) == len(headers[first]):
+            return comment
+    return first
 
 
 def _bare(line: str) -> str:

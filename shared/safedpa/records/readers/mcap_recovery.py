@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -32,11 +33,13 @@ _HEAD = struct.Struct("<BQ")
 """Opcode and length of a record."""
 _MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence number, log time, publish time."""
-_CHUNK_OPCODE = b"\x06"
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, unpacked bytes, checksum, letters of the compression."""
-_LONGEST_NAME = 12
-"""Bytes of the longest name of a compression, and of the length of the packed data after it."""
+_RECORD = re.compile(rb"(?=[\x05\x06].{4}\0{4})", re.DOTALL)
+"""The head of a message or a chunk: its opcode, and a length below 4 GiB."""
+_CHAIN = 4
+"""Records that must follow each other for the first to be one."""
+_FOOTER_OPCODE, _CHUNK_OPCODE, _LAST_OPCODE = 2, 6, 15
+_SHORTEST = {5: _MESSAGE.size, 6: 40}
+"""Bytes of the shortest message and chunk."""
 _PIECE_BYTES = 1 << 20
 _MAX_DAMAGES = 1000
 """Damaged places after which a file is given up."""
@@ -83,9 +86,9 @@ def undamaged_records(path: Path, damage: list[DamageError]) -> Iterator[Any]:
     with _BoundedReader(path) as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise RunError(f"{path}: is no MCAP file; wanted a recording of the bus")
-        budget = _SizeBudget(path, size)
+        budget, place = _SizeBudget(path, size), _Place(0)
         for _ in range(_MAX_DAMAGES):
-            place = _Place(file.tell())
+            place.start = file.tell()
             # after damage the checksum of all data cannot fit
             records = _records_in(file, budget, validate=True, whole=not damage, place=place)
             while True:
@@ -99,7 +102,7 @@ def undamaged_records(path: Path, damage: list[DamageError]) -> Iterator[Any]:
                 yield record
             if len(damage) == 1:
                 yield from _definitions(file, size, budget)
-            following = _next_chunk(file, place.start, size)
+            following = _next_record(file, place, size)
             if following is None:
                 return
             file.seek(following)
@@ -128,30 +131,50 @@ def _summary_start(file: IO[bytes], size: int) -> int | None:
     return summary if (opcode, length, magic) == (2, 20, _MAGIC) and 0 < summary < size else None
 
 
-def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
-    """Byte at which the next chunk begins after a damaged record at ``start``; None if there is none.
+def _next_record(file: IO[bytes], place: _Place, size: int) -> int | None:
+    """Byte at which the next chunk or message begins after a damaged record at ``place``; None if there is none.
 
-    A chunk is recognised by its opcode, lengths that fit together, and a known compression.
+    It is recognised by its opcode, and by the heads of the records that follow it. In a file with chunks only a chunk
+    counts: what is left of a damaged one has no checksum.
     """
-    most = limit("mcap_chunk_bytes")
-    at = start + 1
+    file.seek(place.start)
+    head = file.read(_HEAD.size)
+    at = place.start + 1
+    if len(head) == _HEAD.size:
+        end: int = place.start + _HEAD.size + _HEAD.unpack(head)[1]
+        if end < size and _continues(file, end, size):
+            return end
     while at < size:
         file.seek(at)
         piece = file.read(_PIECE_BYTES)
-        place = piece.find(_CHUNK_OPCODE)
-        while place >= 0 and place + _CHUNK_HEAD.size + _LONGEST_NAME <= len(piece):
-            _, length, begin, end, unpacked, _, letters = _CHUNK_HEAD.unpack_from(piece, place)
-            name = piece[place + _CHUNK_HEAD.size : place + _CHUNK_HEAD.size + letters] if letters <= 4 else None
-            fits = name in (b"", b"lz4", b"zstd") and unpacked <= most and begin <= end
-            if fits and at + place + _HEAD.size + length <= size:
-                (stored,) = struct.unpack_from("<Q", piece, place + _CHUNK_HEAD.size + letters)
-                if stored + 40 + letters == length:
-                    return at + place
-            place = piece.find(_CHUNK_OPCODE, place + 1)
+        for found in _RECORD.finditer(piece):
+            if place.chunked and piece[found.start()] != _CHUNK_OPCODE:
+                continue
+            if _continues(file, at + found.start(), size):
+                return at + found.start()
         if len(piece) < _PIECE_BYTES:
             return None
-        at += _PIECE_BYTES - _CHUNK_HEAD.size - _LONGEST_NAME
+        at += _PIECE_BYTES - _HEAD.size
     return None
+
+
+def _continues(file: IO[bytes], at: int, size: int) -> bool:
+    """Whether ``_CHAIN`` records follow each other from ``at`` on, or up to the end of the file."""
+    most = limit("mcap_record_bytes")
+    for number in range(_CHAIN):
+        file.seek(at)
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return number > 1
+        opcode, length = _HEAD.unpack(head)
+        if not 0 < opcode <= _LAST_OPCODE or length > most or length < _SHORTEST.get(opcode, 0):
+            return False
+        if opcode == _FOOTER_OPCODE:
+            return True
+        at += _HEAD.size + length
+        if at > size:
+            return number > 1  # the file is cut off as well
+    return True
 
 
 def damage_finding(damage: list[DamageError], what: str, last: int | None) -> Finding:
@@ -193,9 +216,10 @@ def _damage_errors() -> tuple[type[Exception], ...]:
 
 @dataclass
 class _Place:
-    """The byte at which the record that is being read begins."""
+    """The byte at which the record that is being read begins, and whether a chunk was read before."""
 
     start: int
+    chunked: bool = False
 
 
 def _records_in(
@@ -214,7 +238,7 @@ def _records_in(
         stream._crc = zlib.crc32(_MAGIC)
     skipped, checked = 0, validate and whole
     place = place or _Place(0)
-    begin = place.start
+    begin = file.tell()
     while True:
         place.start = begin + stream.count
         before = stream.checksum() if validate else 0
@@ -228,6 +252,7 @@ def _records_in(
         if opcode == Opcode.FOOTER:
             return
         if opcode == Opcode.CHUNK:
+            place.chunked = True
             yield from _records_in_chunk(Chunk.read(stream), budget, validate=validate)
         elif opcode == Opcode.MESSAGE:
             yield Message.read(stream, length)
@@ -240,6 +265,8 @@ def _records_in(
             raise ValueError("checksum of the data section")
         if stream.count < end:
             stream.read(end - stream.count)
+            if file.tell() < begin + end:
+                raise ValueError("the file ends within a record")
 
 
 @final

@@ -10,11 +10,13 @@ from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.column_map.propose import sources_of
 from safedpa.records.readers.bags import kind_of, topic_log
+from safedpa.records.readers.dialect import CsvFile, decoded, find_layout
 from safedpa.records.readers.parquet import open_parquet
 
 __all__ = ["RowPreview", "raw_rows"]
 
-_DELIMITERS = ",;\t"
+_MAX_ELEMENTS = 64
+"""Elements of a list that are named as columns."""
 
 
 @dataclass(frozen=True)
@@ -43,32 +45,36 @@ def raw_rows(path: str | Path, count: int = 5) -> RowPreview:
 
 
 def _csv(path: Path, count: int) -> RowPreview:
-    most = limit("header_bytes")
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        first = file.readline(most + 1)
-        if len(first) > most:
-            raise too_much("header_bytes", f"more than {most} characters in the first line", str(path))
-        delimiter = max(_DELIMITERS, key=first.count)
-        lines = csv.reader([first, *(file.readline(most) for _ in range(count))], delimiter=delimiter)
-        header, *rows = [tuple(cell.strip() for cell in line) for line in lines] or [()]
-    if len(header) > limit("columns"):
-        raise too_much("columns", len(header), str(path))
-    if not any(header):
-        raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
-    return RowPreview(header, tuple(rows))
+    file = CsvFile(path)
+    layout = find_layout(file, ())
+    if len(layout.header) > limit("columns"):
+        raise too_much("columns", len(layout.header), str(path))
+    lines = [decoded(line) or "" for line in file.first_lines()[layout.before + layout.skipped + 1 :]]
+    cells = (next(csv.reader([line], delimiter=layout.delimiter), []) for line in lines[:count])
+    rows = tuple(tuple(cell.strip() for cell in row) for row in cells)
+    names = layout.header if layout.header[-1] else layout.header[:-1]
+    return RowPreview(tuple(names), rows)
 
 
 def _parquet(path: Path, count: int) -> RowPreview:
     import pyarrow
+    from pyarrow import types
 
     with open_parquet(path) as table:
-        names = tuple(table.schema_arrow.names)
-        numbers = [name for name in names if pyarrow.types.is_primitive(table.schema_arrow.field(name).type)]
-        batch = next(table.iter_batches(batch_size=count, columns=numbers), None)
-    cells = (
-        {}
-        if batch is None
-        else {name: [str(cell)[:80] for cell in column] for name, column in batch.to_pydict().items()}
-    )
-    length = 0 if batch is None else batch.num_rows
-    return RowPreview(names, tuple(zip(*(cells.get(name, ["-"] * length) for name in names), strict=True)))
+        kinds = {name: table.schema_arrow.field(name).type for name in table.schema_arrow.names}
+        lists = [name for name, kind in kinds.items() if types.is_list(kind) or types.is_fixed_size_list(kind)]
+        plain = [name for name, kind in kinds.items() if types.is_primitive(kind)]
+        batch = next(table.iter_batches(batch_size=count, columns=[*plain, *lists]), None)
+    rows = pyarrow.table({}).to_pylist() if batch is None else batch.to_pylist()
+    columns: dict[str, list[str]] = {}
+    for name in kinds:
+        values = [row.get(name) for row in rows]
+        longest = max((len(value) for value in values if value is not None), default=0) if name in lists else 0
+        if longest:
+            for place in range(min(longest, _MAX_ELEMENTS)):
+                columns[f"{name}[{place}]"] = [
+                    str(value[place])[:80] if value is not None and place < len(value) else "" for value in values
+                ]
+        else:
+            columns[name] = [str(value)[:80] if name in plain else "-" for value in values]
+    return RowPreview(tuple(columns), tuple(zip(*columns.values(), strict=True)))

@@ -76,7 +76,7 @@ def require_columns(path: Path, wanted: Iterable[str], present: list[str]) -> No
         rest = f" (and {len(missing) - 1} more: {', '.join(missing[1:])})" if len(missing) > 1 else ""
         raise RunError(
             f"{path}: column '{missing[0]}' is missing{rest}; {did_you_mean(missing[0], present)}; "
-            "rename it in the file, or name a column map"
+            f"rename it in the file, or name a column map: 'safedpa columns {path}' proposes one"
         )
     duplicated = [name for name in wanted if present.count(name) > 1]
     if duplicated:

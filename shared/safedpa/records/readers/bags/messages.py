@@ -263,11 +263,21 @@ class _TopicCollector:
 
 
 def _path_in_variant(path: str, available: Mapping[str, str], kind: str, first: str) -> str:
-    """The field of a Stamped or plain variant of the topic's first type that is ``path`` in that one."""
-    if path in available or kind == first or kind.removesuffix("Stamped") != first.removesuffix("Stamped"):
+    """The field that ``path`` names in the Stamped or plain variant of a type; ``first`` is the topic's first type.
+
+    A map for Twist also fits TwistStamped, and the other way round.
+    """
+    if path in available or kind.removesuffix("Stamped") != first.removesuffix("Stamped"):
+        return path
+    if kind == first and not kind.endswith("Stamped") and not path.startswith(f"{_field_of_variant(kind)}."):
         return path
     same = [one for one in available if one.endswith(f".{path}") or path.endswith(f".{one}")]
     return same[0] if len(same) == 1 else path
+
+
+def _field_of_variant(kind: str) -> str:
+    """The field of ``TwistStamped`` that holds a ``Twist``: twist."""
+    return kind.rpartition("/")[2].lower()
 
 
 def _joined_series(parts: Sequence[Series]) -> Series:

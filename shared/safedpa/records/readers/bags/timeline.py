@@ -81,7 +81,7 @@ def place_messages(
         time = series.receipt
         if stamped:
             level = _level(series, segment, rows, rows_segment, ~stamps)
-            bad = stamps if topic == rows_topic else _bad_stamps(series, receipts[topic].segment, level)
+            bad = stamps if topic == rows_topic else _bad_stamps(series, receipts[topic].segment, segment, level)
             if topic != rows_topic:
                 _check_clocks(path, rows_topic, topic, series, bad, level)
             time = _time(series, bad, level)
@@ -211,14 +211,15 @@ def _level(
     return np.where(own[chosen] == segment, delay[chosen], np.nan)
 
 
-def _bad_stamps(series: Series, parts: NDArray[np.intp], level: FloatArray) -> BoolArray:
+def _bad_stamps(series: Series, parts: NDArray[np.intp], segment: NDArray[np.intp], level: FloatArray) -> BoolArray:
     """Messages of another topic whose stamps are not on the clock of the rows."""
     if series.stamp is None:
         return np.zeros(len(series.receipt), dtype=bool)
     agree = np.abs((series.receipt - series.stamp) * 1e-9 - level) <= MAX_LATE
     bad, cuts = _judged_stamps(series, parts, agree)
     piece = np.searchsorted([cut.high for cut in cuts], series.place, side="right")
-    piece = piece + parts * (len(cuts) + 1)  # a part of the receipts is a piece of its own
+    # a part of the receipts, and of the rows, is a piece of its own
+    piece = (piece * (int(parts.max()) + 1) + parts) * (int(segment.max()) + 1) + segment
     for number in np.unique(piece):  # stamps that arrive late together are right if most of them agree
         own = (piece == number) & ~bad
         if own.any() and agree[own].mean() < 0.5:
