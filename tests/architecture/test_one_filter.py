@@ -46,8 +46,11 @@ CONDITIONS = {
 """Modules that write the condition's 1 - eta."""
 OWN_SLOPES = {
     "AbstractEquationBarrier": "the recorder's",
+    "DistanceFieldBarrier": "of the interpolation in a map",
     "FunctionBarrier": "what its user gives, else differences",
     "HigherOrderBarrier": "its user's derivatives",
+    "LipschitzBarrier": "those of another barrier, and the length of a chord",
+    "LookAheadBarrier": "those of another barrier, at another point",
     "RolloutBarrier": "by the model's sensitivity along a simulated path",
     "StoppingBarrier": "differences of a simulated manoeuvre",
 }

@@ -10,6 +10,7 @@ from safedpa.arrays import FloatArray
 from safedpa.diagnosis.report_schema import Experiment
 from safedpa.dynamics import PhysicsModel
 from safedpa.systems import System, Variable
+from safedpa.systems.robots import robot_like
 
 # Length of a manoeuvre: long enough to reach a steady state, short enough to be driven in a hall.
 _SECONDS = 6.0
@@ -22,48 +23,9 @@ _SMALL, _LARGE = 0.2, 0.5
 def manoeuvres(model: PhysicsModel) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Returns the start (states,) and actions (rows, actions) of each manoeuvre, by its description for the user."""
     t = np.arange(0.0, _SECONDS, model.period)
-    # By the system's name: a user's robot may have an action "steer" or "torque" and entirely different states.
-    if model.system.name == "pendulum":
-        return _pendulum(t)
-    if model.system.name == "car":
-        return _car(t, model.system.action_names[0] == "throttle")
-    return general_manoeuvres(model.system, t)
-
-
-def _car(t: FloatArray, throttle: bool) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Returns manoeuvres of a car; drive levels are shares of full throttle, or target speeds [m/s]."""
-    slow, fast = (0.2, 0.5) if throttle else (0.8, 2.0)
-    zero = np.zeros_like(t)
-    found = {
-        "coast down: drive straight at speed, then release the drive": (2.0, zero, zero),
-        "drive straight at a slow steady speed, then at a fast one": (0.0, np.where(t < 3, slow, fast), zero),
-        "drive straight, in steps up and down": (0.5, np.where(np.sin(4 * t) > 0, fast, slow), zero),
-        "hold a steady curve, slow and then fast": (0.5, np.where(t < 3, slow, fast), 0.25 + zero),
-        "hold a curve to the left, then the same to the right": (1.0, fast + zero, np.where(t < 3, 0.2, -0.2)),
-        "steer in steps, left and right, at speed": (1.5, fast + zero, 0.2 * np.sign(np.sin(5 * t))),
-        "steer fully to the stops, slowly": (0.5, slow + zero, 0.34 * np.clip(t / 3, -1, 1)),
-    }
-    with_start = {}
-    for text, (speed, drive, steer) in found.items():
-        with_start[text] = (np.array([0.0, 0.0, 0.0, speed]), np.stack([drive, steer], axis=1))
-    opposite = np.array([0.0, 0.0, np.pi, 1.0])
-    with_start["drive the same straight line in the opposite heading"] = (
-        opposite,
-        np.stack([fast + zero, zero], axis=1),
-    )
-    return with_start
-
-
-def _pendulum(t: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
-    zero = np.zeros_like(t)
-    found = {
-        "release it from 90 degrees and let it swing out": (np.pi / 2, zero),
-        "release it from 20 degrees next to hanging and let it swing out": (np.pi - 0.35, zero),
-        "steps of torque, both ways": (np.pi, 1.0 * np.sign(np.sin(4 * t))),
-        "hold a steady torque": (np.pi, 1.0 + zero),
-        "sweep the torque slowly up and down": (np.pi, 1.5 * np.sin(t)),
-    }
-    return {text: (np.array([angle, 0.0]), torque[:, None]) for text, (angle, torque) in found.items()}
+    # By all states and actions: a user's robot may have one action of a shipped robot, and entirely other states.
+    robot = robot_like(model.system)
+    return (robot.manoeuvres(t) if robot is not None else {}) or general_manoeuvres(model.system, t)
 
 
 def general_manoeuvres(system: System, t: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from math import isfinite
 from typing import Any, final
 
 import gymnasium
@@ -14,14 +13,10 @@ from gymnasium.vector.utils import iterate
 
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
-from safedpa.safety.environment_chain import environment_spaces
+from safedpa.safety.environment_chain import ActionFilter
 from safedpa.safety.filter import SafetyFilter
-from safedpa.safety.settings import FilterSettings
-from safedpa.safety.verdict import Verdict
 
 __all__ = ["GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"]
-
-_Reader = Callable[[Any], Any] | None
 
 
 @final
@@ -150,83 +145,3 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
         every = np.ones(count, dtype=np.bool_)
         reported = {"verdict": verdicts, "_verdict": every, "applied_action": np.stack(taken), "_applied_action": every}
         return observations, rewards, terminated, truncated, {**infos, **reported}
-
-
-@final
-class ActionFilter:
-    """Turns an observation and a nominal action into a verdict and the action for the environment.
-
-    ``read`` has ``state_of``, ``barriers_of`` and ``latent_of``. Raises InputError as ``GymnasiumSafetyFilter`` does.
-    """
-
-    def __init__(
-        self,
-        env: Any,
-        safety_filter: SafetyFilter,
-        read: tuple[_Reader, _Reader, _Reader],
-        penalty: float,
-        accounted_for: Sequence[type],
-    ) -> None:
-        if not isinstance(safety_filter, SafetyFilter):
-            raise InputError(f"safety_filter: got {type(safety_filter).__name__}, wanted a SafetyFilter")
-        if not (penalty >= 0.0 and isfinite(penalty)):
-            raise InputError(f"penalty: got {penalty!r}, wanted a finite number >= 0")
-        settings = safety_filter.settings
-        self._filter, (self._state_of, self._barriers_of, self._latent_of) = safety_filter, read
-        spaces = environment_spaces(env, self._state_of is not None, accounted_for)
-        for space in spaces:
-            _check_actions(space, settings)
-        if self._state_of is None:
-            _check_observations(getattr(env, "single_observation_space", env.observation_space), safety_filter)
-        self._type, self._low, self._high, self._penalty = spaces[0].dtype, settings.low, settings.high, penalty
-
-    def __call__(self, observation: Any, action: Any) -> tuple[Verdict, Any]:
-        """The verdict at ``observation``, and its action (actions,) in the precision of the environment."""
-        verdict = self._filter.decide(
-            observation if self._state_of is None else self._state_of(observation),
-            action,
-            None if self._latent_of is None else self._latent_of(observation),
-            barriers=None if self._barriers_of is None else self._barriers_of(observation),
-        )
-        return verdict, self._rounded(verdict.action)
-
-    def penalty(self, verdict: Verdict) -> float:
-        """By how much the reward falls; an action of NaN or text counts as one range away in each entry."""
-        if self._penalty == 0.0:
-            return 0.0
-        if verdict.nominal is None:
-            return self._penalty * len(self._low)
-        share = (verdict.action - verdict.nominal) / (self._high - self._low)
-        return self._penalty * float(share @ share)
-
-    def _rounded(self, action: Any) -> Any:
-        # Rounding to 32 bits may lead beyond a bound: one float back, or the environment would clip the action.
-        taken = action.astype(self._type)
-        taken = np.where(taken > self._high, np.nextafter(taken, self._type.type(-np.inf)), taken)
-        return np.where(taken < self._low, np.nextafter(taken, self._type.type(np.inf)), taken)
-
-
-def _check_actions(space: Any, settings: FilterSettings) -> None:
-    wanted = f"wanted a Box of floats of shape ({len(settings.action_low)},), as the settings"
-    if not isinstance(space, gymnasium.spaces.Box) or space.shape != (len(settings.action_low),):
-        raise InputError(f"action space: got {space}, {wanted}")
-    # Integers or 16 bits would round the action by more than the last bit, beyond what the verdict promises.
-    if space.dtype not in (np.float32, np.float64):
-        raise InputError(
-            f"action space: got {space}, {wanted} in 32 or 64 bits: others would round the filter's action"
-        )
-    low, high = settings.low.astype(space.dtype), settings.high.astype(space.dtype)
-    if (low < space.low).any() or (high > space.high).any():
-        raise InputError(
-            f"action space: got {space}, wanted one that holds the settings' bounds {settings.low.tolist()} to "
-            f"{settings.high.tolist()}: the environment would not get the filter's action; narrow the settings' "
-            "bounds, or bring the action space to the settings' unit"
-        )
-
-
-def _check_observations(space: Any, safety_filter: SafetyFilter) -> None:
-    given_range = safety_filter.tools.state_range
-    count = None if given_range is None else len(given_range.names)
-    if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1 or count not in (None, space.shape[0]):
-        wanted = "one axis" if count is None else f"shape ({count},), as the model's state"
-        raise InputError(f"observation space: got {space}, wanted a Box of {wanted}; give state_of")

@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecEnvWrappe
 
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.environment_chain import ActionFilter
 from safedpa.safety.filter import SafetyFilter
-from safedpa.safety.gymnasium import ActionFilter
 
 __all__ = ["AppliedActionReplayBuffer", "VecSafetyFilter"]
 

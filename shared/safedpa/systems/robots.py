@@ -93,6 +93,13 @@ class Robot(ABC):
         """Under which ``settings_named`` finds the settings of its filter."""
         return self.name
 
+    def manoeuvres(self, t: Any) -> dict[str, tuple[Any, Any]]:
+        """Drives that separate effects, by description: start (states,), actions (rows, actions) at times ``t`` [s].
+
+        Empty: steps, holds and sweeps of each action are proposed.
+        """
+        return {}
+
     def of_system(self, system: System) -> Robot:
         """The variant that has these states and actions; the robot itself where none has."""
         wanted = _names(system)

@@ -55,6 +55,11 @@ class _AnyCar(ShippedRobot):
 
         return {KinematicBicycle.kind: KinematicBicycle}
 
+    def manoeuvres(self, t: NDArray[np.float64]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        from safedpa.robots.car.manoeuvres import manoeuvres
+
+        return manoeuvres(t, throttle=self.system is CAR_THROTTLE)
+
     def barriers_around(
         self,
         state: NDArray[np.float64],

@@ -51,6 +51,13 @@ class Pendulum(ShippedRobot):
 
         return {RigidPendulum.kind: RigidPendulum}
 
+    def manoeuvres(  # noqa: D102
+        self, t: NDArray[np.float64]
+    ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        from safedpa.robots.pendulum.manoeuvres import manoeuvres
+
+        return manoeuvres(t)
+
     def simulator_export(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
         from safedpa.robots.pendulum.simulator_export import simulator_export
 

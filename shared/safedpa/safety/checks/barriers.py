@@ -164,14 +164,12 @@ _MIN_FLAT: Final = 3
 def flat_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
     """Barriers whose h no motion changes at some states, although it changes at others."""
     cases: dict[int, tuple[float, str]] = {}
-    share = 1.0 - checked.safe.settings.eta
     for part, rows in _rows_of_parts(checked):
         # A barrier that evaluates the path between two ticks by itself has no such gap.
         if part.starting_at(probes[0].state) is not part:
             continue
         for row in rows:
-            following = np.array([p.residuals[:, row] + share * p.h[row] + checked.epsilon[row] for p in probes])
-            change = np.abs(following - np.array([[p.h[row]] for p in probes])).max(axis=1)
+            change = np.array([np.abs(p.h_next[:, row] - p.h[row]).max() for p in probes])
             size = ROUNDING * (np.array([abs(p.h[row]) for p in probes]) + checked.epsilon[row])
             flat = [p for p, most, least in zip(probes, change, size, strict=True) if most <= least and p.moved.any()]
             if len(flat) >= _MIN_FLAT and (change > size).any():

@@ -70,10 +70,13 @@ class FilterUnderTest:
         prediction = self.safe.tools.prediction
         return np.array(prediction.next_state_floats(tuple(state.tolist()), tuple(action.tolist()), latent, None))
 
+    def h_next(self, state: FloatArray, action: FloatArray) -> FloatArray:
+        """h (m,) one tick later."""
+        return self.barriers.starting_at(state.tolist()).h(self.next_state(state, action))
+
     def residual(self, state: FloatArray, action: FloatArray) -> FloatArray:
         """h_i(x+) - (1 - eta) h_i(x) - epsilon_i (m,)."""
-        following = self.barriers.starting_at(state.tolist()).h(self.next_state(state, action))
-        return following - (1.0 - self.safe.settings.eta) * self.h(state) - self.epsilon
+        return self.h_next(state, action) - (1.0 - self.safe.settings.eta) * self.h(state) - self.epsilon
 
     def corners(self) -> list[FloatArray]:
         """The extreme actions (a selection if there are many), and the middle of the range."""
@@ -98,8 +101,10 @@ class Probe:
     state: FloatArray
     h: FloatArray
     """h (m,) at the state."""
+    h_next: FloatArray
+    """h (actions, m) one tick later, under the extreme actions and the middle."""
     residuals: FloatArray
-    """(actions, m) under the extreme actions and the middle."""
+    """(actions, m) likewise."""
     moved: FloatArray
     """(states,) the largest change of each entry within one tick."""
     reached: FloatArray
@@ -165,13 +170,16 @@ def _probe(checked: FilterUnderTest, state: FloatArray, *, is_feasible: bool) ->
     h = checked.h(state)
     _finite(h, f"at {format_vector(state)}")
     actions = checked.corners()
-    residuals = np.array([checked.residual(state, action) for action in actions])
+    h_next = np.array([checked.h_next(state, action) for action in actions])
+    residuals = h_next - (1.0 - checked.safe.settings.eta) * h - checked.epsilon
     moved = np.max([np.abs(checked.next_state(state, action) - state) for action in actions], axis=0)
     _finite(residuals, f"one tick from {format_vector(state)}")
     inside = bool((h >= checked.threshold).all())
     # The smallest positive float avoids 0 / 0 for a barrier with h = 0 and no margin.
     missed = -(residuals / np.maximum(checked.tolerance(h), np.finfo(np.float64).tiny)).min(axis=1)
-    return Probe(state, h, residuals, moved, np.ptp(residuals, axis=0), inside, is_feasible or bool(missed.min() < 1.0))
+    return Probe(
+        state, h, h_next, residuals, moved, np.ptp(residuals, axis=0), inside, is_feasible or bool(missed.min() < 1.0)
+    )
 
 
 def _finite(numbers: FloatArray, where: str) -> None:
