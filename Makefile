@@ -126,6 +126,7 @@ COSMIC_RAY := build/mutation/bin/cosmic-ray
 mutation: environment $(COSMIC_RAY)  ## mutates MODULE=shared/... and runs TESTS=tests/... for each mutant; use a clone
 	@sed -e 's#MODULE#$(MODULE)#' -e 's#TESTS#$(TESTS)#' tests/tools/mutation.toml > build/mutation/session.toml
 	@$(COSMIC_RAY) init --force build/mutation/session.toml build/mutation/session.sqlite
+	@build/mutation/bin/cr-filter-operators build/mutation/session.sqlite build/mutation/session.toml
 	@$(COSMIC_RAY) exec build/mutation/session.toml build/mutation/session.sqlite
 	@build/mutation/bin/cr-report --surviving-only --show-diff build/mutation/session.sqlite
 
