@@ -86,11 +86,11 @@ def judge(run: Run, drive: Drive, expected: Expected) -> Score:
     # while commands are missing, a robot applies the last one, and so does the reader
     held = np.isin(row, list(expected.damaged)) & (expected.kinds == ("stale_topic",))
     wrong |= (difference[:, 4:] > _TOLERANCE).any(axis=1) & ~held
+    blank = (read == 0.0).all(axis=1)
     for part in run.stretches:
         inside = slice(part.start, part.stop)
         late = np.abs(np.diff(run.t[inside]) - PERIOD * np.diff(row[inside])) > _TIME_TOLERANCE
-        wrong[part.start + 1 : part.stop] |= late
-    blank = (read == 0.0).all(axis=1)
+        wrong[part.start + 1 : part.stop] |= late & ~blank[inside][:-1]
     wrong &= ~blank
     for item in run.findings:  # next to damage the last command that was read is held
         if item.kind in _DAMAGE and item.start_t is not None:

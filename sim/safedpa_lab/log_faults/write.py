@@ -171,7 +171,8 @@ def write_table(table: Table, path: Path) -> None:
         from pyarrow import parquet
 
         header = table.header or list(table.cells)
-        parquet.write_table(pyarrow.table(dict(zip(header, table.cells.values(), strict=True))), path)
+        columns = pyarrow.table(dict(zip(header, table.cells.values(), strict=True)))
+        parquet.write_table(columns, path, write_page_checksum=True)
         return
     lines = [*table.before]
     if table.header != []:

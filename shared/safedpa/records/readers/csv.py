@@ -271,12 +271,15 @@ def _column(column: pyarrow.ChunkedArray, point: str) -> Cells:
 
 
 def _lines_of_text(reader: _Reader, texts: pyarrow.Table, columns: dict[str, Cells]) -> set[int]:
-    """Rows in which no wanted cell is a number, a repeated header among them; each column must have some that are."""
+    """Rows in which no wanted cell is a number, such as a repeated header, and those with zero bytes of a hole."""
     if len(columns) < 2:
         return set()
     bad = [set(found.bad) for found in columns.values()]
     common = set.intersection(*bad)
-    return common if len(common) < texts.num_rows / 2 else set()
+    holes = {
+        row for name, found in columns.items() for row in found.bad if "\0" in str(texts.column(name)[row].as_py())
+    }
+    return (common if len(common) < texts.num_rows / 2 else set()) | holes
 
 
 def _check_quotes(reader: _Reader, read: int) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.readers.cells import Cells, element_of, missing_value_findings, numbers_of_column
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.readers.table import Table, require_columns, require_file
 
 if TYPE_CHECKING:
@@ -77,7 +78,9 @@ def open_parquet(path: Path) -> ParquetFile:
     footer = _footer_bytes(path, size)
     if footer > most:
         raise too_much("parquet_footer_bytes", f"{footer} bytes", str(path))
-    file = parquet.ParquetFile(path, thrift_string_size_limit=most, thrift_container_size_limit=100_000)
+    file = parquet.ParquetFile(
+        path, thrift_string_size_limit=most, thrift_container_size_limit=100_000, page_checksum_verification=True
+    )
     if file.metadata.num_columns > limit("columns"):
         raise too_much("columns", file.metadata.num_columns, str(path))
     return file
@@ -99,3 +102,4 @@ def _check_size(path: Path, file: ParquetFile, wanted: int) -> None:
         expanded += about.row_group(group).total_byte_size // 8
     if about.num_rows < 0 or expanded > most:
         raise too_much("expansion", expanded // max(1, size), str(path))
+    allow_for(expanded)

@@ -72,7 +72,8 @@ class UlogLog(AbstractLog):
             sentence = f"the flight log is cut off at byte {cut} of {size}; read up to there"
             self.findings.append(Finding("cut_off", sentence))
         if log.file_corruption:
-            self.findings.append(Finding("damaged", "the flight log is damaged in places, which were skipped"))
+            sentence = "the flight log is damaged in places, which were skipped"
+            self.findings.append(Finding("damaged", sentence, start_t=_time_before_damage(self.path)))
         lost = sum(item.duration for item in log.dropouts)
         if lost:
             sentence = (
@@ -197,6 +198,21 @@ def _subscribed_messages(path: Path, end: list[int]) -> Iterator[str]:
                 raise RunError(f"{path}: {_DAMAGED}")
             file.seek(length, 1)
         end[0] = at
+
+
+def _time_before_damage(path: Path) -> float | None:
+    """Time [s] of the last message before the first one of an unknown kind."""
+    head, stamped, last = struct.Struct("<HB"), struct.Struct("<HQ"), None
+    with path.open("rb") as file:
+        file.seek(_HEADER_BYTES)
+        while len(start := file.read(3)) == 3:
+            length, kind = head.unpack(start)
+            if kind not in _KNOWN_KINDS:
+                break
+            content = file.read(length)
+            if kind == ord("D") and len(content) >= stamped.size:
+                last = stamped.unpack_from(content)[1] * 1e-6
+    return last
 
 
 def _message_formats(path: Path) -> Iterator[tuple[str, str]]:
