@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from safedpa.api.calibrating import CalibratedMargins, calibrate
     from safedpa.api.comparing import ComparisonResult, compare
     from safedpa.api.diagnosing import Diagnosis, SavedDiagnosis, diagnose
+    from safedpa.api.effect_table import EffectTable, list_effects
     from safedpa.api.fitting import FittedModel, add, refit, remove
     from safedpa.api.inputs import read_log
-    from safedpa.api.listing import EffectTable, ProposedColumns, RobotCheck, check, columns, list_effects
+    from safedpa.api.log_columns import ProposedColumns, columns
     from safedpa.api.planning import DataCheck, Rehearsal, check_data, rehearse
     from safedpa.api.predicting import PredictedRun, predict
+    from safedpa.api.robot_check import RobotCheck, check
     from safedpa.dynamics import PhysicsModel, load_model, save_model
     from safedpa.errors import InputError, SafedpaError
     from safedpa.records.run import Run
@@ -102,11 +104,13 @@ _HOMES = {
     "api.calibrating": "CalibratedMargins calibrate",
     "api.comparing": "ComparisonResult compare",
     "api.diagnosing": "Diagnosis SavedDiagnosis diagnose",
+    "api.effect_table": "EffectTable list_effects",
     "api.fitting": "FittedModel add refit remove",
     "api.inputs": "read_log",
-    "api.listing": "EffectTable ProposedColumns RobotCheck check columns list_effects",
+    "api.log_columns": "ProposedColumns columns",
     "api.planning": "DataCheck Rehearsal check_data rehearse",
     "api.predicting": "PredictedRun predict",
+    "api.robot_check": "RobotCheck check",
     "dynamics": "PhysicsModel load_model save_model",
     "errors": "InputError SafedpaError",
     "records.run": "Run",

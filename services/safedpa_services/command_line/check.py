@@ -20,7 +20,7 @@ def command(file: Path, seed: int, as_json: bool) -> int:
     FILE.py declares the robot, a class derived from AbstractRobot. For the test, its simulation is driven by random
     nominal actions through its filter.
     """
-    from safedpa.api.listing import check
+    from safedpa.api.robot_check import check
 
     found = check(file, seed=seed)
     click.echo(json.dumps(found.to_dict()) if as_json else str(found))

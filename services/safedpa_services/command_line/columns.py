@@ -26,7 +26,7 @@ def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -
     LOG is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. The map lists
     topics, types, rates and fields as comments. It is a proposal: check every line before you use it.
     """
-    from safedpa.api.listing import columns
+    from safedpa.api.log_columns import columns
 
     found = columns(log, robot, effects=effects)
     click.echo(json.dumps(found.to_dict()) if as_json else found.text, nl=as_json)

@@ -27,7 +27,7 @@ def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | No
 
     Shows equation, parameters, units, and the residuals of a model without the effect.
     """
-    from safedpa.api.listing import list_effects
+    from safedpa.api.effect_table import list_effects
 
     found = list_effects(robot, effects=effects)
     listed = found.by_robot

@@ -1,6 +1,7 @@
 """The Python API for notebooks and scripts: what the commands do to logs, models and filters, as functions.
 
 Use it as ``import safedpa``, which imports a name when it is first used. Read ``inputs`` first: what the functions
-accept. Then ``comparing``, ``diagnosing``, ``fitting``, ``predicting``, ``calibrating`` and ``listing``: a function and
-its result each. ``deployment`` prepares a diagnosed model for driving.
+accept. Then ``comparing``, ``diagnosing``, ``fitting``, ``predicting``, ``planning``, ``calibrating``, ``log_columns``,
+``effect_table`` and ``robot_check``: functions and their results. ``deployment`` prepares a diagnosed model for
+driving.
 """
