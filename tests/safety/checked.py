@@ -42,7 +42,9 @@ def probe(
     def flat(numbers: Any, axes: int) -> Values:
         return np.array(numbers, dtype=np.float64, ndmin=axes)
 
-    return Probe(np.array(state), flat(h, 1), flat(residuals, 2), flat(moved, 1), flat(reached, 1), inside, kept)
+    return Probe(
+        np.array(state), flat(h, 1), flat(h, 2), flat(residuals, 2), flat(moved, 1), flat(reached, 1), inside, kept
+    )
 
 
 def first(x: Values) -> float:
