@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from safedpa.api.comparing import ComparisonResult, compare
     from safedpa.api.diagnosing import Diagnosis, SavedDiagnosis, diagnose
     from safedpa.api.effect_table import EffectTable, list_effects
+    from safedpa.api.exporting import ExportedFiles, export
     from safedpa.api.fitting import FittedModel, add, refit, remove
     from safedpa.api.inputs import read_log
     from safedpa.api.log_columns import ProposedColumns, columns
@@ -57,6 +58,7 @@ __all__ = [
     "DataCheck",
     "Diagnosis",
     "EffectTable",
+    "ExportedFiles",
     "FilterReport",
     "FilterSettings",
     "FittedModel",
@@ -89,6 +91,7 @@ __all__ = [
     "columns",
     "compare",
     "diagnose",
+    "export",
     "list_effects",
     "load_model",
     "predict",
@@ -105,6 +108,7 @@ _HOMES = {
     "api.comparing": "ComparisonResult compare",
     "api.diagnosing": "Diagnosis SavedDiagnosis diagnose",
     "api.effect_table": "EffectTable list_effects",
+    "api.exporting": "ExportedFiles export",
     "api.fitting": "FittedModel add refit remove",
     "api.inputs": "read_log",
     "api.log_columns": "ProposedColumns columns",

@@ -39,6 +39,8 @@ COMMANDS: list[Any] = [
     (f"calibrate {BUS} --coverage 0.9 --out m.toml", lambda: safedpa.calibrate(BUS, coverage=0.9, out="m.toml")),
     ("columns degrees.csv --robot pendulum", lambda: safedpa.columns("degrees.csv", "pendulum")),
     ("effects --robot car", lambda: safedpa.list_effects("car")),
+    (f"export {BUS} --format csv --out t.csv", lambda: safedpa.export(BUS, "t.csv", format="csv")),
+    ("export car --format simulators --out sims", lambda: safedpa.export("car", "sims", format="simulators")),
     ("check incomplete.py", lambda: safedpa.check("incomplete.py")),
 ]  # fmt: skip
 

@@ -52,61 +52,21 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
             )
         _export_networks(source, folder)
         return
-    from safedpa.comparison.output import refuse_inputs
+    from safedpa.api.exporting import export
 
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
+    found = export(source, out, format=kind, robot=robot)  # type: ignore[arg-type] # one of the option's choices
+    for notice in found.notices:
+        name, _, rest = notice.partition(": ")
+        report_progress(f"{name}: cannot express {rest}" if kind == "simulators" else notice, err=True)
     if kind == "simulators":
-        _export_model(source, out)
-        return
-    refuse_inputs([out], [source])
-    if kind == "ros2":
-        _export_bag(source, out, robot)
-        return
-    need("diagnosis", what=f"--format {kind}")
-    from safedpa.records.writers.tables import export_recording
-
-    exported = export_recording(source, out, kind, robot)
-    for finding in exported.findings:
-        report_progress(
-            f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]}
-        )
-    facts = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
-    report_progress(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=facts)
-
-
-def _export_model(source: Path, out: Path) -> None:
-    from safedpa.comparison.output import refuse_inputs, require_writable_folder
-    from safedpa.dynamics import load_model
-    from safedpa.dynamics.simulator_export import SimulatorExport, export_table
-    from safedpa.systems.robots import robot_named
-
-    model = load_model(source)
-    found = robot_named(model.system.name).simulator_export(model) or SimulatorExport()
-    texts = {"parameters.json": export_table(model, found), **found.documents}
-    require_writable_folder(out, create=True)
-    refuse_inputs([out / name for name in texts], [source])
-    for name, text in texts.items():
-        (out / name).write_text(text, encoding="utf-8")
-        report_progress(str(out / name), facts={"written": [str(out / name)]})
-    for name, cannot in found.unexpressed.items():
-        for effect, why in cannot.items():
-            report_progress(
-                f"{name}: cannot express {effect}: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]}
-            )
-
-
-def _export_bag(source: Path, out: Path, robot: str | None) -> None:
-    need("ros", what="--format ros2")
-    from safedpa.replay.ros2_bag import export_bag
-
-    exported = export_bag(source, out, robot)
-    for line in exported.findings:
-        report_progress(line, err=True, facts={"findings": [line]})
-    facts = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
-    report_progress(
-        f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=facts
-    )
+        report_progress("\n".join(map(str, found.written)))
+    elif kind == "ros2":
+        report_progress(f"{out}: {found.count} messages of robot '{found.robot}'; ros2 bag play {out}")
+    else:
+        report_progress(f"{out}: {found.count} rows of robot '{found.robot}'")
+    report_progress(facts=found.to_dict())
 
 
 def _export_networks(source: Path, folder: Path) -> None:
