@@ -70,6 +70,14 @@ def _map_needed(path: Path, system: System) -> str:
 def _read(path: Path, kind: str, mapping: ColumnMap, system: System) -> Table:
     if kind == "topics":
         return read_log_table(topic_log(path), mapping, system)
+    if kind == "arrays":
+        from safedpa.records.readers.arrays import read_array_table
+
+        return read_array_table(path, mapping.sources)
+    if kind == "dataset":
+        from safedpa.records.readers.parquet import read_dataset
+
+        return read_dataset(path, mapping.sources)
     if kind == "parquet":
         from safedpa.records.readers.parquet import read_parquet_table
 

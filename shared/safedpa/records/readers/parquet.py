@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.readers.cells import Cells, element_of, missing_value_findings, numbers_of_column
@@ -16,9 +18,12 @@ if TYPE_CHECKING:
     import pyarrow
     from pyarrow.parquet import ParquetFile
 
-__all__ = ["open_parquet", "read_parquet_table"]
+__all__ = ["dataset_files", "is_dataset", "open_parquet", "read_dataset", "read_parquet_table"]
 
 _NUMBER_BYTES = 8
+_EPISODE = "episode_index"
+"""Column of a LeRobot dataset with the number of the episode."""
+_MAX_FILES = 10_000
 
 
 def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -48,6 +53,37 @@ def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
     timed = frozenset(name for name, found in cells.items() if found.is_time)
     markers = missing_value_findings({name: found.markers for name, found in cells.items()})
     return Table({name: found.values for name, found in cells.items()}, tuple(markers), timed=timed)
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a folder is a dataset of LeRobot."""
+    return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
+
+
+def dataset_files(path: Path) -> list[Path]:
+    """The Parquet files of a dataset of LeRobot, in the order of its episodes; raises RunError without one."""
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise RunError(f"{path}: is a LeRobot dataset without data; wanted data/chunk-000/*.parquet")
+    if len(files) > _MAX_FILES:
+        raise RunError(f"{path}: has {len(files)} files of data, wanted at most {_MAX_FILES}; name one of them")
+    return files
+
+
+def read_dataset(path: Path, wanted: Sequence[str]) -> Table:
+    """Reads the wanted columns of all episodes of a LeRobot dataset; each episode is a segment."""
+    tables = []
+    for file in dataset_files(path):
+        with open_parquet(file) as opened:
+            episodes = _EPISODE in opened.schema_arrow.names
+        table = read_parquet_table(file, [*wanted, *((_EPISODE,) if episodes and _EPISODE not in wanted else ())])
+        tables.append(table)
+    number = np.concatenate([table.columns.get(_EPISODE, np.zeros(len(table))) for table in tables])
+    file_of_row = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+    begins = np.append(False, (np.diff(number) != 0.0) | (np.diff(file_of_row) != 0))
+    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in wanted}
+    findings = tuple(item for table in tables for item in table.findings)
+    return Table(columns, findings, np.cumsum(begins[: len(number)]), tables[0].timed)
 
 
 def _cells(path: Path, name: str, column: pyarrow.ChunkedArray) -> Cells:

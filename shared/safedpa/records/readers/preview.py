@@ -9,9 +9,10 @@ from pathlib import Path
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.column_map.propose import sources_of
+from safedpa.records.readers.arrays import arrays_in, column_names
 from safedpa.records.readers.bags import kind_of, topic_log
 from safedpa.records.readers.dialect import CsvFile, decoded, find_layout
-from safedpa.records.readers.parquet import open_parquet
+from safedpa.records.readers.parquet import dataset_files, is_dataset, open_parquet
 
 __all__ = ["RowPreview", "raw_rows"]
 
@@ -30,6 +31,8 @@ class RowPreview:
 def raw_rows(path: str | Path, count: int = 5) -> RowPreview:
     """Returns the first rows of a table, or the field names of a log of topics; raises RunError if unreadable."""
     path = Path(path)
+    if path.is_dir() and is_dataset(path):
+        path = dataset_files(path)[0]
     if not path.is_file():
         raise RunError(f"{path}: no such file; wanted a recording (.csv, .parquet or .mcap)")
     try:
@@ -39,6 +42,8 @@ def raw_rows(path: str | Path, count: int = 5) -> RowPreview:
             return RowPreview(tuple(sources_of(topic_log(path).topics().values(), clocks=True)), ())
         if start.startswith(b"\x89MCAP"):
             return RowPreview((), ())
+        if kind_of(path) == "arrays":
+            return RowPreview(tuple(column_names(arrays_in(path))), ())
         return _parquet(path, count) if start.startswith(b"PAR1") else _csv(path, count)
     except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise RunError(f"{path}: cannot be read ({str(error)[:120]}); wanted a table with a header line") from error

@@ -23,10 +23,12 @@ from safedpa.records.readers.bags.topics import AbstractLog
 from safedpa.records.readers.bags.ulog import MAGIC as ULOG
 from safedpa.records.readers.bags.ulog import UlogLog
 from safedpa.records.readers.dialect import GZIP
+from safedpa.records.readers.parquet import is_dataset
 
 __all__ = ["kind_of", "topic_log"]
 
-_WANTED = "a recording: .csv, .parquet, .mcap, .db3, .bag, .ulg or a rosbag2 folder"
+_WANTED = "a recording: .csv, .parquet, .npz, .mat, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
+_MATLAB, _ZIP = b"MATLAB 5.0", b"PK\x03\x04"
 _MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
 _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"#ROSBAG V1", "a ROS 1 bag of format 1", "convert it to format 2.0: rosbag fix"),
@@ -35,7 +37,9 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"\x04\x22\x4d\x18", "packed by lz4", "unpack it: lz4 -d"),
     (b"PK\x03\x04", "a zip archive, or a spreadsheet", "unpack it, or save the sheet as CSV"),
     (b"\x89HDF", "an HDF5 file", "write its columns as CSV or Parquet"),
+    (b"MATLAB 7.3", "a MATLAB file of version 7.3", "save it with -v7"),
     (b"MATLAB", "a MATLAB file", "write its columns as CSV: writetable"),
+    (b"TDSm", "a TDMS file", "write its channels as CSV or Parquet: npTDMS reads them"),
     (b"\x93NUMPY", "a NumPy array", "write its columns as CSV: numpy.savetxt with a header"),
     (b"ARROW1", "an Arrow file", "write it as Parquet"),
     (b"RRF", "a Rerun recording", "name the log that it was made from"),
@@ -49,36 +53,53 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
 
 
 def kind_of(path: Path) -> str:
-    """Returns csv, parquet, mcap (a recording of the bus) or topics (a log of topics, which needs a column map).
+    """Returns csv, parquet, arrays (NumPy or MATLAB), dataset (of LeRobot), mcap or topics.
+
+    An mcap is a recording of the bus; topics, a bag or a flight log, need a column map.
 
     Raises RunError if the file is missing, empty or of another kind, which the message names.
     """
     if any("\ud800" <= sign <= "\udfff" for sign in str(path)):
         raise RunError(f"{readable(str(path))}: its name is not UTF-8, as the table readers require; rename it")
     if path.is_dir():
-        if is_bag_folder(path):
-            return "topics"
-        raise RunError(f"{path}: is a folder without a bag; {near_files(path)}wanted {_WANTED}")
+        return _kind_of_folder(path)
     if not path.is_file():
         raise RunError(f"{path}: no such file; {near_files(path)}wanted {_WANTED}")
     with path.open("rb") as file:
         start = file.read(128)
     if not start:
         raise RunError(f"{path}: the file is empty; wanted a recording with a header and rows")
-    if start.startswith(_MCAP):
-        return "mcap" if is_recording_of_the_bus(path) else "topics"
-    if start.startswith((ROS1, SQLITE, ULOG)) or path.name.endswith((".mcap.zstd", ".db3.zstd")):
-        return "topics"
+    kind = _kind_of_content(path, start)
+    if kind:
+        return kind
     if path.name == "metadata.yaml":
         raise RunError(f"{path}: is the metadata of a bag; name its folder, {path.parent}")
-    if path.suffix.lower() == ".mcap":
-        return "mcap"  # the reader reports what is wrong
-    if start.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
-        return "parquet"
     _refuse_others(path, start)
     if start.startswith(GZIP):
         _check_packed(path)
     return "csv"
+
+
+def _kind_of_folder(path: Path) -> str:
+    if is_dataset(path):
+        return "dataset"
+    if is_bag_folder(path):
+        return "topics"
+    raise RunError(f"{path}: is a folder without a bag; {near_files(path)}wanted {_WANTED}")
+
+
+def _kind_of_content(path: Path, start: bytes) -> str:
+    """The kind by the first bytes, or by a suffix whose reader reports what is wrong; empty for a table of text."""
+    suffix = path.suffix.lower()
+    if start.startswith(_MCAP):
+        return "mcap" if is_recording_of_the_bus(path) else "topics"
+    if start.startswith((ROS1, SQLITE, ULOG)) or path.name.endswith((".mcap.zstd", ".db3.zstd")):
+        return "topics"
+    if start.startswith(_PARQUET) or suffix == ".parquet":
+        return "parquet"
+    if start.startswith(_MATLAB) or (start.startswith(_ZIP) and suffix == ".npz"):
+        return "arrays"
+    return "mcap" if suffix == ".mcap" else ""
 
 
 def _check_packed(path: Path) -> None:

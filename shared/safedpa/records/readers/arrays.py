@@ -1,0 +1,100 @@
+"""Reads files of named arrays as tables: NumPy archives (``.npz``) and MATLAB files up to version 7 (``.mat``)."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.errors import RunError
+from safedpa.extras import need
+from safedpa.limits import check_archive, limit, too_much
+from safedpa.records.readers.cells import element_of
+from safedpa.records.readers.table import Table, require_columns, require_file
+
+__all__ = ["arrays_in", "column_names", "read_array_table"]
+
+
+def read_array_table(path: Path, wanted: Sequence[str]) -> Table:
+    """Reads the wanted columns: arrays of one length, or ``state[0]`` of an array with several columns.
+
+    Raises RunError for a file that cannot be read, a missing array, and arrays of different lengths.
+    """
+    arrays = arrays_in(path)
+    elements = {name: found for name in wanted if (found := element_of(name, list(arrays)))}
+    sources = {name: elements[name][0] if name in elements else name for name in wanted}
+    require_columns(path, list(dict.fromkeys(sources.values())), list(arrays))
+    columns = {name: _column(path, name, arrays[source], elements.get(name)) for name, source in sources.items()}
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) > 1:
+        raise RunError(f"{path}: its arrays have {', '.join(map(str, sorted(lengths)))} rows; wanted one length")
+    return Table(columns)
+
+
+def arrays_in(path: Path) -> Mapping[str, np.ndarray[Any, Any]]:
+    """Every array of numbers in the file, by name; a field of a MATLAB struct is called ``struct.field``."""
+    require_file(path)
+    size = path.stat().st_size
+    if size > limit("table_bytes"):
+        raise too_much("table_bytes", f"{size} bytes", str(path))
+    found = _numpy_arrays(path) if zipfile.is_zipfile(path) else _matlab_arrays(path)
+    if not found:
+        raise RunError(f"{path}: contains no array of numbers; wanted t, states and actions as arrays")
+    if len(found) > limit("columns"):
+        raise too_much("columns", len(found), str(path))
+    return found
+
+
+def column_names(arrays: Mapping[str, np.ndarray[Any, Any]]) -> list[str]:
+    """The names under which a column map names the columns of arrays."""
+    names: list[str] = []
+    for name, array in arrays.items():
+        names += [name] if array.ndim < 2 else [f"{name}[{place}]" for place in range(array.shape[1])]
+    return names
+
+
+def _numpy_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+    check_archive(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise RunError(f"{path}: cannot be read as a NumPy archive ({str(error)[:100]})") from error
+    return {name: array for name, array in arrays.items() if _is_column(array)}
+
+
+def _matlab_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+    need("sim", what="reading MATLAB files")
+    from scipy.io import loadmat
+
+    try:
+        variables = loadmat(path, squeeze_me=True, struct_as_record=False, verify_compressed_data_integrity=True)
+    except Exception as error:  # scipy raises errors of many kinds for damaged files
+        raise RunError(f"{path}: cannot be read as a MATLAB file ({str(error)[:100]}); save it with -v7") from error
+    found: dict[str, np.ndarray[Any, Any]] = {}
+    for name, value in variables.items():
+        fields = getattr(value, "_fieldnames", None)
+        parts = {name: value} if fields is None else {f"{name}.{field}": getattr(value, field) for field in fields}
+        found |= {key: part for key, part in parts.items() if isinstance(part, np.ndarray) and _is_column(part)}
+    return found
+
+
+def _is_column(array: np.ndarray[Any, Any]) -> bool:
+    return array.ndim in (1, 2) and array.dtype.kind in "fiubmM" and array.size > 0
+
+
+def _column(
+    path: Path, name: str, array: np.ndarray[Any, Any], element: tuple[str, int] | None
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    if element is not None:
+        if array.ndim < 2 or element[1] >= array.shape[1]:
+            raise RunError(f"{path}: column '{name}': got an array of shape {array.shape}")
+        array = array[:, element[1]]
+    if array.ndim > 1:
+        raise RunError(f"{path}: column '{name}': got an array of shape {array.shape}; name a column: {name}[0]")
+    if array.dtype.kind in "mM":
+        return np.asarray(array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64) / 1e9)
+    return np.asarray(array, dtype=np.float64)
