@@ -132,6 +132,7 @@ PARTS: Final = (
     Part("point-relinearised", 10, "point-relinearised --episodes 1 --steps 250 --drive-steps 40 --car 600000"),
     Part("point-story", 5),
     Part("hidden-effects", 240, "hidden-effects --seed 7002"),
+    Part("own-robots", 120, "own-robots --seed 7003"),
     Part("live", 60),
     Part("fleet-diagnosis", 5, "fleet-diagnosis --robots 60 --seed 2026"),
     Part("real-logs", 10, data=True),
@@ -150,6 +151,7 @@ ELSEWHERE: Final = {
     "all": "this one",
     "bad-data": "spoils a log of one's own",
     "diagnosis-pictures": "draws pictures",
+    "log-faults": "reads spoiled logs; tests require its counts",
     "long-logs": "times one size of logs; docs/diagnosis-speed.md has the sizes",
 }
 """Experiments whose results no page quotes, and why."""
