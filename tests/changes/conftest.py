@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import final
 
 import pytest
+from tests.messages import health_of, stamp, state_of
 
 from safedpa.bus import (
     HEALTH,
@@ -32,21 +33,7 @@ FIRST = ModelVersion("first", "document first")
 
 
 def state_at(tick: int, epoch: int = 1) -> StateMessage:
-    return StateMessage(
-        epoch=epoch,
-        tick=tick,
-        robot_time=0.05 * tick,
-        publish_time=0.0,
-        values=(0.0, 0.0, 0.0, 0.0),
-        applied=(0.0, 0.0),
-        applied_by="filter",
-        period=0.05,
-        lockstep=True,
-        goal=(1.0, 1.0),
-        obstacles=(),
-        field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.1, 0.4, 0.1),
-    )
+    return state_of(0.0, 0.0, 0.0, 0.0, **stamp(tick, epoch=epoch), lockstep=True, footprint=(0.1, 0.4, 0.1))
 
 
 def candidate(name: str) -> OfferedEffect:
@@ -142,16 +129,7 @@ class Fleet:
 
     def health_of(self, service: Service) -> HealthMessage:
         """Its heartbeat now."""
-        return HealthMessage(
-            epoch=self.epoch,
-            tick=self.tick,
-            robot_time=0.0,
-            publish_time=0.0,
-            service=service.name,
-            pid=1,
-            state="running",
-            model=service.model,
-        )
+        return health_of(service.name, epoch=self.epoch, tick=self.tick, model=service.model)
 
 
 def _tick(service: Service, state: StateMessage) -> TakeoverMessage | None:

@@ -4,13 +4,13 @@ import dataclasses
 from typing import Any
 
 import pytest
+from tests.messages import latent_of, stamp, state_of
 
 from safedpa.bus import (
     LATENT,
     NOMINAL,
     TAKEOVER,
     VERDICT,
-    LatentMessage,
     ModelMessage,
     NominalMessage,
     Request,
@@ -49,22 +49,16 @@ class Standing:
         self.heard: list[Any] = []
 
     def state(self) -> StateMessage:
-        return StateMessage(
-            epoch=1, tick=self.tick, robot_time=0.05 * self.tick, publish_time=0.0,
-            values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0), applied_by="filter" if self.tick else "none",
-            period=0.05, lockstep=self.loop["lockstep"], goal=(3.0, 0.0),
-            obstacles=((reach() + 0.3 + self.h, 0.0, 0.3),), field=(-9.0, 9.0, -9.0, 9.0), footprint=(0.08, 0.40, 0.12),
+        return state_of(
+            0.0, 0.0, 0.0, 0.0, **stamp(self.tick), applied_by="filter" if self.tick else "none",
+            lockstep=self.loop["lockstep"], goal=(3.0, 0.0), obstacles=((reach() + 0.3 + self.h, 0.0, 0.3),),
+            field=(-9.0, 9.0, -9.0, 9.0), footprint=(0.08, 0.40, 0.12),
         )  # fmt: skip
 
     def turn(self) -> Any:
         state, model = self.state(), self.latents_of
-        stamp = {"epoch": 1, "robot_time": 0.0, "publish_time": 0.0}
-        values = tuple(model.latent.tolist())
-        age = self.loop["latent_age"]
-        latent = LatentMessage(
-            **stamp, tick=self.tick - age, model=fingerprint(model), values=values, deviations=values
-        )
-        nominal = NominalMessage(**stamp, tick=self.tick, values=(0.0, 0.0), controller="test")
+        latent = latent_of(*model.latent.tolist(), tick=self.tick - self.loop["latent_age"], model=fingerprint(model))
+        nominal = NominalMessage(**stamp(self.tick), values=(0.0, 0.0), controller="test")
         self.node.prepare("r1", state)
         outputs = dict(self.node.step("r1", state, {LATENT: latent, NOMINAL: nominal}))
         outputs.update(self.node.afterwards("r1"))
@@ -81,8 +75,7 @@ class Standing:
         self.node.hear("r1", self._message("take", from_tick=self.tick))
 
     def _message(self, step: str, **more: Any) -> ModelMessage:
-        stamp = {"epoch": 1, "tick": self.tick, "robot_time": 0.0, "publish_time": 0.0}
-        return ModelMessage(**stamp, step=step, change=1, fingerprint=NEW, replaces=fingerprint(CAR), **more)
+        return ModelMessage(**stamp(self.tick), step=step, change=1, fingerprint=NEW, replaces=fingerprint(CAR), **more)
 
 
 def test_the_change_of_the_margin_is_reported_before_it_is_used() -> None:
@@ -198,10 +191,10 @@ def test_command_and_page_report_the_margin_before_it_is_used(changing_node: Any
     asked = Request(do="accept", effect="steering_offset", model=changes.fingerprint, finding=1, who="test")
     assert changes.answer(asked).ok
     offered = changes.step(dataclasses.replace(state, tick=1))
-    stamp = {"epoch": 1, "tick": 1, "robot_time": 0.0, "publish_time": 0.0, "change": 1, "fingerprint": NEW}
+    about = {**stamp(1), "change": 1, "fingerprint": NEW}
     for service in ("adaptation", "policy", "safety_filter"):
         reported = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
-        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", expected_effect=reported))
+        changes.hear(TakeoverMessage(**about, service=service, state="ready", expected_effect=reported))
     take = changes.step(dataclasses.replace(state, tick=2))
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")

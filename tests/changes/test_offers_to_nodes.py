@@ -5,9 +5,10 @@ import json
 from typing import Any
 
 import pytest
+from tests.messages import latent_of, stamp
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import LATENT, NOMINAL, TAKEOVER, Answer, LatentMessage, ModelMessage, NominalMessage
+from safedpa.bus import LATENT, NOMINAL, TAKEOVER, Answer, ModelMessage, NominalMessage
 from safedpa.bus.messages.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_offer import offered_model
@@ -37,17 +38,9 @@ def node_named(name: str, model: Any = CAR) -> Any:
 
 def offer(document: str = DOCUMENT, name: str = NEW, margin: str | None = None, change: int = 1) -> ModelMessage:
     message = ModelMessage(
-        epoch=1,
-        tick=0,
-        robot_time=0.0,
-        publish_time=0.0,
-        step="offer",
-        change=change,
-        fingerprint=name,
-        replaces=fingerprint(CAR),
-        document=document,
+        **stamp(0), step="offer", change=change, fingerprint=name, replaces=fingerprint(CAR), document=document,
         margin=margin_text(GOOD_MARGIN) if margin is None else margin,
-    )
+    )  # fmt: skip
     return decode(ModelMessage, encode(message))
 
 
@@ -67,9 +60,9 @@ class Ticking:
 
     def turn(self, epoch: int = 1) -> Any:
         state = dataclasses.replace(self.state_of(self.tick, epoch), values=self.values(self.tick))
-        stamp = {"epoch": epoch, "tick": self.tick, "robot_time": 0.0, "publish_time": 0.0}
-        latent = LatentMessage(**stamp, model=self.latents_of, values=self.latent, deviations=self.latent)
-        inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp, values=(0.5, 0.0), controller="test")}
+        now = stamp(self.tick, epoch=epoch)
+        latent = latent_of(*self.latent, **now, model=self.latents_of, deviations=self.latent)
+        inputs = {LATENT: latent, NOMINAL: NominalMessage(**now, values=(0.5, 0.0), controller="test")}
         outputs = dict(self.node.step("r1", state, {topic: inputs[topic] for topic in self.node.inputs}))
         outputs.update(self.node.afterwards("r1"))
         self.tick += 1
@@ -299,18 +292,10 @@ def test_a_service_that_was_restarted_between_decision_and_change_does_both(driv
 
 def _pending(stage: str, from_tick: int = 0) -> Answer:
     return Answer(
-        ok=True,
-        sentence="",
-        change=1,
-        fingerprint=fingerprint(CAR),
-        document=write_model(CAR),
-        pending=stage,
-        pending_fingerprint=NEW,
-        pending_document=DOCUMENT,
-        pending_margin=margin_text(GOOD_MARGIN),
-        epoch=1,
+        ok=True, sentence="", change=1, fingerprint=fingerprint(CAR), document=write_model(CAR), pending=stage,
+        pending_fingerprint=NEW, pending_document=DOCUMENT, pending_margin=margin_text(GOOD_MARGIN), epoch=1,
         from_tick=from_tick,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NODES)

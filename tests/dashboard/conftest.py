@@ -4,19 +4,9 @@ import math
 from collections.abc import Callable, Iterator
 
 import pytest
+from tests.messages import health_of, latent_of, stamp, state_of, verdict_of
 
-from safedpa.bus import (
-    HEALTH,
-    LATENT,
-    STATE,
-    VERDICT,
-    HealthMessage,
-    LatentMessage,
-    Message,
-    StateMessage,
-    Topic,
-    VerdictMessage,
-)
+from safedpa.bus import HEALTH, LATENT, STATE, VERDICT, Message, Topic
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.display_settings import DisplaySettings, display_settings
@@ -53,39 +43,19 @@ def _pose(k: int) -> tuple[float, float, float, float]:
 
 
 def _tick(k: int, *, epoch: int = 7, applied_by: str = "filter", status: str = "") -> Tick:
-    stamp = {"epoch": epoch, "tick": k, "robot_time": PERIOD * k, "publish_time": 0.0}
+    now = stamp(k, PERIOD, epoch)
     status = status or ("corrected" if k % 100 >= 80 else "passed")
-    state = StateMessage(
-        **stamp,
-        values=_pose(k),
-        applied=(1.2, 0.1),
-        applied_by=applied_by,
-        period=PERIOD,
-        lockstep=False,
-        goal=(1.0, 2.0),
-        obstacles=((0.5, 0.5, 0.3), (-2.0, 1.0, 0.25)),
-        field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.6, 0.4, 0.15),
+    state = state_of(
+        *_pose(k), **now, applied=(1.2, 0.1), applied_by=applied_by, goal=(1.0, 2.0),
+        obstacles=((0.5, 0.5, 0.3), (-2.0, 1.0, 0.25)), footprint=(0.6, 0.4, 0.15),
         load_pose=(_pose(k)[0], _pose(k)[1] - 0.5, 0.0, 0.3, 0.3),
-    )
-    latent = LatentMessage(**stamp, model="m", values=(0.4 + 0.001 * k, 2.5), deviations=(0.1, 0.3))
-    verdict = VerdictMessage(
-        **stamp,
-        status=status,
-        sentence=f"The nominal action was {status}.",
-        action=(1.2, 0.1),
-        nominal=(1.4, 0.05),
-        slack=0.0,
-        active=("obstacle 0",),
-        h_now=0.5 + 0.3 * math.sin(0.1 * k),
-        h_next=0.5 + 0.3 * math.sin(0.1 * (k + 1)),
-        margin=0.02,
-        solver="solved",
-        microseconds=300.0,
-        predicted=tuple(_pose(k + step) for step in range(1, 11)),
-    )
-    health = [
-        HealthMessage(**stamp, service=name, pid=1, state="running", step_microseconds=300.0 + k)
-        for name in ("robot", "adaptation", "policy", "safety_filter")
-    ]
+    )  # fmt: skip
+    latent = latent_of(0.4 + 0.001 * k, 2.5, **now, deviations=(0.1, 0.3))
+    verdict = verdict_of(
+        status, **now, sentence=f"The nominal action was {status}.", action=(1.2, 0.1), nominal=(1.4, 0.05),
+        active=("obstacle 0",), h_now=0.5 + 0.3 * math.sin(0.1 * k), h_next=0.5 + 0.3 * math.sin(0.1 * (k + 1)),
+        margin=0.02, solver="solved", microseconds=300.0, predicted=tuple(_pose(k + step) for step in range(1, 11)),
+    )  # fmt: skip
+    services = ("robot", "adaptation", "policy", "safety_filter")
+    health = [health_of(name, **now, step_microseconds=300.0 + k) for name in services]
     return [(STATE, state), (LATENT, latent), (VERDICT, verdict), *((HEALTH, message) for message in health)]

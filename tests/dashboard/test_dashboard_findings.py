@@ -2,20 +2,16 @@
 
 import math
 
-from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, ReceivedMessage
+from tests.messages import finding_of, stamp
+
+from safedpa.bus import FINDING, MODEL, ModelMessage, ReceivedMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.shapes import Curves, Note, States
 
 
-def _stamp(tick):
-    return {"epoch": 7, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0}
-
-
-def _finding(tick, stage, number=0, model="aaa", error=0.03, band=0.06):
-    return FINDING, FindingMessage(
-        **_stamp(tick), model=model, stage=stage, sentence=f"it is {stage}", number=number, error=error, band=band,
-        evidence=0.0, threshold=13.8, coverage=1.0, where="yaw: 0.1 rad more than predicted",
-    )  # fmt: skip
+def _finding(tick, stage, **fields):
+    usual = {"number": 0, "model": "aaa", "error": 0.03, "where": "yaw: 0.1 rad more than predicted"}
+    return FINDING, finding_of(stage, **stamp(tick, epoch=7), **{**usual, **fields})
 
 
 def _entries(view, *items):
@@ -64,15 +60,9 @@ def test_every_step_of_a_change_is_logged_with_its_author_and_reason(look, tick_
     _entries(view, *tick_of(0))
     for step, phrase in (("offer", "offered"), ("take", "from tick 50 on"), ("drop", "dropped")):
         message = ModelMessage(
-            **_stamp(40),
-            step=step,
-            change=1,
-            fingerprint="bbb",
-            replaces="aaa",
-            from_tick=50,
-            who="Ada",
+            **stamp(40, epoch=7), step=step, change=1, fingerprint="bbb", replaces="aaa", from_tick=50, who="Ada",
             why="accept wind",
-        )
+        )  # fmt: skip
         text = _entries(view, (MODEL, message))["log"].text
         assert phrase in text
         assert "Ada" in text

@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from tests.messages import latent_of, stamp, state_of, verdict_of
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.drawing import Lines
@@ -24,55 +25,17 @@ def pendulum() -> DisplaySettings:
 
 
 def state(tick: int, angle: float = 0.1, rate: float = 0.4, **other: Any) -> StateMessage:
-    given: dict[str, Any] = {"corridor": (-EDGE, EDGE), "goal": (0.0,), **other}
-    return StateMessage(
-        epoch=3,
-        tick=tick,
-        robot_time=0.01 * tick,
-        publish_time=0.0,
-        values=(angle, rate),
-        applied=(1.0,),
-        applied_by="filter",
-        period=0.01,
-        lockstep=True,
-        obstacles=(),
-        field=(),
-        footprint=(),
-        **given,
-    )
+    given: dict[str, Any] = {"corridor": (-EDGE, EDGE), "goal": (0.0,), "field": (), "footprint": (), **other}
+    return state_of(angle, rate, **stamp(tick, 0.01), applied=(1.0,), period=0.01, lockstep=True, **given)
 
 
 def verdict(tick: int) -> VerdictMessage:
-    return VerdictMessage(
-        epoch=3,
-        tick=tick,
-        robot_time=0.01 * tick,
-        publish_time=0.0,
-        status="corrected",
-        sentence="s",
-        action=(1.0,),
-        nominal=(9.0,),
-        slack=0.0,
-        active=(),
-        h_now=0.3,
-        h_next=0.2,
-        margin=0.02,
-        solver="solved",
-        microseconds=300.0,
-        predicted=((0.11, 0.5), (0.12, 0.6)),
-    )
+    predicted = ((0.11, 0.5), (0.12, 0.6))
+    return verdict_of("corrected", **stamp(tick, 0.01), action=(1.0,), nominal=(9.0,), predicted=predicted)
 
 
 def latent(*values: float) -> LatentMessage:
-    return LatentMessage(
-        epoch=3,
-        tick=1,
-        robot_time=0.01,
-        publish_time=0.0,
-        model="m",
-        values=values,
-        deviations=tuple(0.1 for _ in values),
-    )
+    return latent_of(*values, **stamp(1, 0.01))
 
 
 def paths(entries: list[Any]) -> set[str]:

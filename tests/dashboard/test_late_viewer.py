@@ -8,8 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from tests.messages import finding_of, stamp
 
-from safedpa.bus import FINDING, FindingMessage, ReceivedMessage
+from safedpa.bus import FINDING, ReceivedMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.rerun_recording import SERVER_MEMORY
 from safedpa_services.web.ports import choose_port
@@ -31,11 +32,7 @@ _NEEDED = (
 
 
 def _finding(k):
-    stamp = {"epoch": 7, "tick": k, "robot_time": 0.05 * k, "publish_time": 0.0}
-    return FINDING, FindingMessage(
-        **stamp, model="aaa", stage="watching", sentence="The model fits.", number=0, error=0.03, band=0.06,
-        evidence=0.0, threshold=13.8, coverage=1.0, where="",
-    )  # fmt: skip
+    return FINDING, finding_of("watching", **stamp(k, epoch=7), sentence="The model fits.", number=0, error=0.03)
 
 
 class Drive:

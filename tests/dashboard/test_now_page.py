@@ -3,19 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from tests.messages import finding_of, latent_of, stamp, verdict_of
 
-from safedpa.bus import (
-    HEALTH,
-    NO_ROBOT,
-    STATE,
-    VERDICT,
-    FindingMessage,
-    LatentMessage,
-    ReceivedMessage,
-    RejectedMessage,
-    SurroundingsMessage,
-    VerdictMessage,
-)
+from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, ReceivedMessage, RejectedMessage, SurroundingsMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.shapes import MarkdownPage, States
@@ -104,19 +94,13 @@ def test_every_second_all_that_is_drawn_on_change_is_drawn_again(look, tick_of):
     assert {e.path[-1]: e.shape for e in entries if isinstance(e.shape, States)}["filter"] == States("passed")
 
 
-STAMP = {"epoch": 7, "tick": 1, "robot_time": 0.0, "publish_time": 0.0}
+NOW = stamp(1, epoch=7)
 HEARD = {
-    "verdict": VerdictMessage(
-        **STAMP, status="passed", sentence="", action=(), nominal=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
-        margin=0.0, solver="", microseconds=0.0,
-    ),
-    "estimate": LatentMessage(**STAMP, model="m", values=(0.1,), deviations=(0.1,)),
-    "diagnosis": FindingMessage(
-        **STAMP, model="m", stage="learning", sentence="", number=1, error=0.0, band=0.0, evidence=0.0, threshold=0.0,
-        coverage=1.0, where="",
-    ),
-    "perception": SurroundingsMessage(**STAMP, points=(), movers=(), hidden=(), ages=()),
-}  # fmt: skip
+    "verdict": verdict_of("passed", **NOW),
+    "estimate": latent_of(0.1, **NOW),
+    "diagnosis": finding_of("learning", **NOW),
+    "perception": SurroundingsMessage(**NOW, points=(), movers=(), hidden=(), ages=()),
+}
 
 
 def _awaited(look, state, name="", last=None):

@@ -6,21 +6,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.messages import health_of
 
-from safedpa.bus import HEALTH, Bus, HealthMessage, Inbox, MemoryBroker, MemoryTransport
+from safedpa.bus import HEALTH, Bus, Inbox, MemoryBroker, MemoryTransport
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.histories import HealthHistory
 from safedpa_services.dashboard.shapes import Curves
 
 
-def beat(service: str, state: str = "running") -> HealthMessage:
-    return HealthMessage(epoch=1, tick=0, robot_time=0.0, publish_time=0.0, service=service, pid=7, state=state)
-
-
 @pytest.mark.parametrize(("silent_for", "shown"), [(0.25, "running"), (0.99, "running"), (1.01, "silent")])
 def test_four_heartbeats_missed_are_silence(silent_for: float, shown: str) -> None:
     book = HealthHistory()
-    book.add(beat("policy"), 100.0)
+    book.add(health_of("policy"), 100.0)
     reported = book.silences(100.0 + silent_for)
     assert book.states == {"policy": shown}
     assert [entry.path for entry in reported] == ([("services", "policy")] if shown == "silent" else [])
@@ -30,11 +27,11 @@ def test_four_heartbeats_missed_are_silence(silent_for: float, shown: str) -> No
 def test_silence_is_per_service_and_ends_with_its_next_heartbeat() -> None:
     book = HealthHistory()
     for service in ("policy", "adaptation"):
-        book.add(beat(service), 100.0)
-    book.add(beat("adaptation"), 101.0)
+        book.add(health_of(service), 100.0)
+    book.add(health_of("adaptation"), 101.0)
     book.silences(101.5)
     assert book.states == {"policy": "silent", "adaptation": "running"}
-    book.add(beat("policy"), 101.6)
+    book.add(health_of("policy"), 101.6)
     assert book.states == {"policy": "running", "adaptation": "running"}
 
 
@@ -42,10 +39,7 @@ def test_silence_is_per_service_and_ends_with_its_next_heartbeat() -> None:
     ("microseconds", "shown"), [(0.0, [0.0]), (150.0, [0.15]), (2500.0, [2.5]), (-1.0, []), (1e9, [])]
 )
 def test_steps_are_drawn_in_milliseconds(microseconds: float, shown: list[float]) -> None:
-    message = HealthMessage(
-        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, service="policy", pid=7, state="running",
-        step_microseconds=microseconds,
-    )  # fmt: skip
+    message = health_of("policy", step_microseconds=microseconds)
     curves = [entry.shape for entry in HealthHistory().add(message, 100.0) if entry.path[0] == "steps"]
     drawn = [value for shape in curves if isinstance(shape, Curves) for value in shape.values]
     assert drawn == pytest.approx(shown)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
-from tests.services.messages import finding_of, state_of, verdict_of
+from tests.messages import finding_of, state_of, verdict_of
 
 from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa.errors import SafedpaError

@@ -5,7 +5,7 @@ import time
 from typing import Any
 
 import pytest
-from tests.services.messages import STAMP, state_of
+from tests.messages import STAMP, state_of
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import TAKEOVER, ModelMessage, TakeoverMessage

@@ -4,7 +4,7 @@ import json
 from collections import Counter
 
 import pytest
-from tests.services.messages import finding_of, health_of, state_of, verdict_of
+from tests.messages import finding_of, health_of, state_of, verdict_of
 
 from safedpa.bus import FINDING, HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa.bus.messages.requests import ORDER

@@ -8,7 +8,7 @@ from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
-from tests.services.messages import finding_of, health_of, state_of, verdict_of
+from tests.messages import finding_of, health_of, state_of, verdict_of
 
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport
 from safedpa_services.supervisor.log_warnings import LogWarnings

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 from click.testing import CliRunner
-from tests.services.messages import health_of, state_of
+from tests.messages import health_of, state_of
 
 from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.command_line import serve

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.services.messages import health_of, state_of, verdict_of
+from tests.messages import health_of, state_of, verdict_of
 
 from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
 from safedpa.bus.messages.requests import ORDER

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("nicegui")
 from nicegui import ui
-from tests.services.messages import finding_of, state_of, verdict_of
+from tests.messages import finding_of, state_of, verdict_of
 from tests.workbench.tab import Tab
 
 from safedpa.bus import Answer
