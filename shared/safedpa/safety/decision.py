@@ -192,7 +192,7 @@ class Decision:
         nominal, program, notice = self._nominal, self._tools.program, "The deadline ended the search."
         known = [*self._budget.candidates, constraints.evaluate(self._backup_action())]
         if constraints.min_h_now < 0.0:
-            # Below 0 the action that raises the least h most, as after a complete search.
+            # Already unsafe: raising the smallest h is the aim, as after a complete search.
             best = max(known, key=lambda one: one.min_h_next)
             return self._verdict(Status.violated, best, notice, "out of time")
         feasible = [one for one in known if one.is_feasible]

@@ -59,7 +59,8 @@ def _environment_spaces(env: Any, has_state_of: bool, accounted_for: Sequence[ty
         if not _is_wrapper(layer):
             continue
         if isinstance(layer, tuple(accounted_for)):
-            # Beyond it actions may have another unit, and the caller answers for what they become.
+            # Inside this wrapper actions may have another unit. The user stated that the model accounts for it, so the
+            # action spaces there need not contain the filter's bounds.
             break
         _check_wrapper(layer, has_state_of)
     return spaces
@@ -73,7 +74,7 @@ def _layers(env: Any) -> Iterator[Any]:
     elif _is_wrapper(env):
         yield from _layers(env.venv)
     elif isinstance(env, AsyncVectorEnv):
-        # Its environments live in other processes: one of the same kind is made, looked at and closed.
+        # Its environments live in other processes, so a copy of each is constructed here, inspected and closed.
         for part in (make() for make in env.env_fns):
             yield from _layers(part)
             part.close()

@@ -100,7 +100,7 @@ class FilterSettings:
         """
         system = robot_named(robot).system if isinstance(robot, str) else robot
         known = robots()[system.name].of_system(system) if system.name in robots() else None
-        # By name and system: another robot with the same names of actions has other actuators.
+        # The name is not enough: a system of the user with the same name may have other actuators.
         own = () if known is None or known.system != system else known.nominal_range
         low, high = zip(*(own or [(each.low, each.high) for each in system.action]), strict=True)
         return cls(**{"system": system.name, "action_low": low, "action_high": high, **changes})

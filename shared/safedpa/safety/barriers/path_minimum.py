@@ -141,7 +141,7 @@ def _bracket(
         return None
     if 0 < at < len(shares) - 1:
         return (float(shares[at - 1]), float(shares[at]), float(shares[at + 1])), float(column[at])
-    # The lowest sample is an end: either the end is the minimum, or a valley begins next to it.
+    # The lowest sample is an end. One more sample close to it shows whether the curve falls further inside.
     end, neighbour = float(shares[at]), float(shares[1 if at == 0 else at - 1])
     alongside = end + _END_STEP * (neighbour - end)
     value = curve(alongside)
@@ -179,7 +179,7 @@ def _brent_minimum(
     second = third = best
     step = last = 0.0
     for _ in range(_BRENT_STEPS):
-        # Brent's stopping rule: the interval is symmetric about the best point to within the tolerance.
+        # Brent's stopping rule: neither end of the bracket is further than two tolerances from the best point.
         middle = 0.5 * (low + high)
         if abs(best - middle) <= 2.0 * _BRENT_TOLERANCE - 0.5 * (high - low):
             break

@@ -151,7 +151,7 @@ def solve_sqp_batch(
         if len(active) == 0:
             break
         subset = constraints.only(active)
-        # Stored before the new solution: the size of the last step decides whether a line search would follow.
+        # Copied before the solution below overwrites it: after a long last step the filter of one robot decides.
         before.put(active, about.only(active))
         found, certain[active] = _solve_programs(
             subset, A[active], about.only(active), nominal[active], overshoot[active]
@@ -185,7 +185,7 @@ def _is_final(
 ) -> BoolArray:
     """(robots,) whether ``solve_sqp`` would return this feasible solution without searching further."""
     far = FAR * FAR
-    # The three cases in which the filter of one robot would search further.
+    # In these cases the filter of one robot would search further, so the batch leaves the robot to it.
     doubtful = ((min_residual > DOUBTFUL) | constraints.saturated) & (constraints.distance(found.action, nominal) > far)
     moved = (constraints.distance(found.action, before.action) > far) & (index > 0)
     return np.asarray((min_residual <= NEEDLESS) & ~doubtful & ~moved & ~_would_backtrack(constraints, nominal, found))

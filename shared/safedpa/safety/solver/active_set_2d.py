@@ -245,7 +245,7 @@ class SoftQP2D(QP2D):
         # The curvature is updated by differences; it can never be less than that of the weights alone.
         least_curvature = 2.0 * (self._weight_x * step_x * step_x + self._weight_y * step_y * step_y)
         travelled, line = 0.0, -1
-        for _ in range(len(self._limit) + 1):  # each line is crossed at most once
+        for _ in range(len(self._limit) + 1):  # a step crosses each line at most once
             distance, rate, line = self._first_crossing(step_x, step_y, travelled - derivative / curvature)
             distance = max(distance, travelled)
             derivative += curvature * (distance - travelled)
@@ -281,7 +281,7 @@ class SoftQP2D(QP2D):
             a, b = self._a[row], self._b[row]
             rate = a * step_x + b * step_y
             if not abs(rate) > none * (abs(a) + abs(b)) or (rate > 0.0) != self._violated[row]:
-                continue  # parallel, or leading away from it
+                continue  # no crossing ahead: the step is parallel to the line or leads away from it
             distance = (self._limit[row] - a * self.x - b * self.y) / rate
             if distance < share:
                 share, change, line = distance, rate, row
