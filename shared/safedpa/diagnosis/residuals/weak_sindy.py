@@ -154,9 +154,10 @@ MORE = 3.0
 _MIN_SHARE = 0.02
 # Terms of a formula: a longer one is no explanation, and its terms are not unique.
 _MAX_TERMS = 4
-# Terms whose gain on unseen data is computed at each step, the best on all data first.
+# Terms whose gain on unseen data is computed at each step, the best on all data first: each needs a regression per
+# fold.
 _COMPARED = 8
-# Determinant above which a matrix is inverted directly; below it the pseudo-inverse is used.
+# Determinant below which the pseudo-inverse is used: the inverse of a nearly singular matrix is mostly rounding error.
 _REGULAR = 1e-6
 
 

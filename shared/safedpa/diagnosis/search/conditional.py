@@ -69,14 +69,15 @@ def _number(name: str, value: float, unit: str) -> str:
 _ENOUGH = ((4.0, FALL), (3.0, 0.3), (2.0, 0.6))
 # A region of the floor brakes, so this effect is tried there first.
 _FLOOR = "rolling_resistance"
-# Width [m] over which a region of the floor sets in.
+# Width [m] over which a region of the floor sets in: the fit needs a smooth edge, since a step has no derivative.
 _EDGE = 0.05
 # Smallest share of rows inside a region, and outside: less contains no evidence for its border.
 _MIN_ROW_SHARE = 0.04
 # Deviations from 0 that an additive parameter needs where its law does not act. Four, because the law was chosen among
 # thousands.
 _MIN_OFFSET = 4.0
-# Laws that are fitted in rollouts in each round; the screen to first order ranks them.
+# Laws that are fitted in rollouts in each round. A rollout fit is slow, so only the best of the first-order screen get
+# one.
 _FITTED_LAWS = 6
 # Laws that are also tried without each other effect, and the rivals of their effect that are tried with the same law.
 # Each combination needs a fit.
@@ -84,7 +85,7 @@ _VARIED, _RIVALS = 3, 2
 # Accepted effects without which laws are screened, laws fitted for each, and library effects that may get one. Their
 # product bounds the number of fits.
 _LEFT_OUT, _LAWS_WITHOUT, _CANDIDATES = 4, 3, 8
-# Decrease of the objective below which a law is not fitted to the end: 0.05 % of the residual.
+# Decrease of the objective (0.05 % of the residual) below which the fit of a law is stopped early, to save time.
 _MIN_DECREASE = 5e-4
 # Rounds, each adding at most one law. More would only add run time: laws are rare.
 _ROUNDS = 3
@@ -270,7 +271,7 @@ def _best_passing(search: SearchState, trials: Sequence[EffectTrial]) -> EffectT
     passing = [
         trial
         for trial in trials
-        # A value at a bound means that the law fits only as something else.
+        # A parameter at its bound is implausible: the law then imitates another cause.
         if bool(trial.fit.free.all())
         and _passes(trial, search)
         and _in_most_runs(trial, search)
@@ -403,7 +404,8 @@ def accept_law(search: SearchState, best: EffectTrial, stage: int | None = None)
     law = f"{item.law.key} {item.law.phrase}"
     reason = f"{law}: gain on unseen blocks {gain:.1f} standard errors over the same model without"
     search.candidates.append(JudgedTrial(stage, best, gain, search.error, "accepted", reason, (), before.value))
-    for index, other in enumerate(search.candidates[:-1]):  # the form of the effect that this law replaces
+    # The report must not list the earlier form of this effect as accepted once the law has replaced it.
+    for index, other in enumerate(search.candidates[:-1]):
         paths = [path for path in other.trial.fit.paths if path.split(".")[0] == name]
         if other.decision == "accepted" and not set(paths) <= set(again.paths):
             search.candidates[index] = with_reason(other, "rejected", f"replaced by {name} {law}")
