@@ -53,7 +53,7 @@ def load_model(source: str | Path) -> PhysicsModel:
 
 def shipped_models() -> dict[str, Path]:
     """Returns the shipped model files by name, without the ending."""
-    # column maps lie next to the models, and are no models
+    # the folder also has column maps, which are not models
     with as_file(files("safedpa.dynamics") / "models") as folder:
         return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")}
 
@@ -63,7 +63,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
 
     Raises ModelFileError naming the key.
     """
-    # first: the text may name a robot or an effect of a user's file
+    # before parsing, because the text may name a robot or an effect that a user's file defines
     load_user_files()
     try:
         table = parse_toml(text)
@@ -279,7 +279,7 @@ def fingerprint(model: PhysicsModel) -> str:
 
     Learned networks count by the digest of their weights, not by the name of the weights' file.
     """
-    # through the text: two models are the same if their files say the same, however they were constructed
+    # by the text, so that the fingerprint depends on what the model is, not on how it was constructed
     table = parse_toml(write_model(model))
     table.get("networks", {}).pop("weights", None)
     # sorted keys: the order in a file does not matter; the order of effects does, and lists keep theirs

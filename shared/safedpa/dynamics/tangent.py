@@ -145,7 +145,7 @@ class _Slopes:
         """Returns the slope of one operation's value."""
         known = {f"d{place}": named.get(operand, "0.0") for place, operand in enumerate(operands)}
         rule = _RULES.get(form) or _PRODUCTS.get((form, *(operand in named for operand in operands)))
-        # products and quotients by which operands have a slope: most have one, and half of the terms are left out
+        # the rule depends on which operands have a slope: usually one has, and the other's term is 0 and left out
         if rule is not None:
             return rule.format(*operands, own=name, **known)
         if form == "sin":

@@ -167,7 +167,7 @@ def _check_base(base: type[AbstractBase], path: Path) -> None:
             f"{label}: its system '{system.name}' has the states {', '.join(system.state_names)}, the known one of "
             f"that name {', '.join(known.state_names)}; choose another name"
         )
-    # 0.1: at 0 a division by a speed would fail, which is no mistake
+    # not 0: an equation that divides by a speed is valid, but would fail for a robot at rest
     state = dict.fromkeys(system.state_names, 0.1)
     action = dict.fromkeys(system.action_names, 0.1)
     try:
