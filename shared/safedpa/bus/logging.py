@@ -92,7 +92,7 @@ _LONGEST_TEXT = 400
 Later = Callable[[float, Callable[[], None]], object]
 
 
-# Kind, robot, service.
+# Kind, robot, service: repeated events of one robot must not suppress those of another.
 _Key = tuple[str, str, str]
 
 

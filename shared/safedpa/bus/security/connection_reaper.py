@@ -27,14 +27,15 @@ from safedpa.bus.logging import log_event
 
 # How long the kernel keeps a silent connection. It takes some hundred bytes there and nothing in this process.
 _SILENT_SECONDS = 250
-# Length of the kernel's queue of a listening socket; the kernel lowers it to ``net.core.somaxconn``.
+# Length of the kernel's queue of a listening socket. As long as possible, because robots cannot connect while a flood
+# fills it; the kernel lowers it to ``net.core.somaxconn``.
 _BACKLOG = 65_535
 # Time limit for a connection to become a member. A handshake takes 3 ms; 3 s tolerate a busy machine.
 _TIMEOUT_SECONDS = 3.0
-# Time limit if more connections than this are pending, as in a flood.
+# Time limit if more connections than this are pending, as in a flood, whose connections would use up the descriptors.
 _SHORT_TIMEOUT_SECONDS = 0.4
 _MANY = 32
-# Time limit while no descriptor is left.
+# Time limit while no descriptor is left: until a pending connection is closed, no robot can connect.
 _EXHAUSTED_TIMEOUT_SECONDS = 0.1
 # Descriptors in reserve: more than Zenoh accepts before it handles those that it has.
 _RESERVE = 160

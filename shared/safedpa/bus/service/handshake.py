@@ -53,7 +53,7 @@ class ModelHandshake:
         # Only a state proves that there is a robot to serve. Other inputs are useless without one.
         if item.topic is not STATE:
             return False
-        # Two questions of one time-out each, and one in reserve for a busy machine.
+        # One time-out for the diagnosis, one for the other services, and a third because a busy machine answers late.
         self._waiting[item.robot] = {STATE: item}, self._clock() + 3.0 * _TIMEOUT_SECONDS
         self._bus.ask_model(self._inbox, item.robot, self._node.name, _TIMEOUT_SECONDS)
         return True

@@ -40,9 +40,9 @@ _LARGEST_RESULT = 1 << 17
 # Killed workers that have not exited yet (a process in uninterruptible sleep may take long). Beyond this number no
 # other worker is started, so that they cannot accumulate.
 _MOST_DYING = 4
-# Size of the pipe to the worker: jobs that it has not read yet.
+# Size of the pipe to the worker. It buffers jobs that the worker has not read yet, so that the loop need not wait.
 _PIPE_BYTES = 1 << 20
-# Header of a job: its number, and the length of the pickled argument.
+# Header of a job, because a pipe has no message boundaries: its number, and the length of the pickled argument.
 _HEADER = struct.Struct("<IQ")
 # The worker inherits real-time scheduling from a service that has it and gives it up first, before it imports anything.
 # Then it waits for the first byte of a job, so that services without model changes do not pay for the imports.

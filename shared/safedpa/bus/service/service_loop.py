@@ -39,7 +39,7 @@ from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage, RejectedMessage
 from safedpa.errors import BusError, InputError
 
-# Longest wait for a message; also the interval at which `stopped` and the batch interval are checked.
+# Longest wait for a message, so that `stopped` and the batch interval are checked even if no message arrives.
 _LONGEST_WAIT_SECONDS = 0.25
 # Time limit of the shutdown: a car brakes from full speed in 1.2 s, and Docker kills a container after 10 s.
 _SHUTDOWN_SECONDS = 5.0
@@ -91,7 +91,8 @@ class TimerQueue:
         return sum(map(len, self._robots.values()))
 
 
-# Number of robots from which batching is used, and below which it ends again: hysteresis.
+# Number of robots from which batching is used: with fewer, waiting adds latency and too few messages share a wake-up.
+# Batching ends only below the second number, so that one robot that joins and leaves does not switch it repeatedly.
 _MANY, _FEW = 8, 4
 # Batch interval as a fraction of the shortest period: 1.5 ms at 20 Hz. Four loops wait in sequence. A fraction of 0.08
 # tripled the latency of fifty robots and saved no CPU time.
@@ -206,7 +207,7 @@ _SILENCE_SECONDS = 0.3
 _FINISH_SHARE = 0.1
 _LATEST_FINISH_SHARE = 0.5
 
-# A robot that was silent for this long has left.
+# A robot that was silent for this long has left; its slot is then free for another robot.
 _FORGET_SECONDS = 30.0
 # Robots served at once. The names come from the network, and each takes memory.
 _MOST_ROBOTS = 1000
