@@ -65,6 +65,7 @@ class VecSafetyFilter(VecEnvWrapper):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Filters ``actions`` (environments, actions) at the last observations and starts the step."""
+        # Filtered here and not in step_wait, because the environments start to move in this call.
         seen = [_of_one(self._observations, index) for index in range(self.num_envs)]
         self._decided = [self._action_filter(one, action) for one, action in zip(seen, actions, strict=True)]
         self.venv.step_async(np.stack([applied for _, applied in self._decided]))
@@ -89,6 +90,7 @@ class AppliedActionReplayBuffer(ReplayBuffer):
         """
         if any("applied_action" not in info for info in infos):
             raise InputError("infos: got no applied_action, wanted environments inside GymnasiumSafetyFilter")
+        # Reward and next observation are results of the applied action; stored with another one they would mislead.
         applied = np.stack([info["applied_action"] for info in infos])
         low, high = self.action_space.low, self.action_space.high
         super().add(obs, next_obs, 2.0 * (applied - low) / (high - low) - 1.0, reward, done, infos)
@@ -96,6 +98,7 @@ class AppliedActionReplayBuffer(ReplayBuffer):
 
 def _of_one(observations: Any, index: int) -> Any:
     """One environment's observation; None before the first reset."""
+    # A Dict space has one array per key, each with the environments first.
     if isinstance(observations, dict):
         return {name: values[index] for name, values in observations.items()}
     return None if observations is None else observations[index]

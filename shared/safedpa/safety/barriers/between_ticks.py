@@ -88,6 +88,7 @@ class LipschitzBarrier(AbstractBarrier):
         """Returns the barrier for states one tick after ``state``."""
         if len(state) != len(self.bound):
             raise InputError(f"lipschitz: got {len(self.bound)} numbers for {len(state)} states, wanted as many")
+        # A copy: the origin must not change if the caller writes the next state into the same array.
         return _LipschitzFrom(self, np.array(state), self._h(state))
 
     def _h(self, state: FloatArray) -> FloatArray:
@@ -115,6 +116,7 @@ class _LipschitzFrom(AbstractBarrier):
 
     def _with_chord(self, own: FloatArray, chord: FloatArray) -> FloatArray:
         """Derivatives (2m, n) from those of h (m, n) and of the chord's length (n,)."""
+        # With ``largest_step`` the bound contains no h, so every row has the slope of the chord's length alone.
         between = 0.5 * (own - chord) if self._barrier.largest_step is None else np.tile(-chord, (len(own), 1))
         return np.concatenate([own, between])
 

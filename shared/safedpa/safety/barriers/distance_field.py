@@ -78,10 +78,12 @@ class DistanceFieldBarrier(AbstractBarrier):
         return self.h_and_grad(state)[0]
 
     def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
+        # + 2.0: the frame of two cells shifts every index of the map.
         column, row = (state[list(self._position)] - self._origin) / self._cell + 2.0
         rows, columns = self._grid.shape
         # The last cell of the frame continues outwards without slope.
         row, column = min(max(row, 0.0), rows - 1.0), min(max(column, 0.0), columns - 1.0)
+        # On the last row or column the cell before it is used, because interpolation needs four corners.
         i, j = min(int(row), rows - 2), min(int(column), columns - 2)
         u, v = row - i, column - j
         corners = self._grid[i : i + 2, j : j + 2]
@@ -109,5 +111,6 @@ def distance_to_occupied(occupied: ArrayLike, cell: float) -> FloatArray:
         # Without an obstacle the map ends free; its frame is what bounds it.
         return np.full(cells.shape, cell * float(np.hypot(*cells.shape)))
     outside = ndimage.distance_transform_edt(~cells)
+    # Without a free cell there is no distance to one, and any positive depth keeps h negative.
     inside = ndimage.distance_transform_edt(cells) if not cells.all() else np.full(cells.shape, 1.0)
     return np.asarray(cell * (outside - inside - 1.0 / sqrt(2.0)))

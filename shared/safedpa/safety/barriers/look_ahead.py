@@ -47,13 +47,15 @@ class LookAheadBarrier(AbstractBarrier):
         self._barrier, self._ahead, self._entries = barrier, float(ahead), (x, y, yaw)
 
     def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        # The robot itself may be nearer to the obstacle than the point, by at most their distance ``ahead``.
         return np.asarray(self._barrier.h(self._moved(state))) - self._ahead
 
     def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
         x, y, yaw = self._entries
         h, gradient = self._barrier.h_and_grad(self._moved(state))
-        gradient = np.array(gradient)
+        gradient = np.array(gradient)  # a copy: the barrier may return an array that it uses again
         turned = self._ahead * (-np.sin(state[yaw]) * gradient[:, x] + np.cos(state[yaw]) * gradient[:, y])
+        # Added to the barrier's own derivative, since h may depend on the heading as well.
         gradient[:, yaw] += turned
         return np.asarray(h) - self._ahead, gradient
 

@@ -58,6 +58,7 @@ ENDS: Final = np.array([1.0, -1.0])
 """Nose first, tail first."""
 STOP_SECONDS: Final = 0.15
 """Time constant [s] of the deceleration."""
+# Times STEP_SECONDS this is below 1: each step removes half of the angle, so that the heading does not overshoot.
 GAIN: Final = 12.0
 """Proportional gain [1/s] of the turn rate."""
 FAINT: Final = 0.05

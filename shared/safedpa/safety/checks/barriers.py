@@ -60,7 +60,7 @@ def scale_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIs
     for row in range(len(checked.barriers.names)):
         epsilon, threshold = checked.epsilon[row], checked.threshold[row]
         most, spread = h[:, row].max(), np.ptp(h[:, row])
-        if epsilon == 0.0:
+        if epsilon == 0.0:  # ``margin_issues`` reports it
             continue
         if most < threshold:
             notice = (
@@ -95,6 +95,7 @@ def gradient_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filte
         given = np.asarray(checked.barriers.grad_h(probe.state))
         left, right = _one_sided(checked, probe, moved, used)
         share = np.abs(0.5 * (left + right) * moved[used]).max(axis=1)
+        # Where h does not change, no share of the change can be allowed: rounding of h is the error then.
         allowed = _GRADIENT_TOLERANCE * np.where(share > 0.0, share, 1e-9 * np.abs(probe.h))
         allowed = allowed[:, np.newaxis] / moved[used]
         low, high = np.minimum(left, right) - allowed, np.maximum(left, right) + allowed
@@ -126,6 +127,7 @@ def _one_sided(
         for side, table in ((-1.0, left), (1.0, right)):
             near = probe.state.copy()
             near[entry] += side * _GRADIENT_STEP * moved[entry]
+            # The step is computed again from the shifted state, which differs from the intended one by rounding.
             table[:, at] = (checked.h(near) - probe.h) / (near[entry] - probe.state[entry])
     return left, right
 
@@ -324,12 +326,14 @@ def _relative_degree(
     for base in checked.corners():
         for column in range(len(low)) if columns is None else columns:
             other = base.copy()
+            # The other action stays within the bounds: the model need not be defined beyond them.
             inward = _ACTION_STEP * (high - low)[column]
             other[column] += inward if base[column] + inward <= high[column] else -inward
             once, twice = _effect(checked, state, row, base, other)
             # An effect at the level of rounding has no exponent; an action without any effect leaves the degree
             # infinite.
             if once > _EFFECT_ROUNDING * size:
+                # An effect that fades after one tick has degree 0; without the maximum it would be negative.
                 least = min(least, log2(max(twice, once) / once))
     return least
 

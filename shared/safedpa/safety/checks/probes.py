@@ -150,12 +150,14 @@ def _drive(
         if constant_nominal is not None:
             nominal = constant_nominal
         elif held == 0:
+            # Held for several ticks: an action that alternates in every tick hardly moves the robot.
             nominal, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
         held -= 1
         verdict = checked.safe.decide(state, nominal, checked.latent, barriers=scene, epsilon=checked.margins)
         # A fallback at the first tick means that the inputs themselves are refused: no drive would show anything.
         if tick == 0 and verdict.status is Status.fallback:
             raise InputError(f"the filter decides nothing at {format_vector(state)}: {verdict.reason}")
+        # A disabled filter reports no failure, so its drives are not cut short.
         is_feasible = verdict.status in _FEASIBLE
         # Every eighth state: neighbouring ones are nearly the same, and each probe is expensive.
         if tick % 8 == 7 or not is_feasible:
@@ -177,6 +179,7 @@ def _probe(checked: FilterUnderTest, state: FloatArray, *, is_feasible: bool) ->
     inside = bool((h >= checked.threshold).all())
     # The smallest positive float avoids 0 / 0 for a barrier with h = 0 and no margin.
     missed = -(residuals / np.maximum(checked.tolerance(h), np.finfo(np.float64).tiny)).min(axis=1)
+    # An extreme action may be feasible even if the filter's search has missed it.
     return Probe(
         state, h, h_next, residuals, moved, np.ptp(residuals, axis=0), inside, is_feasible or bool(missed.min() < 1.0)
     )

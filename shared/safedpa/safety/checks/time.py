@@ -20,6 +20,7 @@ _LONGEST: Final = 20.0
 
 def time_issues(checked: FilterUnderTest, probes: list[Probe], period: float) -> list[FilterIssue]:
     """Decisions under extreme nominal actions that take longer than ``period`` [s] at the 99th percentile."""
+    # Without the last one, the middle of the range: extreme nominal actions need corrections, which take longest.
     corners, seconds = checked.corners()[:-1], list[float]()
     began = perf_counter()
     for at in range(_DECISIONS):
@@ -31,6 +32,7 @@ def time_issues(checked: FilterUnderTest, probes: list[Probe], period: float) ->
         seconds.append(perf_counter() - start)
         if seconds[-1] + start - began > _LONGEST:
             break
+    # Not the maximum: a single interruption by the operating system says nothing about the filter.
     half, most = 1e3 * np.quantile(seconds, (0.5, 0.99))
     if most <= 1e3 * period:
         return []

@@ -230,6 +230,7 @@ class ActuatorModel:
         # Unknown memory: the actuators are assumed to have settled at this very action.
         memory = self._model.initial_memory(command, free) if effect.memory is None else effect.memory
         now, found = np.array(effect.state_at_effect), list[float]()
+        # Until the action takes effect only the actuators' memory changes; ``path`` already has the states.
         for _ in range(effect.waiting_periods):
             memory = self._model.felt(action, memory, latent, period=self._model.period)[1]
         for _ in range(effect.steps):
@@ -261,6 +262,7 @@ class ActuatorModel:
         full_change = [
             b - a for a, b in zip(rest, model.felt(self._high, high_memory, latent, period=period)[0], strict=True)
         ]
+        # A channel that the actions do not reach has no delay, and its share would be 0 / 0.
         channels = [index for index, size in enumerate(full_change) if size != 0.0]
         delays, first, memory = [0.0] * len(full_change), MAX_PERIODS, low_memory
         for step in range(MAX_PERIODS):
@@ -275,4 +277,5 @@ class ActuatorModel:
             if all(share >= _SETTLED for share in shares):
                 break
         last = max((ceil(delays[index] - _IMMEDIATE) for index in channels), default=0)
+        # If no channel responds, ``first`` still has its start value.
         return DeadTime(min(first, last), max(last, 0))

@@ -24,6 +24,7 @@ class DecisionBudget:
 
     def spend(self) -> None:
         """Takes one evaluation. Raises OutOfBudgetError if there is none left, or no time."""
+        # Checked before each evaluation, because a model step that has begun cannot be interrupted.
         self._left -= 1
         if self._left < 0 or self._clock() >= self._end:
             raise OutOfBudgetError("the deadline has passed")
