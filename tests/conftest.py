@@ -30,7 +30,7 @@ from safedpa.systems import robots as declared
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
 TRAINING = ("training", "point", "lab/training", "lab/benchmarks", "lab/point", "lab/pendulum")
-TRAINING += ("safety/test_theory_command.py", "effects/test_every_effect.py")
+TRAINING += ("lab/theory/test_theory_command.py", "effects/test_every_effect.py")
 """Folders and files in ``tests`` that load torch and what stands on it: 400 MB that one process alone need carry."""
 LIGHT = ("adaptation", "bus", "bus_security", "dynamics", "effects", "fleet_process", "networks", "operations")
 LIGHT += ("policy", "replay", "robots", "safety", "sensing")
@@ -217,11 +217,17 @@ def _nothing_left() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def random_car_weights() -> Callable[..., Weights]:
-    """Makes weights for a car from (seed, latents, history, width)."""
+    """Makes weights for a car from (seed, latents, history, width, environment)."""
     return _random_car_weights
 
 
-def _random_car_weights(seed: int = 0, latents: int = 4, history: int = 50, width: int = 16) -> Weights:
+_TOWED = (EnvironmentEntry("towed_load.mass_ratio", 0.0, 1.5), EnvironmentEntry("towed_load.deceleration", 0.0, 4.0))
+
+
+def _random_car_weights(
+    seed: int = 0, latents: int = 4, history: int = 50, width: int = 16,
+    environment: tuple[EnvironmentEntry, ...] = _TOWED,
+) -> Weights:  # fmt: skip
     """Random networks for the car: they predict nonsense, smoothly, in the shapes and names of trained ones."""
     draw = np.random.default_rng(seed)
     tensors: dict[str, Any] = {}
@@ -233,13 +239,9 @@ def _random_car_weights(seed: int = 0, latents: int = 4, history: int = 50, widt
     for name, outputs in (("f", 4), ("g", 8)):
         for index, (out, into) in enumerate(((width, 3 + latents), (width, width), (outputs, width))):
             dense(f"{name}.{index}", out, into)
-    environment = ()
     if latents:
-        environment = (
-            EnvironmentEntry("towed_load.mass_ratio", 0.0, 1.5),
-            EnvironmentEntry("towed_load.deceleration", 0.0, 4.0),
-        )
-        dense("mu.0", 64, 2)
+        low, high = (np.array([getattr(entry, name) for entry in environment]) for name in ("low", "high"))
+        dense("mu.0", 64, len(environment))
         dense("mu.1", latents, 64)
         dense("phi.dense.0", 32, 9)
         dense("phi.dense.1", 32, 32)
@@ -247,7 +249,7 @@ def _random_car_weights(seed: int = 0, latents: int = 4, history: int = 50, widt
             tensors[f"phi.conv.{index}.weight"] = draw.normal(0.0, 0.06, (32, 32, 8))
             tensors[f"phi.conv.{index}.bias"] = draw.normal(0.0, 0.1, 32)
         dense("phi.out", latents, 32)
-        tensors |= {"environment_middle": np.array([0.75, 2.0]), "environment_scale": np.array([0.75, 2.0])}
+        tensors |= {"environment_middle": 0.5 * (low + high), "environment_scale": 0.5 * (high - low)}
         tensors |= {"latent_low": np.full(latents, -3.0), "latent_high": np.full(latents, 3.0)}
         tensors["latent_nominal"] = np.zeros(latents)
     tensors |= {
@@ -264,7 +266,7 @@ def _random_car_weights(seed: int = 0, latents: int = 4, history: int = 50, widt
         actions=("target_speed", "steer"),
         latents=latents,
         history=history if latents else 0,
-        environment=environment,
+        environment=environment if latents else (),
         trained_on={"seed": seed},
     )
     return Weights({name: tensor.astype(np.float32) for name, tensor in tensors.items()}, description)

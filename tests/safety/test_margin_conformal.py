@@ -249,6 +249,7 @@ def test_margin_files_are_checked(old: str, new: str, phrase: str, tmp_path: Pat
         {"coverage": 1e-9, "transitions": 1},
         {"coverage": math.nextafter(1.0, 0.0), "drives": 1, "origin": "a command"},
         {"drive": {"obstacle": 0.0}, "theorem": {"obstacle": 0.0}},
+        {"constants": {"step": 1.5}, "covered": {"theorem.obstacle": 0.995}},
     ],
     ids=str,
 )

@@ -172,15 +172,6 @@ def test_affine_parts_are_found_and_the_rest_is_the_remainder(seed: int, actions
     assert remainder.max() > 1e-6
 
 
-def test_actions_that_cannot_separate_the_parts_are_refused() -> None:
-    u = np.zeros((2, 6, 2))
-    u[:, :, 0] = np.linspace(-1, 1, 6)
-    with pytest.raises(InputError, match="all ways"):
-        affine_parts(u, np.zeros((2, 6, 4)))
-    with pytest.raises(InputError, match="at least 4"):
-        affine_parts(np.random.default_rng(0).normal(size=(2, 3, 2)), np.zeros((2, 3, 4)))
-
-
 def test_constants_at_a_coverage_hold_together_in_that_share_of_new_states() -> None:
     """Four independent errors: without the correction by Bonferroni 4 % of the states would miss one of them."""
     random = np.random.default_rng(5)
