@@ -103,5 +103,5 @@ def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(monkey
     monkeypatch.chdir(tmp_path)
     assert settings_named("own").eta == 0.9
     assert settings_named("car").eta != 0.9, "what ships under that name"
-    Path("own").write_text("eta = 0.4")
+    Path("own").write_text('system = "car"\neta = 0.4')
     assert settings_named("own").eta == 0.4
