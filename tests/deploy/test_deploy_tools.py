@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 import yaml
 from packaging.specifiers import SpecifierSet
+from tests.messages import health_of, stamp, state_of
 
-from safedpa.bus import HEALTH, NO_ROBOT, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport, StateMessage
+from safedpa.bus import HEALTH, NO_ROBOT, ActionMessage, Bus, MemoryBroker, MemoryTransport
 from safedpa.bus.messages.codec import encode
 from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
@@ -114,13 +115,8 @@ def test_the_budget_counts_what_was_recorded(tmp_path: Path) -> None:
     sent = 0
     for tick in range(41):
         for robot in ("r1", "r2"):
-            stamp = {"epoch": 1, "tick": tick, "robot_time": tick / 20.0, "publish_time": tick / 20.0}
-            state = StateMessage(
-                **stamp, values=(0.0,) * 6, applied=(0.0, 0.0), applied_by="filter", period=0.05, lockstep=False,
-                goal=(1.0, 1.0), obstacles=(), field=(), footprint=(),
-            )  # fmt: skip
-            at = int(1e9 * tick / 20.0)
-            for topic, message in (("state", state), ("action", ActionMessage(**stamp, values=(1.0, 0.0)))):
+            state, at = state_of(*[0.0] * 6, **stamp(tick)), int(1e9 * tick / 20.0)
+            for topic, message in (("state", state), ("action", ActionMessage(**stamp(tick), values=(1.0, 0.0)))):
                 payload = encode(message)
                 sent += len(payload)
                 recorder.write(f"safedpa/fleet/{robot}/{topic}", payload, at, at)
@@ -250,8 +246,7 @@ def test_a_tree_without_a_name_is_refused() -> None:
 def beat(bus: Bus, at: float, steps: int, **other: object) -> None:
     """Returns a heartbeat of the policy about robot r1, with changed fields."""
     robot = str(other.pop("robot", "r1"))
-    plain = {"service": "policy", "pid": 7, "state": "running", "detail": ""}
-    message = HealthMessage(epoch=1, tick=steps, robot_time=0.0, publish_time=at, steps=steps, **{**plain, **other})
+    message = health_of(**{"service": "policy", "tick": steps, "publish_time": at, "steps": steps, **other})
     bus.publish(HEALTH, robot, message, message.service)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.messages import stamp, state_of
 
 from safedpa.bus.messages.codec import encode
-from safedpa.bus.messages.messages import StateMessage
 from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.dynamics import load_model, write_model
 from safedpa.errors import InputError, RecordingError
@@ -29,11 +29,9 @@ def record(path: Path, robots: tuple[str, ...], ticks: int = 60) -> Path:
         for tick in range(ticks):
             for number, robot in enumerate(robots):
                 t = 0.05 * tick
-                state = StateMessage(
-                    epoch=3, publish_time=0.0, tick=tick, robot_time=t,
-                    values=(np.sin(t), 1 - np.cos(t), t, 1.0 + 0.1 * number),
-                    applied=(1.0 + 0.1 * np.sin(t), 0.3 * np.cos(t)), applied_by="filter",
-                    period=0.05, lockstep=True, goal=(), obstacles=(), field=(), footprint=(),
+                state = state_of(
+                    np.sin(t), 1 - np.cos(t), t, 1.0 + 0.1 * number, **stamp(tick),
+                    applied=(1.0 + 0.1 * np.sin(t), 0.3 * np.cos(t)),
                 )  # fmt: skip
                 recorder.write(key_of("fleet", robot, STATE), encode(state), int(1e9 * t), int(1e9 * t))
     return path

@@ -5,6 +5,7 @@ from math import sin
 
 import numpy as np
 import pytest
+from tests import messages
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
@@ -56,45 +57,21 @@ def verdict_of() -> Callable[[StateMessage], VerdictMessage]:
     return _verdict
 
 
-def _stamp(tick: int) -> dict[str, float]:
-    return {"epoch": 3, "tick": tick, "robot_time": tick * PERIOD, "publish_time": 0.0}
-
-
 def _state(row: Row) -> StateMessage:
     tick, values, applied = row
-    return StateMessage(
-        **_stamp(tick),
-        values=tuple(values.tolist()),
-        applied=tuple(applied.tolist()),
-        applied_by="filter" if tick else "none",
-        period=PERIOD,
-        lockstep=True,
-        goal=(1.0, 0.0),
-        obstacles=(),
-        field=(-50.0, 50.0, -50.0, 50.0),
+    return messages.state_of(
+        *values.tolist(), **messages.stamp(tick, PERIOD, epoch=3), applied=tuple(applied.tolist()),
+        applied_by="filter" if tick else "none", lockstep=True, goal=(1.0, 0.0), field=(-50.0, 50.0, -50.0, 50.0),
         footprint=(0.08, 0.4, 0.12),
-    )
+    )  # fmt: skip
 
 
 def _verdict(state: StateMessage) -> VerdictMessage:
-    return VerdictMessage(
-        **_stamp(state.tick),
-        status="passed",
-        sentence="",
-        action=(0.0, 0.0),
-        nominal=(0.0, 0.0),
-        slack=0.0,
-        active=(),
-        h_now=1.0,
-        h_next=1.0,
-        margin=0.01,
-        solver="solved",
-        microseconds=1.0,
-    )
+    return messages.verdict_of("passed", **messages.stamp(state.tick, PERIOD, epoch=3), margin=0.01)
 
 
 def latent_of(state: StateMessage, model: str) -> LatentMessage:
-    return LatentMessage(**_stamp(state.tick), model=model, values=(), deviations=())
+    return messages.latent_of(**messages.stamp(state.tick, PERIOD, epoch=3), model=model)
 
 
 class HandedWorker(AbstractWorker):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.messages import stamp
 
 from safedpa.bus import MODEL, STATE, ModelMessage, ReceivedMessage
 from safedpa_lab.experiments.diagnosis import live
@@ -86,8 +87,7 @@ def scripted(monkeypatch, state_of):
 
 
 def change(step: str, tick: int) -> ModelMessage:
-    stamp = {"epoch": 1, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0}
-    return ModelMessage(**stamp, step=step, change=1, fingerprint="f", replaces="e", from_tick=tick)
+    return ModelMessage(**stamp(tick), step=step, change=1, fingerprint="f", replaces="e", from_tick=tick)
 
 
 @pytest.mark.parametrize(

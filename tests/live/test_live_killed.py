@@ -11,18 +11,8 @@ import pytest
 
 pytestmark = [pytest.mark.long, pytest.mark.processes]
 
-DRIVE = (
-    "--model",
-    "car_measured",
-    "--seconds",
-    "20",
-    "--seed",
-    "2",
-    "--change",
-    "steering_offset",
-    "--change-after",
-    "8",
-)
+DRIVE = ["--model", "car_measured", "--seconds", "20", "--seed", "2"]
+DRIVE += ["--change", "steering_offset", "--change-after", "8"]
 
 
 def up(folder: Path, *options: str) -> subprocess.Popen[str]:

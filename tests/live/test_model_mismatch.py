@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.messages import health_of
 
 from safedpa.bus import HealthMessage
 from safedpa.live.change import ModelMismatchMonitor
@@ -14,8 +15,7 @@ def state(state_of):
 
 
 def health(tick: int, model: str, service: str = "policy", epoch: int = 3) -> HealthMessage:
-    stamp = {"epoch": epoch, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
-    return HealthMessage(**stamp, service=service, pid=1, state="running", model=model)
+    return health_of(service, epoch=epoch, tick=tick, model=model)
 
 
 @pytest.mark.parametrize(("tick", "believed"), [(100, False), (109, False), (110, True), (500, True)])

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import pytest
+from tests.messages import stamp
 from tests.operations.conftest import LOOP, STATE_FIELDS, VERDICT_FIELDS
 
 from safedpa.bus import HealthMessage, StateMessage, SurroundingsMessage, VerdictMessage
@@ -15,20 +16,18 @@ NOW = 200.0
 SILENT = ("trouble", "silent for 9 s")
 
 
-def stamp(tick: int = 1000) -> dict[str, Any]:
-    return {"epoch": 7, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0}
-
-
 def state_of(**changes: Any) -> StateMessage:
-    return StateMessage(**{**stamp(), **STATE_FIELDS, "period": 0.05, **changes})
+    return StateMessage(**{**stamp(1000, epoch=7), **STATE_FIELDS, "period": 0.05, **changes})
 
 
 def verdict_of(**changes: Any) -> VerdictMessage:
-    return VerdictMessage(**{**stamp(), **VERDICT_FIELDS, **changes})
+    return VerdictMessage(**{**stamp(1000, epoch=7), **VERDICT_FIELDS, **changes})
 
 
 def beat(service: str, **changes: Any) -> HealthMessage:
-    return HealthMessage(**{**stamp(), "service": service, "pid": 1, "state": "running", "steps": 1, **changes})
+    return HealthMessage(
+        **{**stamp(1000, epoch=7), "service": service, "pid": 1, "state": "running", "steps": 1, **changes}
+    )
 
 
 def robot_of(**changes: Any) -> RobotOverview:
@@ -142,7 +141,7 @@ def test_services_with_different_models_are_trouble_and_those_that_report_none_d
 
 def test_a_wrong_sensor_is_trouble_and_a_switched_one_deserves_attention() -> None:
     seen = SurroundingsMessage(
-        **stamp(),
+        **stamp(1000, epoch=7),
         points=(),
         movers=(),
         hidden=(),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
+from tests.messages import state_of
 
-from safedpa.bus import StateMessage
 from safedpa.dynamics import LearnedBase, load_model
 from safedpa.errors import MessageError
 from safedpa.networks import Weights
@@ -71,9 +71,7 @@ def test_the_nominal_action_of_one_car_is_what_the_policy_does_at_its_observatio
     weights, parts = shipped(name), scene(np.random.default_rng(seed), count)
     state, applied, goal, obstacles, field, footprint, latent = (tuple(part.tolist()) for part in parts)
     around = tuple(tuple(row) for row in obstacles)
-    reported = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "period": 0.05, "lockstep": True}
-    reported |= {"values": state, "applied": applied, "goal": goal, "obstacles": around, "field": field}
-    message = StateMessage(**reported, applied_by="filter", footprint=footprint)
+    message = state_of(*state, applied=applied, goal=goal, obstacles=around, field=field, footprint=footprint)
     policy = LearnedPolicy(weights)
     nominal, _ = policy.nominal_action(message, np.array(latent))
     expected = policy.act(np.array(observe_one(state, applied, goal, around, field, footprint, latent)))
@@ -83,13 +81,9 @@ def test_the_nominal_action_of_one_car_is_what_the_policy_does_at_its_observatio
 @pytest.mark.parametrize("place", ["values", "goal", "footprint", "obstacles"])
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
 def test_what_is_no_number_is_refused(place, bad):
-    state = StateMessage(
-        epoch=1, tick=0, robot_time=0.0, publish_time=0.0,
-        values=(bad if place == "values" else 0.1, 0.2, bad if place == "values" else 0.3, 0.4), applied=(0.0, 0.0),
-        applied_by="filter", period=0.05, lockstep=True, goal=(1.0, bad if place == "goal" else 1.0),
-        obstacles=((bad if place == "obstacles" else 1.0, 1.0, 0.3),), field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.1, 0.2, bad if place == "footprint" else 0.1),
-    )  # fmt: skip
+    wrong = {"values": (bad, 0.2, 0.3, 0.4), "goal": (1.0, bad), "footprint": (0.1, 0.2, bad)}
+    wrong["obstacles"] = ((bad, 1.0, 0.3),)
+    state = state_of(**{place: wrong[place]})
     with pytest.raises(MessageError, match="not finite"):
         LearnedPolicy(shipped("car_learned")).nominal_action(state, np.zeros(4))
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.messages import latent_of, stamp, state_of
 
 from safedpa.bus import LATENT, NOMINAL, LatentMessage, NominalMessage, Stale, StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, fingerprint, load_model
@@ -16,10 +17,9 @@ from safedpa.robots.car.observation import OBSTACLES, RAYS, clearances, observat
 from safedpa.systems.robots import robot_named
 
 LATENTS = 2
-STATE = StateMessage(
-    epoch=5, tick=7, robot_time=0.35, publish_time=0.0, values=(0.5, -0.3, 0.7, 0.5), applied=(0.5, 0.1),
-    applied_by="filter", period=0.05, lockstep=True, goal=(1.0, 2.5), obstacles=((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25)),
-    field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.08, 0.4, 0.12),
+STATE = state_of(
+    0.5, -0.3, 0.7, 0.5, **stamp(7, epoch=5), applied=(0.5, 0.1), goal=(1.0, 2.5),
+    obstacles=((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25)), footprint=(0.08, 0.4, 0.12),
 )  # fmt: skip
 OFFSET, STEERED = 9, 7
 """Where the nearest obstacles begin in an observation, and where the steer in force stands."""
@@ -200,10 +200,7 @@ def test_the_service_takes_the_learned_policy_where_there_is_one() -> None:
 
 def test_the_service_hands_the_latent_on_and_leaves_a_foreign_one_aside() -> None:
     model = learned_model(weights())
-    latent = LatentMessage(
-        epoch=5, tick=7, robot_time=0.35, publish_time=0.0, model=fingerprint(model), values=(0.9, 0.9),
-        deviations=(0.1, 0.1),
-    )  # fmt: skip
+    latent = latent_of(0.9, 0.9, **stamp(7, epoch=5), model=fingerprint(model))
     node = PolicyNode(model)
     assert nominal_of(node, latent).values == LearnedPolicy(weights()).nominal_action(STATE, np.array([0.9, 0.9]))[0]
     assert nominal_of(node, dataclasses.replace(latent, model="another")) != nominal_of(node, latent)

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as some
+from tests.messages import latent_of, stamp, state_of
 
 from safedpa.bus import LATENT, NOMINAL, LatentMessage, NominalMessage, Stale, StateMessage
 from safedpa.dynamics import fingerprint, load_model
@@ -28,21 +29,14 @@ from safedpa_sim.robots.car.scene import Scene
 
 MODEL = load_model("car")
 LIMITS = GoalSeekerSettings()
-STATE = StateMessage(
-    epoch=5, tick=7, robot_time=0.35, publish_time=0.0, values=(0.0, 0.0, 0.0, 0.5), applied=(0.5, 0.0),
-    applied_by="filter", period=0.05, lockstep=True, goal=(1.0, 0.5), obstacles=(), field=(-4.0, 4.0, -4.0, 4.0),
-    footprint=(0.08, 0.4, 0.12),
-)  # fmt: skip
+FOOTPRINT = (0.08, 0.40, 0.12)
+STATE = state_of(0.0, 0.0, 0.0, 0.5, **stamp(7, epoch=5), applied=(0.5, 0.0), goal=(1.0, 0.5), footprint=FOOTPRINT)
 
 
 def latent(mass_ratio: float, **changes: Any) -> LatentMessage:
     values = list(MODEL.latent)
     values[MODEL.latent_names.index("towed_load.mass_ratio")] = mass_ratio
-    made = LatentMessage(
-        epoch=5, tick=7, robot_time=0.35, publish_time=0.0, model=fingerprint(MODEL), values=tuple(values),
-        deviations=(0.1,) * len(values),
-    )  # fmt: skip
-    return dataclasses.replace(made, **changes)
+    return dataclasses.replace(latent_of(*values, **stamp(7, epoch=5), model=fingerprint(MODEL)), **changes)
 
 
 def nominal(state: StateMessage, known: LatentMessage | Stale) -> NominalMessage:
@@ -53,7 +47,7 @@ def nominal(state: StateMessage, known: LatentMessage | Stale) -> NominalMessage
 
 def test_the_nominal_action_carries_the_stamp_of_its_state_and_asks_for_more_speed_with_a_heavier_load() -> None:
     message = nominal(STATE, Stale(LATENT, 3))
-    assert (message.epoch, message.tick, message.robot_time) == (5, 7, 0.35)
+    assert (message.epoch, message.tick, message.robot_time) == (5, 7, STATE.robot_time)
     assert message.controller == "goal_seeker:seek"
     assert message == nominal(STATE, Stale(LATENT, 3))
     without, light, heavy = (nominal(STATE, known).values for known in (Stale(LATENT, None), latent(0.0), latent(0.8)))
@@ -98,10 +92,7 @@ def test_robots_are_kept_apart_and_forgotten() -> None:
 
 
 def state(tick: int, values: tuple[float, ...]) -> StateMessage:
-    return StateMessage(
-        epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=values, applied=(0.0,), applied_by="none",
-        period=0.01, lockstep=True, goal=(0.0,), obstacles=(), field=(), footprint=(),
-    )  # fmt: skip
+    return state_of(*values, tick=tick, applied=(0.0,), period=0.01, goal=(0.0,), field=(), footprint=())
 
 
 @pytest.mark.parametrize(
@@ -201,7 +192,6 @@ def test_unknown_controllers_are_refused(name: str) -> None:
 
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
-FOOTPRINT = (0.08, 0.40, 0.12)
 NO_OBSTACLES = np.zeros((0, 3))
 
 
@@ -215,10 +205,7 @@ def message(
     obstacles: tuple[tuple[float, ...], ...] = (),
     applied: tuple[float, ...] = (0.0, 0.0),
 ) -> StateMessage:
-    return StateMessage(
-        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=values, applied=applied, applied_by="filter",
-        period=0.05, lockstep=True, goal=goal, obstacles=obstacles, field=FIELD, footprint=FOOTPRINT,
-    )  # fmt: skip
+    return state_of(*values, applied=applied, goal=goal, obstacles=obstacles, field=FIELD, footprint=FOOTPRINT)
 
 
 def driven(

@@ -6,6 +6,7 @@ from math import cos, hypot, pi, sin, tan
 
 import numpy as np
 import pytest
+from tests.messages import stamp, state_of
 
 from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
@@ -143,11 +144,7 @@ class Stubborn:
 
 
 def state(tick: int, x: float = 0.0, goal: tuple[float, float] = (3.0, 1.0)) -> StateMessage:
-    return StateMessage(
-        epoch=1, tick=tick, robot_time=0.05 * tick, publish_time=0.0, values=(x, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
-        applied_by="filter", period=0.05, lockstep=True, goal=goal, obstacles=(), field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.08, 0.4, 0.12),
-    )  # fmt: skip
+    return state_of(x, 0.0, 0.0, 0.0, **stamp(tick), goal=goal, footprint=(0.08, 0.4, 0.12))
 
 
 def nominal_actions(states: list[StateMessage]) -> list[tuple[float, ...]]:

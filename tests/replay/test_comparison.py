@@ -3,13 +3,12 @@
 from dataclasses import fields, replace
 
 import pytest
+from tests.messages import latent_of, stamp
 
 from safedpa.bus import LatentMessage
 from safedpa.replay.replay import Difference, differences
 
-ONE = LatentMessage(
-    epoch=3, tick=8, robot_time=0.4, publish_time=7.0, model="m", values=(0.5, 2.0), deviations=(0.1, 0.1)
-)
+ONE = latent_of(0.5, 2.0, **stamp(8, epoch=3))
 ALL = frozenset(item.name for item in fields(ONE))
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.messages import verdict_of
 
 from safedpa.bus import ACTION, LATENT, VERDICT, ActionMessage, LatentMessage, VerdictMessage
 from safedpa.bus.messages.service_info import setup_message
@@ -28,11 +29,7 @@ def latent(tick: int, value: float = 0.1) -> LatentMessage:
 
 
 def verdict(tick: int) -> VerdictMessage:
-    return VerdictMessage(
-        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0),
-        slack=0.0,
-        active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0,
-    )  # fmt: skip
+    return verdict_of("passed", **stamp(tick), sentence="The nominal action is safe.", action=(1.0, 0.0), margin=0.03)
 
 
 def action(tick: int, steer: float = 0.0) -> ActionMessage:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests import messages
 
 from safedpa.bus import StateMessage, VerdictMessage
 from safedpa.records import Finding
@@ -14,27 +15,13 @@ from safedpa.replay.tape import RobotTape, TickGap
 from safedpa.replay.what_if import DecisionPair, summary_of
 
 
-def stamp(tick: int) -> dict[str, Any]:
-    return {"epoch": 3, "tick": tick, "robot_time": 0.5 * tick, "publish_time": 7.0}
-
-
 def state_of(tick: int) -> StateMessage:
-    return StateMessage(
-        **stamp(tick), values=(0.0, 0.0, 0.0, 1.0), applied=(1.0, 0.0), applied_by="filter", period=0.5, lockstep=True,
-        goal=(), obstacles=(), field=(-4.0, 4.0, -4.0, 4.0), footprint=(),
-    )  # fmt: skip
+    return messages.state_of(**messages.stamp(tick, 0.5, epoch=3), period=0.5)
 
 
 def verdict_of(tick: int, **changes: Any) -> VerdictMessage:
-    what: dict[str, Any] = {
-        "status": "passed",
-        "sentence": "",
-        "action": (1.0, 0.0),
-        "nominal": (1.0, 0.0),
-        "slack": 0.0,
-    }
-    what |= {"active": (), "h_now": 0.5, "h_next": 0.5, "margin": 0.0, "solver": "", "microseconds": 1.0}
-    return VerdictMessage(**{**stamp(tick), **what, **changes})
+    what = {"status": "passed", "action": (1.0, 0.0), "nominal": (1.0, 0.0), "h_now": 0.5, "h_next": 0.5}
+    return messages.verdict_of(**{**messages.stamp(tick, 0.5, epoch=3), **what, **changes})
 
 
 def difference_at(tick: int) -> Difference:

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests import messages
+from tests.messages import stamp
 
 from safedpa.bus.messages.codec import encode
 from safedpa.bus.messages.messages import StateMessage, VerdictMessage
@@ -111,11 +113,8 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
 
 def state_of(values: int, applied: int, tick: int = 0, **changes: Any) -> StateMessage:
     """Returns a state with a number of values, and a field."""
-    what: dict[str, Any] = {"field": (-1.0, 1.0, -1.0, 1.0), "publish_time": 1.0, **changes}
-    return StateMessage(
-        epoch=1, tick=tick, robot_time=0.05 * tick, values=(0.0,) * values, applied=(0.0,) * applied,
-        applied_by="none", period=0.05, lockstep=True, goal=(1.0, 1.0), obstacles=(), footprint=(0.1, 0.1, 0.1), **what,
-    )  # fmt: skip
+    what = {**stamp(tick), "publish_time": 1.0, "lockstep": True, "field": (-1.0, 1.0, -1.0, 1.0), **changes}
+    return messages.state_of(*[0.0] * values, applied=(0.0,) * applied, **what)
 
 
 def states_in_the_bag(folder: Path, *states: StateMessage) -> list[Any]:

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
+from tests.messages import verdict_of
 from tests.ros.gateway_rig import ASKED, rig_of
 
 from safedpa.bus import ScanMessage, StateMessage
-from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.errors import InputError
 from safedpa.robots.car.adapters.ros import CarFace
 from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
@@ -226,11 +226,7 @@ def test_a_path_of_another_model_is_ignored() -> None:
     markers: Any = Markers()
     now = [7.0]
     health_publisher = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
-    verdict = VerdictMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
-        slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
-        predicted=((0.0, 0.0, 0.0, 1.0),),
-    )  # fmt: skip
+    verdict = verdict_of("passed", predicted=((0.0, 0.0, 0.0, 1.0),))
     health_publisher.verdict(verdict)
     assert markers.notice == []
     now[0] += 1.0
@@ -242,11 +238,7 @@ def test_a_path_is_published_at_most_ten_times_a_second_and_not_without_a_predic
     markers: Any = Markers()
     now = [7.0]
     health_publisher = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
-    verdict = VerdictMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
-        slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
-        predicted=((0.5, 0.0, 0.0, 1.0, 0.0),),
-    )  # fmt: skip
+    verdict = verdict_of("passed", predicted=((0.5, 0.0, 0.0, 1.0, 0.0),))
     for hundredth in range(100):
         now[0] = 7.0 + 0.01 * hundredth
         health_publisher.verdict(replace(verdict, predicted=()) if hundredth < 50 else verdict)

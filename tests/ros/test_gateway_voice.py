@@ -5,8 +5,8 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from tests.messages import verdict_of
 
-from safedpa.bus import VerdictMessage
 from safedpa.robots.car.adapters.ros import CarFace
 from safedpa_services.ros_gateway.gateway import HealthPublisher
 
@@ -37,13 +37,8 @@ class Reported:
 
     def hears(self, predicted: tuple[tuple[float, ...], ...], at: float = 100.0) -> None:
         self.now = at
-        self.health_publisher.verdict(
-            VerdictMessage(
-                epoch=1, tick=3, robot_time=0.1, publish_time=0.1, status="corrected", action=(0.5, 0.1),
-                nominal=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05,
-                active=("box",), solver="piqp", microseconds=90.0, predicted=predicted,
-            )
-        )  # fmt: skip
+        reported = {"nominal": (0.6, 0.1), "sentence": "corrected", "h_now": 0.25, "margin": 0.05, "active": ("box",)}
+        self.health_publisher.verdict(verdict_of("corrected", action=(0.5, 0.1), **reported, predicted=predicted))
 
     @property
     def paths(self) -> list[list[tuple[float, float]]]:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.messages import verdict_of
 
-from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.bus.transport import ports
 from safedpa.robots.car.adapters.ros import CarFace
 from safedpa.ros.encoding import encode, type_store
@@ -58,11 +58,7 @@ def within(wanted: Any, found: Any, path: str = "") -> list[str]:
 
 
 def messages() -> dict[str, dict[str, Any]]:
-    verdict = VerdictMessage(
-        epoch=1, tick=7, robot_time=0.35, publish_time=1.0, status="corrected", sentence="Bäume", action=(0.5, 0.1),
-        nominal=(1.0, 0.0), slack=0.0, active=("obstacle 3",), h_now=0.25, h_next=0.2, margin=0.01, solver="solved",
-        microseconds=40.0,
-    )  # fmt: skip
+    verdict = verdict_of("corrected", sentence="Bäume", active=("obstacle 3",), h_now=0.25, margin=0.01)
     stamped = "ackermann_msgs/msg/AckermannDriveStamped"
     drive = {"header": HEAD, **CarFace().message(stamped, (1.25, -0.2), (0.0,) * 4)}
     twist = {"header": HEAD, **CarFace().message("geometry_msgs/msg/TwistStamped", (1.25, -0.2), (0.0,) * 4)}
