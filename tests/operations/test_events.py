@@ -178,17 +178,6 @@ def test_removing_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
     assert policy.log.exists(), "the folder is there again, for further messages"
 
 
-def test_the_last_text_is_the_last_line_that_is_no_event(tmp_path: Path) -> None:
-    robot = child(tmp_path, "robot")
-    robot.log.write_text("safedpa-robot: --start: got far, wanted two numbers\n" + line())
-    assert robot.last_text() == "--start: got far, wanted two numbers"
-
-
-def test_a_log_that_cannot_be_written_ends_no_loop(tmp_path: Path) -> None:
-    (tmp_path / "run").write_text("a file where the folder was")
-    started_and_ended(child(tmp_path / "run", "policy"))
-
-
 def test_a_readable_line_is_one_line() -> None:
     assert "\n" not in readable({"time": 0.0, "sentence": "a\nb", "service": "x"})
     assert readable({"sentence": "a\nb"}).endswith(" a b")

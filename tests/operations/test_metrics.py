@@ -102,11 +102,14 @@ def test_counts_are_those_of_the_messages(talked: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "reported", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
+    ("seconds", "reported", "works"), [(1.4, 1, 1), (1.6, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
 )
-def test_a_process_that_ended_is_exported_for_half_a_minute(fleet: Any, seconds: float, reported: int, works: int):
+def test_a_process_is_down_after_a_second_and_a_half_and_exported_for_half_a_minute(
+    fleet: Any, seconds: float, reported: int, works: int
+):
     """Each start is a process of its own: a service that restarts for a week must not leave a row for each."""
     fleet.beat("router", pid=77, refused=3)
+    fleet.tick("r1", state={}, verdict={})
     collector = FleetCollector(fleet.overview)
     collector.listen(0.0)
     fleet.now += seconds
@@ -114,6 +117,7 @@ def test_a_process_that_ended_is_exported_for_half_a_minute(fleet: Any, seconds:
     assert text.count('safedpa_service_info{pid="77"') == reported
     assert text.count('safedpa_heartbeat_age_seconds{pid="77"') == reported
     assert value(text, 'safedpa_service_processes{service="router"}') == works
+    assert value(text, 'safedpa_robot_up{robot="r1"}') == works
 
 
 def test_scraping_twice_counts_nothing_twice(talked: Any) -> None:

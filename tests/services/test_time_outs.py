@@ -11,16 +11,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.messages import health_of, state_of, verdict_of
+from tests.messages import state_of, verdict_of
 
-from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
+from safedpa.bus import NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
 from safedpa.bus.messages.requests import ORDER
 from safedpa.bus.monitor import FleetOverview
 from safedpa.errors import BusError, InputError, SafedpaError
 from safedpa_services import service_main
 from safedpa_services.command_line import change_requests, stop_orders
 from safedpa_services.command_line.bus_options import request_answer
-from safedpa_services.metrics.exporter import FleetCollector
 from safedpa_services.router.router import LoopWatchdog, Router
 
 OPTIONS = {"who": "ann", "as_json": True, "certificates": None, "connect": (), "fleet": "f"}
@@ -163,23 +162,6 @@ def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
 
 
 # what is still there
-
-
-@pytest.mark.parametrize(
-    ("silent", "up", "listed"), [(1.4, 1.0, True), (1.6, 0.0, True), (29.0, None, True), (31.0, None, False)]
-)
-def test_metrics_call_a_robot_down_after_a_second_and_a_half_and_drop_a_process_after_half_a_minute(silent, up, listed):
-    now, broker = [100.0], MemoryBroker()
-    loop = Bus(MemoryTransport(broker), "f")
-    collector = FleetCollector(FleetOverview(Bus(MemoryTransport(broker), "f"), clock=lambda: now[0]))
-    loop.publish(STATE, "r1", state_of())
-    loop.publish(HEALTH, "r1", health_of("policy"), "policy")
-    collector.listen(0.0)
-    now[0] += silent
-    samples = {sample.name: sample.value for family in collector.collect() for sample in family.samples}
-    if up is not None:
-        assert (samples["safedpa_robot_up"], samples["safedpa_service_processes"]) == (up, up)
-    assert ("safedpa_heartbeat_age_seconds" in samples) is listed
 
 
 @pytest.fixture
