@@ -95,11 +95,13 @@ def _kind_of_content(path: Path, start: bytes) -> str:
         return "mcap" if is_recording_of_the_bus(path) else "topics"
     if start.startswith((ROS1, SQLITE, ULOG)) or path.name.endswith((".mcap.zstd", ".db3.zstd")):
         return "topics"
+    if suffix == ".mcap":
+        return "mcap"
     if start.startswith(_PARQUET) or suffix == ".parquet":
         return "parquet"
     if start.startswith(_MATLAB) or (start.startswith(_ZIP) and suffix == ".npz"):
         return "arrays"
-    return "mcap" if suffix == ".mcap" else ""
+    return ""
 
 
 def _check_packed(path: Path) -> None:
