@@ -252,12 +252,6 @@ def test_states_that_are_none_are_refused(states: Any) -> None:
         check_filter(made(first).safe, states)
 
 
-def test_a_backup_is_meant_to_satisfy_every_condition_by_default() -> None:
-    checked = made(first, backup=lambda x: [-1.0])
-    assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
-    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, can_stop=False).subjects
-
-
 @pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])
 def test_an_h_that_is_not_finite_is_reported(h: Callable[[Any], float]) -> None:
     safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(h)], SETTINGS)

@@ -149,8 +149,11 @@ def test_without_a_nominal_action_even_a_filter_that_is_switched_off_takes_the_b
 
 
 @pytest.mark.parametrize(
-    "result", [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", None], ids=str
-)
+    "result",
+    [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", ["0.9", "0.9"],
+     np.ma.array([0.9, 0.9], mask=True), None],
+    ids=str,
+)  # fmt: skip
 def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, result: Any) -> None:
     def backup(state: Any) -> Any:
         if isinstance(result, Exception):
@@ -169,12 +172,6 @@ def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_sa
     away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
     safe = SafetyFilter(lambda x: (x, np.eye(1)), None, away)
     np.testing.assert_array_equal(safe.decide(None, None).action, [0.5])
-
-
-@pytest.mark.parametrize("epsilon", [{"obstacle": math.nan}, {"obstacle": math.inf}, {"obstacle": -0.1}])
-def test_a_margin_that_is_none(car_filter: SafetyFilter, epsilon: dict[str, float]) -> None:
-    verdict = car_filter.decide(GOOD, NOMINAL, epsilon=epsilon)
-    assert_brakes(verdict, "margin epsilon is not a finite number >= 0")
 
 
 def scalar_filter(**changes: Any) -> SafetyFilter:
@@ -198,8 +195,6 @@ def raises(*_: Any) -> Any:
         ({"barriers": [FunctionBarrier(raises)]}, "ZeroDivisionError: user's own"),
         ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], raises)]}, "ZeroDivisionError: user's own"),
         ({"affine": lambda x: (x * math.nan, np.eye(1))}, "no finite number for any action"),
-        ({"affine": lambda x: (np.zeros(2), np.ones((2, 1)))}, "f of the model: got shape (2,), wanted (1,)"),
-        ({"affine": lambda x: (x, np.ones((1, 2)))}, "g of the model: got shape (1, 2), wanted (1, 1)"),
         ({"step": lambda x, a: np.full(1, math.inf)}, "no finite number for any action"),
         ({"barriers": [FunctionBarrier(lambda x: math.nan)]}, "h at the state: got NaN"),
         ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], lambda x: [math.nan])]}, "gradient of h: got NaN"),
@@ -207,14 +202,10 @@ def raises(*_: Any) -> Any:
             {"step": lambda x, a: x + 2.0, "barriers": [FunctionBarrier(lambda x: 0.4 if x[0] < 1.0 else math.inf)]},
             "no finite number for any action",
         ),
-        ({"barriers": 7}, "barriers: got int, wanted a list of them"),
     ],
 )
 def test_failing_functions_of_the_user(changes: dict[str, Any], reason: str) -> None:
-    if changes.get("barriers") == 7:
-        verdict = scalar_filter().decide(np.zeros(1), [1.0], barriers=7)  # type: ignore[arg-type]
-    else:
-        verdict = scalar_filter(**changes).decide(np.zeros(1), [1.0])
+    verdict = scalar_filter(**changes).decide(np.zeros(1), [1.0])
     assert verdict.status is Status.fallback
     assert reason in verdict.reason
     np.testing.assert_array_equal(verdict.action, [0.0])
@@ -389,12 +380,6 @@ def test_checked_input_gives_plain_numbers_or_a_reason() -> None:
     assert isinstance(checked, tuple)
     assert all(type(entry) is float for entry in checked)
     assert checked_input("it", [[1.0]], None) == InvalidInput("it has shape (1, 1), wanted one axis")
-    narrow = Plausible(np.array([0.0]), np.array([1.0]), ("a",))
-    assert checked_input("it", [0.0], narrow) == (0.0,)
-    assert checked_input("it", [1.0], narrow) == (1.0,)
-    assert checked_input("it", [1.5], narrow) == InvalidInput(
-        "it is out of its plausible range: a = 1.5, wanted 0 to 1"
-    )
 
 
 def test_one_range_may_be_given_for_all_entries_but_none_that_leaves_entries_out() -> None:

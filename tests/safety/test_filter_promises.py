@@ -264,14 +264,6 @@ def driven(units: Units, ticks: int = 150, gradient: bool = False) -> tuple[list
 ORIGINAL = {gradient: driven(SAME, gradient=gradient) for gradient in (False, True)}
 
 
-def agrees(units: Units, gradient: bool) -> None:
-    statuses, actions, furthest = driven(units, gradient=gradient)
-    wanted, own, _ = ORIGINAL[gradient]
-    assert furthest <= 1.0
-    assert statuses == wanted
-    np.testing.assert_allclose(actions, own, rtol=0.0, atol=2e-6)
-
-
 def test_the_mass_stops_before_the_wall() -> None:
     for statuses, _, furthest in ORIGINAL.values():
         assert 0.9 < furthest <= 1.0
@@ -279,21 +271,19 @@ def test_the_mass_stops_before_the_wall() -> None:
 
 
 @pytest.mark.parametrize("gradient", [False, True])
-@pytest.mark.parametrize("exponent", [-12, -6, -3, 3, 6, 12])
-def test_h_in_any_unit(exponent: int, gradient: bool) -> None:
-    agrees(Units(h=10.0**exponent), gradient)
-
-
-@pytest.mark.parametrize("gradient", [False, True])
-@pytest.mark.parametrize("exponents_of_both", [(-6, -6), (6, 6), (-6, 6), (6, -6), (0, 3)])
-def test_states_in_any_unit(exponents_of_both: tuple[int, int], gradient: bool) -> None:
-    agrees(Units(state=10.0 ** np.array(exponents_of_both, dtype=float)), gradient)
-
-
-@pytest.mark.parametrize("gradient", [False, True])
-@pytest.mark.parametrize("exponent", [-6, 6])
-def test_actions_in_any_unit(exponent: int, gradient: bool) -> None:
-    agrees(Units(action=10.0**exponent), gradient)
+@pytest.mark.parametrize(
+    "units",
+    [*(Units(h=10.0**exponent) for exponent in (-12, -6, -3, 3, 6, 12)),
+     *(Units(state=np.array(both)) for both in ((1e-6, 1e-6), (1e6, 1e6), (1e-6, 1e6), (1e6, 1e-6), (1.0, 1e3))),
+     *(Units(action=10.0**exponent) for exponent in (-6, 6))],
+    ids=str,
+)  # fmt: skip
+def test_h_states_and_actions_in_any_unit(units: Units, gradient: bool) -> None:
+    statuses, actions, furthest = driven(units, gradient=gradient)
+    wanted, own, _ = ORIGINAL[gradient]
+    assert furthest <= 1.0
+    assert statuses == wanted
+    np.testing.assert_allclose(actions, own, rtol=0.0, atol=2e-6)
 
 
 @FEWER

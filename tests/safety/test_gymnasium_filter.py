@@ -121,15 +121,6 @@ def test_a_box_that_would_round_the_action_is_refused(kind: Any) -> None:
         GymnasiumSafetyFilter(Whole(), filter_of(), state_of=lambda seen: seen[:2])
 
 
-@pytest.mark.parametrize(("low", "high"), [(-0.5, 0.5), (-1.0, 0.9), (-0.9, 1.0), (0.0, 1.0)])
-def test_a_box_that_is_narrower_than_the_settings_is_refused(low: float, high: float) -> None:
-    class Narrow(Cart):
-        action_space = gymnasium.spaces.Box(low, high, (1,), np.float32)
-
-    with pytest.raises(InputError, match=r"wanted one that holds the settings' bounds \[-1\.0\] to \[1\.0\]"):
-        GymnasiumSafetyFilter(Narrow(), filter_of(), state_of=lambda seen: seen[:2])
-
-
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_a_wider_box_is_brought_within_the_settings(kind: Any) -> None:
     class Wide(Cart):

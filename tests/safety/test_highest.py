@@ -38,14 +38,7 @@ def least(slopes: Values, heights: Values, levels: Values, u: Values) -> float:
 def test_the_least_is_as_high_as_scipy_can_make_it(actions: int) -> None:
     random, program, held = np.random.default_rng(actions), MaxMinProgram(actions), 0
     for _ in range(200):
-        rows = int(random.integers(1, 12))
-        slopes, heights = random.normal(size=(rows, actions)), random.normal(size=rows)
-        levels = np.full(rows, np.nan)
-        if rows > 1:
-            inside = heights + slopes @ random.uniform(0.0, 1.0, actions)
-            some = random.random(rows) < 0.4
-            some[0] = False
-            levels[some] = inside[some] - random.uniform(0.0, 0.2, rows)[some]
+        slopes, heights, levels = drawn(random, actions)
         found = program.solve(slopes, heights, levels)
         assert found is not None
         u = np.array(found)

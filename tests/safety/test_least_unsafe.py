@@ -21,12 +21,6 @@ class Mute:
         return None
 
 
-def test_the_highest_is_taken_though_the_nominal_action_is_far() -> None:
-    found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
-    assert found.action[0] == pytest.approx(1.0, abs=2.5 * TOLERANCE)
-    assert found.h_next[0] >= -2.0 - 2.0 * TOLERANCE  # of what the actions change: 2
-
-
 @pytest.mark.parametrize("far", [10.0, 1e3, 1e6])
 def test_what_is_given_away_is_a_share_of_what_actions_can_change(far: float) -> None:
     """However far below 0 it is: all that can be done is done."""
@@ -57,10 +51,6 @@ def test_a_little_height_is_given_away_for_the_nominal_action_but_not_from_just_
     """The programs give away half of what the comparison allows for: rounding refuses nothing."""
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0 - TOLERANCE, abs=1e-6)
-    # h = 0.001 at best: of that no more is given away than there is.
-    found = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run()
-    assert 0.999 <= found.action[0] < 0.9999
-    assert found.h_next[0] >= 0.0
     plenty = Case(lambda a: [a[0] + 1.0], [-3.0], [-1.0]).run()
     assert plenty.h_next[0] == pytest.approx(2.0 - TOLERANCE, abs=1e-6)
     found = Case(lambda a: [a[0] - 1.0, 0.5], [3.0, 1.0], [-1.0]).run()
@@ -150,11 +140,8 @@ def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
     assert found.action[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_bends_is_followed_to_its_top_on_a_line_and_in_the_plane() -> None:
+def test_what_bends_is_followed_to_its_top_in_the_plane() -> None:
     """A tangent anywhere else leads past it: the programs are posed again, steps on the way are tried."""
-    for nominal, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
-        found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [nominal]).run()  # type: ignore[misc]
-        assert found.h_next[0] >= -1.0 - 0.02 * 4.0
     random = np.random.default_rng(0)
     for _ in range(20):
         top, nominal = random.uniform(-0.8, 0.8, (2, 2))
@@ -229,13 +216,6 @@ def test_a_program_that_gives_up_at_the_second_aim_leaves_what_the_first_one_fou
     assert found.action[0] == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_predicted_result_needs_no_second_round() -> None:
-    """Affine: 4 corners, the nominal action, the highest and the nearest as high."""
-    case = Case(lambda a: [a[0] - 3.0, a[1] - 2.0], [-3.0, -2.0], [0.0, 0.0])
-    case.run()
-    assert len(case.asked) == 4 + 1 + 1 + 2
-
-
 def test_never_below_zero_where_all_can_be_kept_above() -> None:
     """Two h that pull against each other, by the millionth: both are 1e-4 at best, of scales of 2."""
     random = np.random.default_rng(1)
@@ -250,20 +230,6 @@ def test_never_below_zero_where_all_can_be_kept_above() -> None:
         ).run()
         assert min(found.h_next) >= 0.0
         assert found.action[1] == pytest.approx(nominal[1], abs=1e-3)
-
-
-def test_it_is_the_same_in_any_unit() -> None:
-    def decided(unit: float, limit: float) -> Values:
-        case = Case(
-            lambda a: [unit * (a[0] / limit - 3.0), unit * (1.0 - a[1] / limit)],
-            [-3.0 * unit, 1.5 * unit],
-            [0.2 * limit, -0.4 * limit],
-            limit=limit,
-        )
-        return np.array(case.run().action) / limit
-
-    for unit, limit in product((1e-12, 1e12), (1e-6, 1e6)):
-        np.testing.assert_allclose(decided(unit, limit), decided(1.0, 1.0), atol=1e-6)
 
 
 def test_what_no_action_moves_within_one_step_brings_the_backup_unless_it_is_well() -> None:

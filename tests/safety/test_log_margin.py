@@ -289,17 +289,6 @@ def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
     assert covered_shares(drives, "a", 0.25, low).tolist() == [0.5, 0.0, 1.0, 0.5], "a wide margin sees farther"
 
 
-@pytest.mark.parametrize(
-    ("text", "phrase"),
-    [("drives = -1", "drives: got -1"), ("origin = 3", "origin: got 3"), ("drive = 3", "drive: got 3")],
-)
-def test_the_contents_of_a_margin_file_are_checked(text: str, phrase: str, tmp_path: Path) -> None:
-    good = MarginCalibration({"a": 0.1}, 0.9, 50, "2026-11-22", "x").write()
-    (tmp_path / "margin.toml").write_text(f"{text}\n{good}")
-    with pytest.raises(InputError, match=phrase):
-        MarginCalibration.load(tmp_path / "margin.toml")
-
-
 EPSILON = {"obstacle": 0.1, "default": 0.02}
 
 
@@ -346,13 +335,6 @@ def test_only_networks_have_the_same_slopes_about_every_action(name: str, affine
     there = np.array(prediction.next_state_floats(state, actions[1], latent, None))
     predicted = at + np.array(slopes[0]) @ (np.array(actions[1]) - np.array(actions[0]))
     assert np.allclose(there, predicted, rtol=0.0, atol=1e-12) is affine
-
-
-def test_a_learned_model_with_effects_is_not_taken_for_affine() -> None:
-    from safedpa.effects import effect
-
-    model = load_model("car_learned").with_effect(effect("car", "quadratic_drag"), {})
-    assert not Prediction.of_model(model).affine
 
 
 def test_what_was_ever_in_sight_may_be_named_though_nothing_was_asked_when_it_came() -> None:

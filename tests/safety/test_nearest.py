@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from safedpa.safety import QuadraticProgram
 from safedpa.safety.batch.active_set_2d import solve_hard_qp_2d_batch
 from safedpa.safety.solver.active_set_2d import LINEAR_PRICE, QUADRATIC_PRICE, HardQP2D, SoftQP2D
 
@@ -34,10 +33,6 @@ def answer(problem: Any, rows: Iterable[Row]) -> Point | None:
     for row in rows:
         problem.add(*row)
     return (problem.x, problem.y) if problem.solve() else None
-
-
-numbers = st.integers(-200, 200).map(lambda number: number / 100)
-"""Slopes of 1e-7 are beyond what PIQP can tell."""
 
 
 def test_wherever_all_can_be_kept_it_answers_as_quadprog_does() -> None:
@@ -119,11 +114,6 @@ def test_what_rounding_breaks_is_kept(missed: float) -> None:
     assert (found[0] == 0.5) == (missed < 1e-12)
 
 
-def test_faint_conditions_have_a_corner_too() -> None:
-    rows: list[Row] = [(1e-5, 0.0, 0.75e-5), (0.0, 1e-5, 0.75e-5)]
-    assert nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75))
-
-
 @pytest.mark.parametrize("row", [(0.0, 0.0, 0.1), (1.0, 0.0, 1.1), (nan, 0.0, 0.1), (1.0, inf, 0.1), (1.0, 0.0, nan)])
 def test_no_answer_where_there_is_none(row: Row) -> None:
     assert nearest_feasible([row], (0.5, 0.5), (1.0, 1.0)) is None
@@ -139,13 +129,6 @@ def test_rows_that_are_zero_or_almost_parallel_have_no_corner() -> None:
     assert nearest_feasible([(0.0, 0.0, 0.1)], (2.0, 0.5), (1.0, 1.0)) is None
     rows: list[Row] = [(1.0, 0.0, 0.6), (-1.0, 1e-12, -0.4)]
     assert nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0)) is None
-
-
-def test_one_action_and_three() -> None:
-    one = QuadraticProgram(np.array([-1.0]), np.array([3.0]), np.array([2.0]))
-    assert one.solve([[2.0]], [1.0], [-0.5]).action == [0.5]
-    three = QuadraticProgram(np.full(3, -1.0), np.full(3, 1.0), np.ones(3))
-    np.testing.assert_allclose(three.solve([[1.0] * 3], [1.5], [0.0] * 3).action, 0.5, atol=1e-7)
 
 
 Values = NDArray[np.float64]
@@ -319,13 +302,17 @@ def test_every_robot_gets_what_it_gets_alone(rows: int) -> None:
     limits = np.concatenate([random.normal(0.0, 0.7, (robots, rows)), np.tile(BOX_LIMITS, (robots, 1))], axis=1)
     limits[:, :rows][random.random((robots, rows)) < 0.1] = -inf
     nominal = random.uniform(-1.0, 2.0, (robots, 2))
+    # Around a place that keeps all of them, seen from far away: many are taken in before it is found.
+    inside = random.uniform(0.2, 0.8, (robots // 2, 2))
+    own = (slopes[::2, :rows] @ inside[:, :, np.newaxis])[..., 0] - random.uniform(0.0, 0.2, (robots // 2, rows))
+    limits[::2, :rows], nominal[::2] = own, inside + random.normal(0.0, 3.0, (robots // 2, 2))
     points, certain = solve_hard_qp_2d_batch(slopes, limits, nominal, WEIGHTS)
     for robot in range(robots):
         own = alone(slopes[robot, :rows], limits[robot, :rows], nominal[robot])
         assert certain[robot] == (own is not None)
         if own is not None:
             np.testing.assert_allclose(points[robot], own, rtol=0.0, atol=1e-9)
-    assert certain.any()
+    assert certain[::2].mean() > 0.9
 
 
 def one(slopes: Any, limits: Any, nominal: Any) -> tuple[list[float], bool]:
@@ -333,12 +320,6 @@ def one(slopes: Any, limits: Any, nominal: Any) -> tuple[list[float], bool]:
     all_limits = np.concatenate([np.array(limits, dtype=float), BOX_LIMITS])[np.newaxis]
     points, certain = solve_hard_qp_2d_batch(all_slopes, all_limits, np.array([nominal]), np.ones(2))
     return points[0].tolist(), bool(certain[0])
-
-
-def test_the_nominal_action_a_foot_and_a_corner() -> None:
-    assert one([[1.0, 0.0]], [0.2], (0.5, 0.5)) == ([0.5, 0.5], True)
-    assert one([[1.0, 0.0]], [0.75], (0.5, 0.5)) == ([0.75, 0.5], True)
-    assert one([[1.0, 0.0], [0.0, 2.0]], [0.75, 1.5], (0.5, 0.5)) == ([0.75, 0.75], True)
 
 
 def test_what_cannot_be_kept_or_is_no_number_is_not_certain() -> None:
@@ -367,35 +348,3 @@ def test_the_corner_of_almost_parallel_conditions_is_not_believed(size: float) -
     """x >= 0.75 and 1e-10 y >= x - 0.75 + 5e-11 meet at y = 0.5, but not so that rounding could tell."""
     slopes = [[size, 0.0], [-size, 1e-10 * size]]
     assert not one(slopes, [0.75 * size, (-0.75 + 5e-11) * size], (0.5, 0.2))[1]
-
-
-def by_trying_all(slopes: Any, limits: Any, nominal: Any) -> Any:
-    """The nearest of all points that could be it: the nominal action, its foot on every row, and every corner; None:
-    no one."""
-    rows = [(a, b) for a, b in zip(slopes, limits, strict=True) if b > -inf and a.any()]
-    A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
-    points = [nominal]
-    for first in range(len(A)):
-        along = A[first] / WEIGHTS
-        points.append(nominal + (b[first] - A[first] @ nominal) / (A[first] @ along) * along)
-        for second in range(first):
-            if abs(np.linalg.det(A[[first, second]])) > 1e-9:
-                points.append(np.linalg.solve(A[[first, second]], b[[first, second]]))
-    inside = [point for point in points if (A @ point >= b - 1e-9).all()]
-    return min(inside, key=lambda point: ((point - nominal) ** 2) @ WEIGHTS, default=None)
-
-
-@pytest.mark.parametrize("rows", [2, 5, 9])
-def test_what_is_certain_is_the_nearest_of_all_points(rows: int) -> None:
-    """Around a place that keeps all of them, seen from far away: many are taken in before it is found."""
-    random, robots = np.random.default_rng(rows), 300
-    slopes = np.concatenate([random.normal(size=(robots, rows, 2)), np.tile(BOX, (robots, 1, 1))], axis=1)
-    inside = random.uniform(0.2, 0.8, (robots, 2))
-    own = (slopes[:, :rows] @ inside[:, :, np.newaxis])[..., 0] - random.uniform(0.0, 0.2, (robots, rows))
-    limits = np.concatenate([own, np.tile(BOX_LIMITS, (robots, 1))], axis=1)
-    nominal = inside + random.normal(0.0, 3.0, (robots, 2))
-    points, certain = solve_hard_qp_2d_batch(slopes, limits, nominal, WEIGHTS)
-    for robot in np.flatnonzero(certain).tolist():
-        nearest = by_trying_all(slopes[robot], limits[robot], nominal[robot])
-        np.testing.assert_allclose(points[robot], nearest, rtol=0.0, atol=1e-6)
-    assert certain.mean() > 0.9

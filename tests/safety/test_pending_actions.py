@@ -244,13 +244,6 @@ def test_predictions_that_come_true_leave_the_margin_as_it_is() -> None:
     assert verdict.margin == pytest.approx(SETTINGS.epsilon["obstacle"])
 
 
-@pytest.mark.parametrize("seconds", [-0.01, 1.01, 1e6])
-def test_a_state_that_is_too_old_where_its_action_acts_is_refused(seconds: float) -> None:
-    verdict = Robot(CAR, seconds).turn()
-    assert verdict.status == "fallback"
-    assert f"its action acts {seconds:g} s later, wanted 0 to 1 s" in verdict.sentence
-
-
 @pytest.mark.parametrize("age", [0.1, 0.2])
 def test_the_filter_predicts_from_where_the_action_of_an_old_state_acts(age: float) -> None:
     new, old = Robot(CAR), Robot(CAR, age)

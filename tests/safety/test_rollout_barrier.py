@@ -14,7 +14,6 @@ from safedpa.errors import InputError
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier
 from safedpa.safety import (
     AbstractBarrier,
-    Barriers,
     FilterSettings,
     FunctionBarrier,
     PendingActions,
@@ -22,7 +21,6 @@ from safedpa.safety import (
     SafetyFilter,
     Status,
 )
-from safedpa.safety.barriers.base import CachingBarrierSet
 from safedpa.safety.barriers.stopping import STEP_SECONDS, STEPS, Braking, Motion, StoppingBarrier, stopping_action
 
 PERIOD = 0.05
@@ -200,32 +198,6 @@ def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed:
     np.testing.assert_allclose(slopes * unit / height_unit, gradient, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("place", "push", "height"), [(1e-6, 1e6, 1.0), (1e6, 1e-6, 1e-6), (1.0, 1.0, 1e6)])
-def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height: float) -> None:
-    settings = FilterSettings(
-        action_low=(-push, -push), action_high=(push, push), eta=0.2, epsilon=0.002 * height, backup_action=(0.0, 0.0)
-    )
-    reported = RolloutBarrier(
-        lambda y: (place * affine(y / place)[0], place * B / push),
-        lambda y: push * brake(y / place),
-        lambda y: height * room(y / place),
-        40,
-        NAMES,
-    )
-    safe = SafetyFilter(reported.loop.prediction, [reported], settings, backup=reported.backup)
-    plain = SafetyFilter(affine, [rollout()], SETTINGS, backup=brake)
-    random, x, seen = np.random.default_rng(4), np.zeros(4), set()
-    for _ in range(50):
-        nominal = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
-        one, other = plain.decide(x, nominal), safe.decide(place * x, push * nominal)
-        seen.add(one.status)
-        assert other.status is one.status
-        np.testing.assert_allclose(other.action / push, one.action, atol=1e-6)
-        x = A @ x + B @ one.action
-    assert seen == {Status.passed, Status.corrected}
-
-
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_gradients_at_rest_where_nothing_gives_the_size_of_a_step(unit: float) -> None:
     reported = RolloutBarrier(
@@ -284,22 +256,6 @@ def test_recorded_equations_and_differences_give_one_gradient() -> None:
         np.testing.assert_array_equal(latent.h_and_grad(x)[1], exact.h_and_grad(x)[1])
 
 
-def test_left_and_right_are_alike() -> None:
-    model, random = load_model("car"), np.random.default_rng(1)
-
-    def barrier(side: float) -> RolloutBarrier:
-        discs = ObstacleBarrier([(1.5, side * 0.4, 0.3)], (0.08, 0.4, 0.12), Braking(50.0, 50.0))
-        return RolloutBarrier(model, (0.0, 0.0), discs, 40)
-
-    mirror = np.array([1.0, -1.0, -1.0, 1.0])
-    for _ in range(20):
-        x = random.uniform((-1, -1, -3, -0.5), (1, 1, 3, 2))
-        h, gradient = barrier(1.0).h_and_grad(x)
-        mirrored, slopes = barrier(-1.0).h_and_grad(mirror * x)
-        np.testing.assert_allclose(mirrored, h, atol=1e-12)
-        np.testing.assert_allclose(slopes * mirror, gradient, atol=1e-9)
-
-
 def test_it_looks_past_a_delay() -> None:
     """Three actions in flight: the path of the backup begins with them."""
     late = PendingActions(affine, 3, (0.0, 0.0))
@@ -316,19 +272,6 @@ def test_it_looks_past_a_delay() -> None:
             x = A @ x + B @ late.split(xi)[1][0]
             xi = late.next_state(xi, verdict.action, x)
             assert room(x).min() >= 0.0
-
-
-def test_only_what_looks_between_ticks_asks_where_they_began() -> None:
-    plain, looking = FunctionBarrier(lambda x: x[0]), RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1)
-    state = (0.5, 0.0)
-    stack = CachingBarrierSet(Barriers((plain,)))
-    assert stack.starting_at(state) is stack
-    both = CachingBarrierSet(Barriers((plain, looking)))
-    behind = np.array([1.5, 0.0])
-    assert both.names == both.starting_at(state).names
-    np.testing.assert_allclose(both.h(behind), [1.5, 0.4])
-    np.testing.assert_allclose(both.starting_at(state).h(behind), [1.5, -0.1], atol=1e-7)
-    np.testing.assert_allclose(both.starting_at(state).grad_h(behind)[1], [0.0, 0.0], atol=1e-3)
 
 
 @pytest.mark.parametrize("horizon", [0, 1.5, True, "4", None])

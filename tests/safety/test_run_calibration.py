@@ -239,9 +239,6 @@ def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
         calibration_from_recordings(CAR, SETTINGS, [path], 0.5, "2024-01-01")
 
 
-ALL = range(1, 6)
-
-
 def drive(**changed: Any) -> list[DriveTick]:
     """Six ticks of a car that drives straight on at 0.5 m/s; ``changed`` is what is different at the third."""
     ticks = []

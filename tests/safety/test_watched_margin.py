@@ -117,16 +117,6 @@ def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
     assert watch.epsilon == {"function": 0.01}
 
 
-def test_a_margin_that_does_not_learn_stays() -> None:
-    watch = OnlineMarginMonitor(CALIBRATION)
-    watch.learns = False
-    for _ in range(20):
-        watch.expect([1.0])
-        watch.observe([0.0], at(0.0))
-    assert watch.epsilon == {"function": 0.01}
-    assert watch.coverage == -1.0
-
-
 def test_past_a_dead_time_the_prediction_is_compared_at_both_states() -> None:
     """h = x - latent; of the state before as of this one the h hoped for is that of the barriers of then."""
     watch = OnlineMarginMonitor(CALIBRATION)

@@ -19,7 +19,6 @@ from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(0.0,), eta=0.5)
-LAYER = 0.2
 PERIOD = 0.1
 
 HValues = Callable[[float, int], list[float]]

@@ -14,7 +14,7 @@ from safedpa.errors import MessageError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.perception.obstacle_tracker import ObstacleTracker
 from safedpa.perception.occlusion import OcclusionMap
-from safedpa.perception.occupancy_grid import Grid, dilate, erode, shift_cells
+from safedpa.perception.occupancy_grid import Grid, shift_cells
 from safedpa.perception.scan import ScanRays
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
@@ -277,12 +277,6 @@ def test_cells_move_with_the_robot() -> None:
     x, y = grid.middles
     assert abs(x[i, j][0] - 0.53) <= 0.05
     assert abs(y[i, j][0] + 0.28) <= 0.05
-
-
-def test_growing_and_shrinking_are_each_others_mirror() -> None:
-    draw = np.random.default_rng(4)
-    cells = draw.random((30, 30)) < 0.1
-    np.testing.assert_array_equal(erode(~cells, 0.2, beyond=True), ~dilate(cells, 0.2, beyond=False))
 
 
 def frozen_after(seconds: float) -> Changes:

@@ -24,7 +24,6 @@ from safedpa.robots.car.scenes.sensed import MOST_ROWS, SensedBarriers, reversal
 from safedpa.safety.barriers.stack import CompiledBarrierSet
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import settings_named
-from safedpa.safety.prediction.delay_estimator import Transition
 from safedpa.safety.settings import FilterSettings
 from safedpa_sim.robots.car.loads import LOADS, footprint, load_named, towed_reach
 from safedpa_sim.robots.car.robot import CarRobot
@@ -388,13 +387,8 @@ def test_a_hidden_place_that_holds_a_car_only_once_it_drives_is_looked_at() -> N
     assert "hidden 0" in [name for part in unseen.barriers.parts for name in part.names]
 
 
-def test_a_stationary_car_reports_no_delay_and_one_without_settings_for_creeping_stops() -> None:
-    """A load that sticks to the floor does not move for a while, as if commands acted late."""
-    commands = (((1.0, 0.0), None), ((0.0, 0.0), None))
-    assert Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.05), commands).is_stationary((3,))
-    assert not Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.2), commands).is_stationary((3,))
-    assert not Transition((0.0, 0.0), (0.0, 0.0), commands).is_stationary(())
-    # Driving on towards unseen room has to be enabled.
+def test_a_car_without_settings_for_creeping_stops() -> None:
+    """Driving on towards unseen room has to be enabled."""
     assert FilterSettings.for_robot("car").barrier("creeping") == 0.0
     state = np.array([0.0, 0.0, 0.0, 0.0])
     known = np.array([(0.75, 0.0, 0.25, 1.5)]), [True], (0.08, 0.40, 0.12), BRAKES, BRAKES_BACK

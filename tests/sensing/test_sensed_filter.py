@@ -23,7 +23,7 @@ from safedpa.robots.car.dynamics.limits import (
     ReversalBraking,
     performance_limits,
 )
-from safedpa.robots.car.scenes.sensed import MOST_ROWS, reversal_braking, sensed_barriers
+from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.calibrated_model import CalibratedModel
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.runtime.robot_session import RobotSession
@@ -264,23 +264,6 @@ def test_without_believable_surroundings_the_car_brakes_and_reports_why(seen: Su
     assert notice in verdict.sentence
 
 
-def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> None:
-    draw = np.random.default_rng(8)
-    places = draw.uniform(-1.6, 1.6, (256, 2))
-    state = state_of()
-    seen = surroundings(state, points=tuple((x, y, 0.05) for x, y in places.tolist()))
-    found = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, seen, None)
-    names = found.barriers.parts[0].names
-    assert len(names) == MOST_ROWS
-    assert " points near it, those with the least h were looked at" in found.left_out
-    h = np.hypot(places[:, 0] - np.clip(places[:, 0], -0.08, 0.40), places[:, 1])
-    retained = {int(name.split()[1]) for name in names}
-    ahead = np.abs(places[:, 1]) < 0.3
-    assert set(np.argsort(h)[:20].tolist()) <= retained | set(np.flatnonzero(ahead).tolist())
-    few = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, replace(seen, points=seen.points[:40]), None)
-    assert few.left_out == ""
-
-
 def of_some_kind(discs: np.ndarray, towed: TrailerEnvelope | None) -> list[ObstacleBarrier | MovingObstacleBarrier]:
     counter, braking = reversal_braking(SETTINGS), braking_of(SETTINGS)
     movers = np.column_stack([discs, np.full(len(discs), 1.5)])
@@ -371,11 +354,6 @@ def test_what_is_far_is_nearer_for_a_slow_car_and_farther_where_its_action_acts_
         == np.inf
     )
     assert slow < backwards == quick < irrelevance_distance(still, reported[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
-
-
-class Ahead:
-    def __call__(self, state: StateMessage) -> tuple[float, float]:
-        return (1.5, 0.0)
 
 
 def driven(scene: Scene, people: tuple[Person, ...], seconds: float, seed: int = 1) -> CarRobot:

@@ -229,16 +229,10 @@ def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch)
 def moved(walking: float) -> list[Any]:
     """People of a scene after three seconds near a stationary robot, with the greatest speed that each had."""
     scene, people = scene_and_people("people", 1005, "none", walking)
-    outline = sensing_outline(scene)
+    outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
     for one in people:
         one.speed = max(float(np.hypot(*one.velocity(0.05 * tick, (50.0, 50.0), outline))) for tick in range(60))
     return list(people)
-
-
-def sensing_outline(scene: Any) -> Any:
-    from safedpa_sim.sensing.shapes import Outline
-
-    return Outline(scene.obstacles, scene.polygons, (scene.field,))
 
 
 def test_the_usual_value_is_part_of_each_curve() -> None:

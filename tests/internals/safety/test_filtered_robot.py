@@ -216,14 +216,6 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
     assert late.predicted(state_at(1), verdict_of(late), CAR.latent) == ((), None)
 
 
-@pytest.mark.parametrize("values", [(1.0, 2.0, 0.1), (1.0, 2.0, 0.1, 0.5, 0.0)])
-def test_a_state_with_another_number_of_values_has_no_path(values: tuple[float, ...]) -> None:
-    memory = driven()
-    assert memory.memory is not None
-    assert memory.predicted(state_at(1, values=values), verdict_of(memory), CAR.latent) == ((), None)
-    assert memory.predicted(state_at(1, values=(1.0, 2.0, 0.1, 0.5)), verdict_of(memory), CAR.latent)[0]
-
-
 @pytest.mark.parametrize("latent", [None, LATE.latent])
 def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_action(monkeypatch, latent):
     memory, asked_with = driven(LATE, ticks=2), list[Any]()

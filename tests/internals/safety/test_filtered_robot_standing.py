@@ -12,15 +12,11 @@ from tests.safety.node_steps import CAR, SETTINGS, state_at
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety import Status, Verdict
-from safedpa.safety.barriers.base import CachingBarrierSet
-from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.deadlock.escape import TickContext
 from safedpa.safety.prediction.command_history import CommandHistory
 from safedpa.safety.prediction.dead_time import MAX_PERIODS, ActuatorModel, DeadTime
-from safedpa.safety.settings import FilterSettings
 
 
 # whether it stands
@@ -293,14 +289,3 @@ def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: py
     monkeypatch.setattr(history._actuators, "dead_time_periods", reach)
     assert history.delayed_prediction(0.0) is not None
     assert asked == [(*LATENT[:-1], 7.0)]
-
-
-def test_its_memory_is_bounded() -> None:
-    barriers = car_barriers(
-        FilterSettings.for_robot("car"), (0.08, 0.4, 0.12), ((0.5, 0.5, 0.2),), (-4.0, 4.0, -4.0, 4.0)
-    )
-    remembering = CachingBarrierSet(make_barrier_set(barriers))
-    for x in np.linspace(-1.0, 1.0, 50):
-        remembering.h(np.array([x, 0.0, 0.0, 0.0]))
-        remembering.grad_h(np.array([x, 0.0, 0.0, 0.0]))
-    assert len(remembering.scalar_rows(4)._known) <= 8

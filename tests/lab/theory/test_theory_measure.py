@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
-from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights, dense_stack, frame_of
@@ -26,8 +25,6 @@ from safedpa_lab.theory.measure import (
     measured_errors,
     network_parts,
 )
-
-Values = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
