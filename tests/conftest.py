@@ -30,7 +30,7 @@ from safedpa.systems import robots as declared
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
 TRAINING = ("training", "point", "lab/training", "lab/benchmarks", "lab/point", "lab/pendulum")
-TRAINING += ("lab/theory/test_theory_command.py", "effects/test_every_effect.py")
+TRAINING += ("lab/theory/test_theory_command.py", "effects/test_every_effect.py", "safety/test_environment_chain.py")
 """Folders and files in ``tests`` that load torch and what stands on it: 400 MB that one process alone need carry."""
 LIGHT = ("adaptation", "bus", "bus_security", "dynamics", "effects", "fleet_process", "networks", "operations")
 LIGHT += ("policy", "replay", "robots", "safety", "sensing")

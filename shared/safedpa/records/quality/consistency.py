@@ -236,7 +236,7 @@ def _steering(rows: RawRows, stretches: list[Stretch], system: System) -> list[F
     It stays above 0.5 with lags, delays and offsets, but not with a wrong sign, another column or shuffled rows.
     """
     # A robot of the user's own may steer something else, and have neither speed nor heading.
-    if "steer" not in system.action_names or not {"speed", "yaw"} <= set(system.state_names):
+    if not {"steer", "speed", "yaw"} <= {*system.action_names, *system.state_names}:
         return []
     speed, yaw = (rows.states[:, system.state_names.index(name)] for name in ("speed", "yaw"))
     steer = rows.actions[:, system.action_names.index("steer")]
