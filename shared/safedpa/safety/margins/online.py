@@ -158,7 +158,7 @@ class OnlineMarginMonitor:
 
 def _floats(state: Sequence[float] | FloatArray) -> Sequence[float]:
     """As Python floats: for so few numbers they are faster than an array."""
-    # Lists are passed through without a copy.
+    # A list is what the callers need already, so converting it would only take time.
     return state.tolist() if isinstance(state, np.ndarray) else state
 
 

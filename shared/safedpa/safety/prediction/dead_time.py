@@ -204,7 +204,7 @@ class ActuatorModel:
                 path.append(state_at_effect)
             else:
                 constrained.extend(now)
-        # The state where the slowest channel responds is constrained as well.
+        # x[n] of the module's equation: the slowest channel responds here, and only then is the whole action felt.
         constrained.extend(now)
         return EffectStart(tuple(constrained), tuple(path), state_at_effect, memory_at_start, first, last - first + 1)
 
