@@ -128,7 +128,7 @@ def discriminating_manoeuvres(model: PhysicsModel, others: Sequence[PhysicsModel
 
 def _bench_measurement(names: Sequence[str]) -> Experiment:
     """Returns a measurement on a bench, for models that no drive separates."""
-    # These effects are masses or scale like one, so a scale decides between them.
+    # These effects are masses or act like an additional mass, so weighing the robot decides between them.
     weighed = {"payload", "towed_load", "torque_gain", "tip_mass"} & set(names)
     manoeuvre = "weigh the robot and its load" if weighed else "measure one of the parameters directly, on a bench"
     why = "no manoeuvre of the list makes their predictions differ by more than the noise"

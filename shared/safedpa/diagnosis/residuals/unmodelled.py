@@ -87,8 +87,8 @@ _MIN_ROWS = 20
 # Standard errors by which a formula has to be better than the effects found, to replace them: as many as an effect
 # needs to be accepted.
 _LEAD = 3.0
-# Decrease of the log held-out residual (mean over the states) that this also takes; effects have a physical meaning
-# that a formula lacks.
+# Decrease of the log held-out residual (mean over the states) that a formula needs as well: effects have a physical
+# meaning, so they are preferred unless a formula is clearly better.
 _MIN_DECREASE = 0.03
 # The same for a formula with fewer parameters, which is less likely to fit by chance.
 _MIN_DECREASE_IF_SIMPLER = 0.01
