@@ -88,7 +88,7 @@ class PhysicsModel(AbstractDynamics):
         ordered = sorted(self.effects, key=lambda item: item.stage)
         self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
         rest = dict.fromkeys(self.system.action_names, 0.0)
-        # memory is no input of a recorded step: such command effects are then applied before it, else within it
+        # a recorded step has no memory among its inputs, so command effects with memory are applied before it
         self._has_memory = any(item.initial_memory(rest) is not None for item in self._commands)
         self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
@@ -329,7 +329,7 @@ class PhysicsModel(AbstractDynamics):
         try:
             after = self.base.integrate(derivative, state, time, period)
         except (ValueError, ArithmeticError):
-            # Python's math rejects sin(inf) and exp(1000), where NumPy and torch give NaN and inf: so does this model
+            # Python's math raises for sin(inf) and exp(1000); NumPy gives NaN and inf, as for batches and tensors
             if operations is not FLOATS:
                 raise
             operations = NUMPY
