@@ -72,7 +72,7 @@ class SlidingCounter:
             self._slices.popleft()
 
 
-# 20 s at 20 Hz.
+# 20 s at 20 Hz: recent enough to show the present latency. The limit keeps the memory of many robots bounded.
 _RETAINED_LATENCIES = 400
 
 

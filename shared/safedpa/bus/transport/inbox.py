@@ -202,7 +202,7 @@ class Inbox:
         self._queued += 1
         self._queued_bytes += len(retained)
         while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
-            # The oldest message of the key with the most bytes waiting.
+            # From the key with the most bytes waiting, so that a flood under one key loses only its own messages.
             self._pop(max(self._queues, key=lambda name: self._queues[name].size))
             self.dropped += 1
 
