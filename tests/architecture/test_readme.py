@@ -1,19 +1,8 @@
 """The README says what is true: its code runs, and links lead somewhere; its commands are tests/docs' affair."""
 
-import contextlib
-import io
 import json
 import re
 from pathlib import Path
-
-
-def test_the_code_runs_and_corrects_the_nominal_action(repository: Path) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 1
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        exec(compile(blocks[0], "README.md", "exec"), {})
-    assert printed.getvalue().startswith("corrected")
 
 
 def test_every_link_and_picture_is_there(repository: Path) -> None:

@@ -15,10 +15,6 @@ Tick = list[tuple[Topic, Message]]
 PERIOD = 0.05
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "browser: opens the web viewer in a headless browser")
-
-
 @pytest.fixture(scope="session")
 def look() -> DisplaySettings:
     """Display settings of the car."""

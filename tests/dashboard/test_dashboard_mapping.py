@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import fields, replace
-from itertools import groupby, pairwise
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -26,7 +26,7 @@ from safedpa.drawing import Lines, Rings
 from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
-from safedpa_services.dashboard.shapes import Bands, Curves, Note, States
+from safedpa_services.dashboard.shapes import Bands, Curves, Note
 from safedpa_services.dashboard.world import body_entries
 
 _NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.floats(-5.0, 5.0)
@@ -161,16 +161,6 @@ def test_the_latent_carries_the_models_names_and_deviations(look, tick_of):
         (look.latent_names[0], 0.4, 0.1),
         (look.latent_names[1], 2.5, 0.3),
     ]
-
-
-def test_the_verdict_is_written_down_when_its_status_changes_and_not_otherwise(look, drive):
-    view = FleetView(look)
-    items = [_received(*item) for tick in drive(200) for item in tick]
-    entries = _entries(view.take(items, 0.0))
-    notes = [e.shape.text.split(":")[0] for e in entries if isinstance(e.shape, Note)]
-    lanes = [e.shape.state for e in entries if isinstance(e.shape, States) and e.path[-1] == "filter"]
-    lanes = [state for state, _ in groupby(lanes)]
-    assert notes == lanes == ["passed", "corrected", "passed", "corrected"]
 
 
 def test_refused_bytes_are_logged_a_few_times_and_counted(look, tick_of):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stale, TakeoverMessage
+from safedpa.bus import FINDING, LATENT, MODEL, VERDICT, Request, Stale, TakeoverMessage
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
@@ -180,19 +180,6 @@ def test_when_every_candidate_is_rejected_the_error_is_usual_from_then_on(driven
     assert not driven.ask("accept", "steering_offset").ok
 
 
-def test_what_is_asked_about_another_finding_model_or_effect_is_refused_with_a_reason(driven):
-    driven.found("steering_offset")
-    for answer, phrase in (
-        (driven.ask("accept", "steering_offset", finding=7), "number 1"),
-        (driven.ask("accept", "steering_offset", model="0123456789ab"), "you saw 0123456789ab"),
-        (driven.ask("accept", "flood"), "steering_offset"),
-        (driven.ask("roll_back"), "there is no earlier one"),
-        (driven.ask("dance"), "accept"),
-    ):
-        assert not answer.ok
-        assert phrase in answer.sentence
-
-
 def test_a_robot_that_leaves_takes_its_search_with_it_and_its_findings_go_on_counting(driven, car, drive_of):
     driven.until(lambda: driven.worker.busy("r1"))
     driven.node.forget("r1")
@@ -217,8 +204,3 @@ def test_a_state_of_another_kind_of_robot_is_refused(driven, state_of, verdict_o
 def test_a_broken_model_file_is_refused(worker):
     with pytest.raises(ModelFileError):
         DiagnosisNode("format = 1", worker)
-
-
-def test_it_listens_to_what_services_answer():
-    assert TAKEOVER in DiagnosisNode.listens
-    assert set(DiagnosisNode.outputs) == {FINDING, MODEL}

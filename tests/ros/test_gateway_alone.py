@@ -13,10 +13,7 @@ import pytest
 from tests.ros.gateway_rig import ASKED, Link, Rig, Sense, rig_of
 
 from safedpa.bus import HealthMessage, NominalMessage, ScanMessage, StateMessage, logging
-from safedpa.ros.encoding import encode
-from safedpa.ros.graph import Attachment
 from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
-from safedpa_services.ros_gateway.sensor_inputs import LatestMessage
 
 BRAKE = (0.0, 0.0)
 LATE = "no action of the filter arrived in time"
@@ -240,24 +237,3 @@ def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(rig, period,
     assert set(rig.drive.sent) == {BRAKE}
     assert len(rig.drive.sent) == len(slept) >= 10
     assert sum(slept) == pytest.approx(1.0)
-
-
-def test_messages_of_two_publishers_of_one_topic_are_refused() -> None:
-    now, newest = [10.0], LatestMessage("geometry_msgs/msg/Twist", ("linear.x", "angular.z"), clock=lambda: now[0])
-    type_name = "geometry_msgs/msg/Twist"
-
-    def heard(sender: bytes, seconds: float) -> float:
-        now[0] += seconds
-        vectors = {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.1}}
-        newest.take(encode(type_name, vectors), Attachment(1, 0, sender))
-        return newest.read()[1]
-
-    one, other = b"1" * 16, b"2" * 16
-    assert [heard(one, 0.05) for _ in range(3)] == [0.0] * 3
-    assert heard(other, 0.05) == float("inf")
-    assert heard(one, 0.05) == float("inf")
-    assert "two publishers" in newest.why
-    assert heard(one, 0.9) == float("inf"), "the other one may speak again"
-    assert heard(one, 0.2) == 0.0, "the other one is gone"
-    assert newest.why == ""
-    assert heard(other, 2.0) == 0.0, "one that was restarted, after the first had ended"

@@ -49,23 +49,6 @@ def child_of(folder, **fields):
     return Child("policy", "module", ("--rate", "20"), folder / "policy.log", **fields)
 
 
-def test_a_process_that_waits_is_started_with_the_option_to_wait_until_begin_is_called(started, tmp_path):
-    """A restarted process begins at once; ``has_begun`` says whether it may drive."""
-    child = child_of(tmp_path, waits=True)
-    assert not child.has_begun
-    child.start()
-    assert not child.has_begun
-    child.begin()
-    assert child.has_begun
-    child.start()
-    assert ["--await-word" in process.command for process in started] == [True, False]
-    plain = child_of(tmp_path)
-    assert not plain.has_begun
-    plain.begin()
-    assert plain.has_begun
-    assert "--await-word" not in started[-1].command
-
-
 def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the_environment(started, tmp_path):
     """Arguments are readable by every user of the machine, the environment is not."""
     child_of(tmp_path, environment={"TOKEN": "secret"}).start()

@@ -34,9 +34,12 @@ TAKEN = Answer(ok=True, sentence="change 4 is in force", fingerprint="b" * 8, ch
 
 @pytest.fixture
 def ask(clock, monkeypatch):
-    """ask(answers_until, over_at, answer): asks a diagnosis to accept an effect; ends when the command does."""
+    """ask(answers_until, over_at, answer): asks a diagnosis to accept an effect; ends when the command does.
 
-    def run(answers_until, over_at, end=TAKEN, do="accept"):
+    With ``lossy`` every second answer after the change has begun is lost.
+    """
+
+    def run(answers_until, over_at, end=TAKEN, do="accept", *, lossy=False):
         asked, before = list[Request](), [clock.now]
 
         def request(_robot, request, patience, *_kind):
@@ -44,7 +47,7 @@ def ask(clock, monkeypatch):
             asked.append(request)
             assert clock.now - before[0] <= 0.25, "a person waits"
             before[0] = clock.now
-            if clock.now > answers_until:
+            if clock.now > answers_until or (lossy and len(asked) > 2 and len(asked) % 2):
                 clock.now += patience
                 before[0] = clock.now
                 return None
@@ -86,6 +89,11 @@ def test_a_change_is_waited_for_two_minutes_and_a_silent_diagnosis_for_ten_secon
         with pytest.raises(SafedpaError, match=complaint):
             ask(answers_until, over_at)
     assert clock.now == pytest.approx(ends_at, abs=2.2)
+
+
+def test_an_answer_that_is_lost_does_not_end_the_waiting(ask, clock):
+    ask(inf, 15.0, lossy=True)
+    assert clock.now == pytest.approx(15.0, abs=3.0)
 
 
 def test_a_dropped_change_is_an_error_and_a_refused_one_a_bad_input(ask):

@@ -62,13 +62,6 @@ def test_lockstep_repeats_bit_for_bit_and_is_safe(tmp_path: Path) -> None:
     assert processes_with(str(tmp_path)) == []
 
 
-@pytest.mark.long
-def test_without_the_filter_the_same_scene_collides(tmp_path: Path) -> None:
-    summary, _ = up(tmp_path, "--load", "box", "--seconds", "20", "--lockstep", "--seed", "1", "--no-filter")
-    assert summary["collisions"] > 0
-    assert set(summary["verdicts"]) == {"disabled"}
-
-
 @contextmanager
 def driving(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--out", str(folder)]
@@ -137,24 +130,13 @@ def test_a_killed_service_is_restarted_and_nothing_is_hit(tmp_path: Path) -> Non
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, errors
+    assert _left(tmp_path) == []
     summary = json.loads(output)
     assert summary["collisions"] == 0
     restarts = {entry["name"]: entry["restarts"] for entry in summary["services"]}
     assert {name: restarts[name] for name in SERVICES} == dict.fromkeys(SERVICES, 1)
     assert sum(restarts.values()) == len(SERVICES)
     assert sum(count for status, count in summary["verdicts"].items() if status != "fallback") > 60, "it drove on"
-
-
-@pytest.mark.long
-def test_interrupt_ends_everything(tmp_path: Path) -> None:
-    with driving(tmp_path, 0.0) as process:
-        drives_on(tmp_path)
-        assert len(processes_with("--supervised")) >= 5
-        process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, errors
-    assert json.loads(output)["ticks"] > 0
-    assert _left(tmp_path) == []
 
 
 @pytest.mark.long

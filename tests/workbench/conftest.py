@@ -135,11 +135,6 @@ class PatientBrowser:
         return page
 
 
-def pytest_configure(config):
-    """The marker of tests that need Chromium."""
-    config.addinivalue_line("markers", "browser: opens the page in a headless browser")
-
-
 @pytest.fixture
 def serve(free_port, tmp_path):
     """Starts ``safedpa workbench`` with arguments; returns its address."""

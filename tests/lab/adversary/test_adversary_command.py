@@ -94,18 +94,6 @@ def test_findings_do_not_change_the_exit_code(monkeypatch, capsys):
     assert "| raised an exception | 330 | 330 | at most 0 | **not held** |" in capsys.readouterr().out
 
 
-@pytest.mark.long
-def test_progress_is_reported_piece_by_piece():
-    reported = []
-    adversary(
-        attacks_named(["car"]),
-        0,
-        small=True,
-        report_progress=lambda done, everything: reported.append((done, everything)),
-    )
-    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
-
-
 def test_a_page_says_which_figures_held():
     rows = [{"what": "a", "measured": 1.0, "of": 2000, "asked": "at most 0", "unit": "", "held": False}]
     attack = {"name": "n", "sentence": "what it is", "seconds": 1.0, "held": 0, "failed": 1, "rows": rows}

@@ -118,15 +118,6 @@ def test_the_programs_notice_an_infeasible_answer_that_is_not_the_least_unsafe(p
     assert found["not corrected, though an action keeps all"].of is not None
 
 
-def test_the_programs_notice_an_exception(monkeypatch):
-    def raises(*_args, **_known):
-        raise RuntimeError("planted")
-
-    monkeypatch.setattr(SafetyFilter, "decide", raises)
-    row = measured(Programs())["raised an exception"]
-    assert row.measured == row.of == 330
-
-
 def test_the_drive_at_scale_one_stops_before_the_wall_and_a_deaf_filter_does_not(plant):
     assert drive(Units()).furthest < 1.0
     plant(passes_everything)
@@ -395,18 +386,6 @@ def test_a_peer_that_is_not_installed_is_named_as_missing(monkeypatch):
     (row,) = Peers().work(("planted", 0, 2))[1]
     assert row.what == "planted: no_such_package_anywhere is not installed here"
     assert row.held is None
-
-
-def test_silent_and_announced_unsafe_actions_are_counted_apart(scripted):
-    scripted("print(json.dumps([{'action': p['nominal'], 'notice': 'beware' if i % 2 else ''} "
-             "for i, p in enumerate(problems)]))")  # fmt: skip
-    found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))
-    unsaid = found["planted, at scale 1: unsafe action, and not a word"].measured
-    notice = found["planted, at scale 1: unsafe action, reported as such"].measured
-    assert unsaid > 5
-    assert notice > 5
-    assert unsaid + notice <= 20
-    assert found["planted, at scale 1: no action at all"].measured == 0
 
 
 def test_the_answers_of_the_reference_are_safe(scripted, monkeypatch):

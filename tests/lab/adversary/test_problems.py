@@ -107,12 +107,6 @@ def one_dimension(now: float, drift: float, epsilon: float = 0.0, nominal: float
                  weights=[1.0], epsilon=[epsilon])  # fmt: skip
 
 
-def test_the_nearest_action_just_keeps_the_condition():
-    found = LinearJudge(one_dimension(1.0, -0.2, 0.1)).nearest()
-    assert found is not None
-    assert (found.action[0], found.distance) == (pytest.approx(0.2), pytest.approx(0.8))
-
-
 def test_an_infeasible_problem_has_no_nearest_action_but_a_least_unsafe_one():
     judge = LinearJudge(one_dimension(0.5, -2.0))
     assert judge.nearest() is None
@@ -126,12 +120,6 @@ def test_a_scale_is_the_largest_of_h_margin_and_reach():
     assert LinearJudge(one_dimension(3.0, 0.0)).scale[0] == 3.0
     assert LinearJudge(one_dimension(0.3, 0.0)).scale[0] == 1.0
     assert LinearJudge(one_dimension(0.3, 0.0, epsilon=7.0)).scale[0] == 7.0
-
-
-def test_a_break_is_measured_in_scales_without_rounding():
-    judge = LinearJudge(one_dimension(1.0, 0.0))
-    assert (judge.broken(np.array([0.5])), judge.broken(np.array([0.5 + 1e-17]))) == (0.0, 0.0)
-    assert judge.broken(np.array([0.75])) == pytest.approx(0.25)
 
 
 def by_quadprog(problem: LinearProblem) -> float | None:

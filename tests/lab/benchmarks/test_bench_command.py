@@ -18,7 +18,6 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_lab.benchmarks import suite
 from safedpa_lab.benchmarks.against import FIGURES, against, checkout_of, interval_of_median
 from safedpa_lab.benchmarks.peer_process import ask_peer, interpreter_with
-from safedpa_lab.benchmarks.pictures import write_pictures
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, microseconds, missing
 from safedpa_lab.benchmarks.rows import ROWS
 from safedpa_lab.benchmarks.suite import chosen_rows, read_document, run_rows
@@ -140,27 +139,6 @@ def test_the_table_has_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert figure_text(5.1e6, "steps/s") == "5.10 Msteps/s"
 
 
-def test_results_without_floors_are_still_shown() -> None:
-    document = read_document(Path(__file__).parents[3] / "docs" / "results" / "speed.json")
-    for row in document["rows"].values():
-        for target in row.get("targets", ()):
-            for name in ("floor", "forbidden"):
-                target.pop(name, None)
-    assert "| not reached |" in markdown(document)
-
-
-@pytest.mark.long
-def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from PIL import Image
-
-    paths = write_pictures(_document(tmp_path, monkeypatch), tmp_path / "pictures")
-    assert [path.name for path in paths] == ["speed.png", "speed_growth.png"]
-    for path in paths:
-        with Image.open(path) as picture:
-            assert picture.width > 800
-            assert len(np.unique(np.asarray(picture.convert("L")))) > 3
-
-
 def test_a_missing_peer_is_reported() -> None:
     answer = ask_peer("filters:cvxpy", "no_such_package_anywhere", {}, ())
     assert "no_such_package_anywhere is not installed" in answer["missing"]
@@ -247,11 +225,6 @@ def test_rows_of_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]
     figures = json.loads(capsys.readouterr().out)["figures"]
     assert {"decision-parts, the whole decision, physics [us]", "batch, all at once [us]"} <= set(figures)
     assert all(row["unit"] == "us" and 1.0 < row["ours"] < 1e5 for row in figures.values())
-
-
-def test_a_row_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert safedpa.run(["bench", "against", str(ROOT), "--only", "speed"]) == 2
-    assert "filter" in capsys.readouterr().err
 
 
 @pytest.mark.slow

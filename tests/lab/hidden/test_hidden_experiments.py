@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 
 from safedpa.effects import effect
-from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_lab.experiments.diagnosis import hidden_effects as experiment
 from safedpa_lab.experiments.diagnosis.hidden_effects import run_cases
 from safedpa_lab.hidden import Case, cases_of
@@ -16,14 +15,6 @@ from safedpa_services.command_line.group import safedpa
 
 def run(*arguments):
     return safedpa.run(["experiment", *map(str, arguments)])
-
-
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_has_a_help(name, capsys):
-    assert run(name, "--help") == 0
-    shown = capsys.readouterr().out
-    assert f"experiment {name}" in shown
-    assert "--json" in shown
 
 
 def test_the_safety_experiment_prints_one_document(tmp_path, capsys):
