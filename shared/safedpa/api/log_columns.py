@@ -15,6 +15,7 @@ from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.column_map.form import guess_columns, map_text
 from safedpa.records.column_map.propose import best_system, propose_map, sources_of
 from safedpa.records.readers.bags import AbstractLog, check_readable_mcap, kind_of, topic_log
+from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.preview import raw_rows
 from safedpa.result import AbstractResult
 from safedpa.systems import System
@@ -93,16 +94,23 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
         load_user_file(Path(effects))
     path, known = Path(log), robot_named(robot or DEFAULT_ROBOT)
     systems = tuple(one.system for one in (known, *known.variants))
+    topics, text = _proposed(path, systems)
+    return ProposedColumns(path, tuple(topics), text)
+
+
+@in_own_process
+def _proposed(path: Path, systems: Sequence[System]) -> tuple[list[dict[str, Any]], str]:
+    """Topics of a log, and the map that is proposed for the system of ``systems`` that fits best."""
     kind = kind_of(path)
     if kind == "mcap":
         check_readable_mcap(path)
-        raise InputError(f"{log}: got a recording of the bus, which needs no column map; use it directly")
+        raise InputError(f"{path}: got a recording of the bus, which needs no column map; use it directly")
     if kind != "topics":
-        return ProposedColumns(path, (), _table_map(path, systems))
+        return [], _table_map(path, systems)
     opened = topic_log(path)
     system = best_system(systems, sources_of(opened.topics().values()))
     text = propose_map(opened, system, [other for other in systems if other is not system])
-    return ProposedColumns(path, tuple(_topics(opened)), text)
+    return _topics(opened), text
 
 
 def _topics(log: AbstractLog) -> list[dict[str, Any]]:

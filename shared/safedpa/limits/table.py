@@ -49,6 +49,8 @@ TABLE: dict[str, Limit] = {
         Limit("parquet_footer_bytes", 16 * _MEBI, "bytes of a Parquet footer", "about 100 per column and group"),
         Limit("expansion", 100, "expansion factor of a compressed file", "our recordings: 3 to 6"),
         Limit("expansion_free_bytes", 8 * _MEBI, "bytes to which any file may expand", "small files compress best"),
+        Limit("reader_milliseconds", 800, "ms of processor time to read a file, plus 10 per KB", "most: 0.5 per KB"),
+        Limit("reader_bytes", 160 * _MEBI, "bytes of memory to read a file, plus 30 per byte", "most: 12 per byte"),
         Limit("mcap_record_bytes", 32 * _MEBI, "bytes of one record in an MCAP file", "chunks of our own: 16 KB"),
         Limit("mcap_chunk_bytes", 16 * _MEBI, "bytes of an unpacked chunk in an MCAP file", "most writers: 1 to 4 MB"),
         Limit("mcap_channels", 65_535, "channels of an MCAP file", "channel numbers have 16 bits"),

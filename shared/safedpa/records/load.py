@@ -9,8 +9,9 @@ from safedpa.records.column_map.apply import check_map, mapped_rows
 from safedpa.records.column_map.column_map import ColumnMap, native_map
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.readers.bags import check_readable_mcap, kind_of, read_log_table, topic_log
+from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.table import Table, regular_file
-from safedpa.records.run import Run
+from safedpa.records.run import Finding, RawRows, Run
 from safedpa.systems import System
 
 __all__ = ["load_run"]
@@ -31,26 +32,29 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
     check_map(mapping, system)
     with regular_file(Path(path)) as file:
         try:
-            return _load(file, system, columns, mapping)
+            rows, findings = _rows_of(file, system, columns, mapping)
+            return run_of_rows(file, system, mapping, rows, findings)
         except InputError as error:
             if file == Path(path):
                 raise
             raise type(error)(str(error).replace(str(file), str(path))) from error
 
 
-def _load(path: Path, system: System, columns: ColumnMap | None, mapping: ColumnMap) -> Run:
+@in_own_process
+def _rows_of(
+    path: Path, system: System, columns: ColumnMap | None, mapping: ColumnMap
+) -> tuple[RawRows, tuple[Finding, ...]]:
     kind = kind_of(path)
     if kind == "mcap":
         if columns is not None:
             check_readable_mcap(path)
             raise ColumnMapError(f"{columns.name}: {path} is a recording of the bus; leave the column map out")
-        from safedpa.records.readers.mcap import read_run_from_mcap
+        from safedpa.records.readers.mcap import read_rows_from_mcap
 
-        return read_run_from_mcap(path, system)
+        return read_rows_from_mcap(path, system)
     if kind == "topics" and columns is None:
         raise RunError(_map_needed(path, system))
-    rows, findings = mapped_rows(_read(path, kind, mapping, system), mapping, system)
-    return run_of_rows(path, system, mapping, rows, findings)
+    return mapped_rows(_read(path, kind, mapping, system), mapping, system)
 
 
 def _map_needed(path: Path, system: System) -> str:

@@ -21,6 +21,7 @@ from typing import IO
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.readers.cells import DATE, element_of, numbers_of_texts
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
 
 __all__ = ["COMMENTS", "GZIP", "CsvFile", "Layout", "decoded", "find_layout"]
@@ -35,6 +36,8 @@ _PARTS, _PART_BYTES = 12, 2048
 """Pieces of the rest of the file from which further lines are taken."""
 _FIRST_LETTERS = 4
 """Letters at the beginning of a text in UTF-16 that have to be ASCII: binary data may begin like one."""
+_MIN_FITTING = 0.5
+"""Share of the rows that must have as many cells as the header."""
 _MAX_UNIT = 16
 """Letters of the name of a unit."""
 _NUMBER = re.compile(r"[-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?")
@@ -55,6 +58,11 @@ class CsvFile:
             self._text = _unpacked(path, size)
             start = self._text[:256]
         encoding = _wide_encoding(start)
+        if b"\r" in start and b"\n" not in start and not encoding:
+            # Carriage returns alone, as old Macintosh programs end lines.
+            data = path.read_bytes() if self._text is None else self._text
+            if b"\n" not in data:
+                self._text = data.replace(b"\r", b"\n")
         if encoding:
             data = path.read_bytes() if self._text is None else self._text
             text = data.decode(encoding, "replace").lstrip("\ufeff")
@@ -104,6 +112,7 @@ def _unpacked(path: Path, size: int) -> bytes:
     try:
         with gzip.open(path) as packed:
             data = packed.read(most + 1)
+            allow_for(len(data))
     except (EOFError, OSError, zlib.error) as error:
         raise RunError(f"{path}: cannot be unpacked by gzip ({error}); it may be cut off: copy it again") from error
     if len(data) > most:
@@ -157,7 +166,7 @@ class _Candidate:
     delimiter: str
     line: int
     header: list[str]
-    score: tuple[int, float, int]
+    score: tuple[bool, int, float, int]
 
 
 def find_layout(file: CsvFile, wanted: Sequence[str]) -> Layout:
@@ -217,7 +226,8 @@ def _candidate(lines: Sequence[str], rest: Sequence[str], delimiter: str, wanted
     rows = [_cells(row, delimiter) for row in (*lines[number + 1 :], *rest) if row.strip()]
     fitting = sum(len(row) in (len(header), len(header) + 1) for row in rows) / max(1, len(rows))
     width = len(header) if delimiter != _BLANKS else 1  # blanks only where nothing else separates
-    return _Candidate(delimiter, number, header, (matched[number], round(fitting, 1), width))
+    # First that most rows fit: "t [s],speed [m/s]" split at its blanks has a column t as well.
+    return _Candidate(delimiter, number, header, (fitting >= _MIN_FITTING, matched[number], round(fitting, 1), width))
 
 
 def _probable_header(lines: Sequence[str], headers: Sequence[list[str]]) -> int:

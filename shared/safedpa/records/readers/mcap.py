@@ -36,6 +36,7 @@ __all__ = [
     "read_messages",
     "read_payloads",
     "read_recording",
+    "read_rows_from_mcap",
     "read_run_from_mcap",
 ]
 
@@ -132,7 +133,11 @@ def read_run_from_mcap(path: str | Path, system: System, robot: str | None = Non
 
     Raises RunError if the file is not a recording or has no such robot, or if the robot has another system.
     """
-    path = Path(path)
+    return run_of_rows(Path(path), system, native_map(system), *read_rows_from_mcap(Path(path), system, robot))
+
+
+def read_rows_from_mcap(path: Path, system: System, robot: str | None = None) -> tuple[RawRows, tuple[Finding, ...]]:
+    """Reads the rows of ``read_run_from_mcap``, before their quality is checked."""
     recording = read_recording(path, robot)
     for kind, values, names in (
         ("states", recording.states, system.state_names),
@@ -144,8 +149,7 @@ def read_run_from_mcap(path: str | Path, system: System, robot: str | None = Non
                 f"({', '.join(names)}); name the model of that robot"
             )
     known: NDArray[np.bool_] = np.asarray(np.isfinite(recording.actions).all(axis=1))
-    rows = RawRows(recording.t, recording.states, recording.actions).taken(known)
-    return run_of_rows(path, system, native_map(system), rows, recording.findings)
+    return RawRows(recording.t, recording.states, recording.actions).taken(known), recording.findings
 
 
 def read_recording(path: Path, robot: str | None = None, *, with_verdicts: bool = False) -> Recording:

@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING, Any, final
 
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
 
 if TYPE_CHECKING:
@@ -291,6 +292,7 @@ class _SizeBudget:
         self._left -= declared
         if self._left < 0:
             raise too_much("expansion", "more", str(self._path))
+        allow_for(declared)
 
 
 def _records_in_chunk(chunk: Chunk, budget: _SizeBudget, *, validate: bool) -> Iterator[Any]:

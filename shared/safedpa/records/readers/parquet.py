@@ -11,6 +11,7 @@ import numpy as np
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
 from safedpa.records.readers.cells import Cells, element_of, missing_value_findings, numbers_of_column
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.readers.table import Table, require_columns, require_file
 
 if TYPE_CHECKING:
@@ -137,3 +138,4 @@ def _check_size(path: Path, file: ParquetFile, wanted: int) -> None:
         expanded += about.row_group(group).total_byte_size // 8
     if about.num_rows < 0 or expanded > most:
         raise too_much("expansion", expanded // max(1, size), str(path))
+    allow_for(expanded)

@@ -12,6 +12,7 @@ from safedpa.records.column_map.propose import sources_of
 from safedpa.records.readers.arrays import arrays_in, column_names
 from safedpa.records.readers.bags import kind_of, topic_log
 from safedpa.records.readers.dialect import CsvFile, decoded, find_layout
+from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.parquet import dataset_files, is_dataset, open_parquet
 
 __all__ = ["RowPreview", "raw_rows"]
@@ -30,7 +31,11 @@ class RowPreview:
 
 def raw_rows(path: str | Path, count: int = 5) -> RowPreview:
     """Returns the first rows of a table, or the field names of a log of topics; raises RunError if unreadable."""
-    path = Path(path)
+    return _raw_rows(Path(path), count)
+
+
+@in_own_process
+def _raw_rows(path: Path, count: int) -> RowPreview:
     if path.is_dir() and is_dataset(path):
         path = dataset_files(path)[0]
     if not path.is_file():

@@ -15,6 +15,7 @@ from typing import IO
 from safedpa.errors import RunError
 from safedpa.limits import limit, readable, too_much
 from safedpa.records.readers.bags.messages import AbstractBag, DeclaredTopic
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
 from safedpa.ros.definitions import plain_type
 
@@ -73,6 +74,7 @@ class Ros1Bag(AbstractBag):
             raise too_much("bag_chunk_bytes", f"{max(declared_size, len(packed))} bytes", str(self.path))
         if declared_size > budget:
             raise too_much("expansion", "more", str(self.path))
+        allow_for(declared_size)
         how = fields[b"compression"]
         if how == b"none":
             data = packed

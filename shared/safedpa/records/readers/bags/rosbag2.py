@@ -27,6 +27,7 @@ from safedpa.records.readers.mcap_recovery import (
     damage_finding,
     undamaged_records,
 )
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
 from safedpa.ros.definitions import plain_type
 
@@ -45,6 +46,8 @@ _MAX_TRIES = 200
 """Tries to find the next whole row after damage."""
 _UNSAFE_SIZE = "it is damaged or malicious; sqlite3 FILE.db3 .recover restores what is left"
 _TABLES = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
+_DEFINITIONS = "message_definitions"
+"""A further table, which bags have since ROS 2 Iron."""
 
 
 class SqliteBag(AbstractBag):
@@ -103,21 +106,29 @@ class SqliteBag(AbstractBag):
         base.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
         base.execute("PRAGMA trusted_schema = OFF")
         base.execute("PRAGMA cell_size_check = ON")
+        base.execute("PRAGMA temp_store = MEMORY")  # sorting must not fill the disk
         return base
 
     def _check(self, base: sqlite3.Connection) -> None:
         """Raises RunError if the database is not a bag."""
-        kinds = dict(base.execute("SELECT name, type FROM sqlite_master").fetchmany(1000))
+        columns = self._columns(base)
         for table, wanted in _TABLES.items():
-            present = {row[1] for row in base.execute(f"PRAGMA table_info({table})")} if table in kinds else set()
-            if kinds.get(table) != "table" or not wanted <= present:
+            if not wanted <= columns.get(table, set()):
                 raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: it has no such table '{table}'")
+
+    def _columns(self, base: sqlite3.Connection) -> dict[str, set[str]]:
+        """Columns of each table of a bag. Raises RunError for a view or virtual table, which can have endless rows."""
+        names = (*_TABLES, _DEFINITIONS)
+        entries = base.execute(f"SELECT name, type, rootpage FROM sqlite_master WHERE name IN {names}").fetchmany(10)
+        for name, kind, page in entries:
+            if kind != "table" or not page:  # a virtual table has no page
+                raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: its '{name}' is no plain table")
+        return {name: {row[1] for row in base.execute(f"PRAGMA table_info({name})")} for name, _, _ in entries}
 
     def _declare(self, base: sqlite3.Connection) -> dict[int, str]:
         texts: dict[str, tuple[str, str]] = {}
-        columns = {row[1] for row in base.execute("PRAGMA table_info(message_definitions)")}
-        if {"topic_type", "encoding", "encoded_message_definition"} <= columns:
-            asked = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        if {"topic_type", "encoding", "encoded_message_definition"} <= self._columns(base).get(_DEFINITIONS, set()):
+            asked = f"SELECT topic_type, encoding, encoded_message_definition FROM {_DEFINITIONS}"
             for kind, form, text in base.execute(asked).fetchmany(limit("bag_topics")):
                 if form in ("ros2msg", "ros2idl"):
                     texts[str(kind)] = (str(text), str(form))
@@ -313,6 +324,7 @@ class PackedBag(AbstractBag):
                     left -= len(piece)
                     if left < 0:
                         raise too_much("expansion", "more", str(self.path))
+                    allow_for(len(piece))
                     out.write(piece)
         except zstandard.ZstdError as error:
             raise RunError(f"{self.path}: cannot be unpacked ({str(error)[:80]}); wanted a zstd file") from error

@@ -1,0 +1,303 @@
+"""Runs readers in a process of their own, with limits on processor time, memory and disk.
+
+A file can be made so that reading it never ends. The first call starts a small server process. It forks a worker for
+each file and a guard that waits for it, so that a call takes milliseconds and works from any thread. The worker also
+ends if the caller stops waiting, for example at Ctrl-C. Read ``in_own_process`` first.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import pickle
+import resource
+import select
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from functools import wraps
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
+
+from safedpa.errors import InputError, RunError
+from safedpa.limits import limit, too_much
+
+__all__ = ["allow_for", "in_own_process", "in_this_process"]
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+_SECONDS_PER_BYTE = 10e-6
+"""Processor time allowed for each byte beyond the base; the slowest reader, of ROS messages, needs 0.5e-6."""
+_MEMORY_PER_BYTE = 30
+"""Memory allowed for each byte; the most that a reader needs is 12, for a bag of short messages."""
+_WAIT_PER_SECOND, _MIN_WAIT = 20.0, 300.0
+"""Time [s] for which a caller waits, for each second of processor time, and at least."""
+_HEADER = struct.Struct("<Q")
+"""Length of the pickled content that follows."""
+_ROS = ("rosbags.typesys", "mcap.records", "lz4.frame")
+_LIBRARIES = {
+    b"PAR1": ("pyarrow.parquet",),
+    b"\x89MCAP": _ROS,
+    b"SQLite": _ROS,
+    b"#ROSBAG": _ROS,
+    b"ULog": ("pyulog.core",),
+}
+"""Slow imports by the first bytes of a file: the server imports them once, for all workers."""
+_START = (
+    "import sys;sys.path[:]=sys.argv[2].split(sys.argv[3]);"
+    "from safedpa.records.readers.own_process import serve;serve(int(sys.argv[1]))"
+)
+_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+"""The libraries of a worker take only the memory that they use."""
+_STACK_BYTES = 2 << 20
+"""Stack of each thread of a library, which counts as memory of the worker."""
+
+_direct = threading.local()
+_lock = threading.Lock()
+_server: list[tuple[subprocess.Popen[bytes], socket.socket]] = []
+
+
+def in_own_process(
+    read: Callable[Concatenate[Path, _Arguments], _Result],
+) -> Callable[Concatenate[Path, _Arguments], _Result]:
+    """Decorates a reader, a module's function whose first argument is a file or folder, to run in another process.
+
+    Arguments and result are pickled. Raises what the reader raises, and LimitError if it needs more processor time or
+    memory than files of that size do. Calls inside such a process are direct, and all are on other systems than Linux.
+    """
+
+    @wraps(read)
+    def called(path: Path, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
+        if getattr(_direct, "on", False) or sys.platform != "linux":
+            return read(path, *arguments, **options)
+        request = (read.__module__, read.__qualname__, (path, *arguments), options)
+        place = (Path.cwd(), dict(os.environ), [os.path.abspath(folder) for folder in sys.path if folder])
+        kind, content = _answer(path, _libraries(path), pickle.dumps((place, pickle.dumps(request))))
+        if kind == "result":
+            result: _Result = content
+            return result
+        if kind == "error":
+            raise content
+        raise _stopped(path, content)
+
+    return called
+
+
+@contextlib.contextmanager
+def in_this_process() -> Iterator[None]:
+    """Within the block, readers run directly in this thread: for measurements of a reader, and inside a sandbox."""
+    before = getattr(_direct, "on", False)
+    _direct.on = True
+    try:
+        yield
+    finally:
+        _direct.on = before
+
+
+def allow_for(size: int) -> None:
+    """Raises the limits of this worker for ``size`` bytes that were unpacked; does nothing in another process."""
+    if not getattr(_direct, "worker", False):
+        return
+    left, _ = signal.getitimer(signal.ITIMER_PROF)
+    if left > 0.0:
+        signal.setitimer(signal.ITIMER_PROF, left + _SECONDS_PER_BYTE * size)
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (soft + _MEMORY_PER_BYTE * size, hard))
+
+
+# the caller
+
+
+def _libraries(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except OSError:
+        return " ".join(_ROS) if path.is_dir() else ""
+    return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), ()))
+
+
+def _answer(path: Path, libraries: str, request: bytes) -> tuple[str, Any]:
+    ours, theirs = socket.socketpair()
+    with ours:
+        try:
+            with theirs:
+                _submit(libraries, theirs)
+            ours.sendall(_HEADER.pack(len(request)) + request)
+            found = _receive(ours)
+        except OSError as error:
+            raise RunError(f"{path}: no process can be started to read it ({error}); try again") from error
+    answer: tuple[str, Any] = ("stopped", -signal.SIGKILL) if found is None else pickle.loads(found)
+    return answer
+
+
+def _submit(libraries: str, connection: socket.socket) -> None:
+    """Hands a connection to the server, which is started if there is none; raises OSError."""
+    with _lock:
+        for _ in range(2):
+            if not _server:
+                _server.append(_started())
+            with contextlib.suppress(BrokenPipeError, ConnectionError):
+                socket.send_fds(_server[0][1], [libraries.encode() or b" "], [connection.fileno()])
+                return
+            _stop()
+    raise OSError("its server ended")
+
+
+def _started() -> tuple[subprocess.Popen[bytes], socket.socket]:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages, also of forks of this one
+    search_path = os.pathsep.join(filter(None, sys.path))
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-S", "-c", _START, str(theirs.fileno()), search_path, os.pathsep],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()], start_new_session=True, cwd="/", env={**os.environ, **_ENVIRONMENT},
+        )  # fmt: skip
+    return process, ours
+
+
+def _stop() -> None:
+    while _server:
+        process, control = _server.pop()
+        control.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+
+
+atexit.register(_stop)
+
+
+def _receive(connection: socket.socket) -> bytearray | None:
+    """The next pickled content; None if the other side ended before or within it."""
+    header = _exactly(connection, _HEADER.size)
+    return None if header is None else _exactly(connection, _HEADER.unpack(header)[0])
+
+
+def _exactly(connection: socket.socket, size: int) -> bytearray | None:
+    content, place = bytearray(size), 0
+    view = memoryview(content)
+    while place < size:
+        count = connection.recv_into(view[place:])
+        if not count:
+            return None
+        place += count
+    return content
+
+
+def _stopped(path: Path, code: object) -> InputError:
+    """The error for a worker that was ended by a limit, or by a library that crashed."""
+    if code == -signal.SIGPROF:
+        return too_much("reader_milliseconds", "more", str(path))
+    if code == "memory":
+        return too_much("reader_bytes", "more", str(path))
+    return RunError(f"{path}: reading it ended a process ({code}); it is damaged or malicious; copy it again")
+
+
+# the server, its guards and workers
+
+
+def serve(control: int) -> NoReturn:
+    """Runs in the server: forks a guard for each connection that it receives, until its caller ends."""
+    import_module("safedpa.records.load")
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel collects guards
+    resource.setrlimit(resource.RLIMIT_STACK, (_STACK_BYTES, resource.getrlimit(resource.RLIMIT_STACK)[1]))
+    requests = socket.socket(fileno=control)
+    while True:
+        libraries, received, _, _ = socket.recv_fds(requests, 4096, 1)
+        if not received:
+            os._exit(0)
+        for name in libraries.decode().split():
+            with contextlib.suppress(ImportError):
+                import_module(name)
+        if os.fork() == 0:
+            requests.close()
+            _guard(socket.socket(fileno=received[0]))
+        os.close(received[0])
+
+
+def _guard(connection: socket.socket) -> NoReturn:
+    """Waits for a worker, removes its files, and reports how it ended; kills it if the caller hangs up."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    folder = tempfile.mkdtemp(prefix="safedpa-reader-")
+    worker = os.fork()
+    if worker == 0:
+        _work(connection, folder)
+    ended = os.pidfd_open(worker)
+    events = select.poll()
+    events.register(ended, select.POLLIN)
+    events.register(connection, select.POLLRDHUP)
+    wait = max(_MIN_WAIT, _WAIT_PER_SECOND * limit("reader_milliseconds") / 1e3)
+    if ended not in dict(events.poll(wait * 1e3)):
+        os.kill(worker, signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
+    shutil.rmtree(folder, ignore_errors=True)
+    if code:
+        with contextlib.suppress(OSError):
+            _send(connection, ("stopped", code))
+    os._exit(0)
+
+
+def _work(connection: socket.socket, folder: str) -> NoReturn:
+    request = _receive(connection)
+    if request is None:
+        os._exit(0)
+    (current, environment, search_path), called = pickle.loads(request)
+    os.chdir(current)
+    sys.path[:] = search_path
+    os.environ.clear()
+    os.environ.update({**environment, **_ENVIRONMENT, "SQLITE_TMPDIR": folder})
+    tempfile.tempdir = folder
+    answer: tuple[str, Any]
+    try:
+        module, name, arguments, options = pickle.loads(called)
+        read = getattr(import_module(module), name).__wrapped__
+        _set_limits(_size(arguments[0]))
+        answer = ("result", read(*arguments, **options))
+    except MemoryError:
+        answer = ("stopped", "memory")
+    except Exception as error:  # noqa: BLE001  raised again in the caller
+        if not isinstance(error, InputError):
+            error.add_note(traceback.format_exc())
+        answer = ("error", error)
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    with contextlib.suppress(OSError):
+        _send(connection, answer)
+    os._exit(0)
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of the files directly in a folder; 0 if it is missing."""
+    try:
+        files = [item for item in path.iterdir() if item.is_file()] if path.is_dir() else [path]
+        return sum(file.stat().st_size for file in files)
+    except OSError:
+        return 0
+
+
+def _set_limits(size: int) -> None:
+    """Limits this process for a file of ``size`` bytes; without a handler the signal of the timer ends it."""
+    _direct.on = _direct.worker = True
+    with open("/proc/self/statm", encoding="ascii") as file:
+        used = int(file.read().split()[5]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_DATA, (used + limit("reader_bytes"), resource.RLIM_INFINITY))
+    written = max(limit("expansion_free_bytes"), size * limit("expansion"))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (written, written))
+    signal.setitimer(signal.ITIMER_PROF, limit("reader_milliseconds") / 1e3)
+    allow_for(size)
+
+
+def _send(connection: socket.socket, answer: tuple[str, Any]) -> None:
+    content = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
+    connection.sendall(_HEADER.pack(len(content)))
+    connection.sendall(content)
