@@ -1,8 +1,8 @@
 """Reads, checks and writes recordings of robots.
 
 Read ``run`` first (a recording in memory), then ``load``, which loads a file of any format. ``readers`` read the file
-formats, ``column_map`` converts foreign columns to states and actions, ``quality`` finds and cuts defective rows, and
-``writers`` write files. ``earlier_format`` converts files of format 1.
+formats, ``segments`` cuts times where a clock was set, ``column_map`` converts foreign columns to states and actions,
+``quality`` finds and cuts defective rows, and ``writers`` write files. ``earlier_format`` converts files of format 1.
 """
 
 from safedpa.records.column_map.column_map import ColumnMap
