@@ -85,7 +85,7 @@ def test_settings_without_bounds_are_refused_and_no_robot_lends_its_own(stranger
     for given in ({}, {"system": "car"}, {"action_low": (0.0,)}):
         with pytest.raises(TypeError, match=r"missing .*'action_high'"):
             FilterSettings(**given)
-    for text in ("eta = 0.5", 'system = "nobody"', 'action_low = [-1.0]\nsystem = ""'):
+    for text in ("eta = 0.5", 'system = "unknown"', 'action_low = [-1.0]\nsystem = ""'):
         with pytest.raises(InputError, match=r"action_(low|high): missing; wanted the bounds"):
             parse_settings(text)
     drone = strangers["drone"].system
