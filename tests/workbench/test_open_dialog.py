@@ -57,7 +57,7 @@ def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_
             dialog = opened(tmp_path)
             (columns,) = tab.all(ui.select)
             columns.value = chosen
-            dialog.show(InputSelection("car", (str(path),)))
+            await dialog.show(InputSelection("car", (str(path),)))
             sources = [select.value for select in tab.all(ui.select)[1::2]]
             return columns.value, sources, any(BUS in line for line in tab.lines)
 
@@ -75,7 +75,7 @@ def test_without_a_model_or_a_recording_no_columns_are_shown(model, named, tmp_p
 
     async def story():
         with Tab() as tab:
-            opened(tmp_path).show(InputSelection(model, (str(path),) if named else ()))
+            await opened(tmp_path).show(InputSelection(model, (str(path),) if named else ()))
             return [select.value for select in tab.all(ui.select)]
 
     assert finished(story()) == [NATIVE]

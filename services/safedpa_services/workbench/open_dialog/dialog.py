@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -10,7 +11,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nicegui import events, ui
+from nicegui import background_tasks, events, ui
 
 from safedpa.disk import why_not_written
 from safedpa.dynamics import PhysicsModel, load_model, shipped_models
@@ -93,6 +94,7 @@ class OpenDialog:
         self._raw = RowPreview((), ())
         self._uploads = out / "uploads"
         self._upload_messages: list[str] = []
+        self._checks = 0
         ui.add_head_html(_DROP_SCRIPT)
         ui.on("recordings_dropped", self._on_dropped)
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
@@ -137,8 +139,8 @@ class OpenDialog:
         """Whether the dialog is open; it then receives all keys."""
         return bool(self._dialog.value)
 
-    def show(self, choice: InputSelection) -> None:
-        """Opens the dialog with the present inputs."""
+    def show(self, choice: InputSelection) -> asyncio.Task[None]:
+        """Opens the dialog with the present inputs; the task ends when the first recording was read."""
         self._choice = choice
         self._model.value = choice.model
         self._paths.value = "\n".join(choice.runs)
@@ -148,7 +150,7 @@ class OpenDialog:
         if isinstance(choice.columns, str):
             self._map.value = choice.columns
         self._dialog.open()
-        self._refresh()
+        return background_tasks.create(self._refresh())
 
     def _on_rejected(self) -> None:
         """Reports that the browser refused to send a file."""
@@ -187,7 +189,7 @@ class OpenDialog:
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
         self._upload_messages.append(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}")
         self._uploaded_files.set_content("<br>".join(map(escaped, self._upload_messages[-_SHOWN_UPLOADS:])))
-        self._refresh()
+        await self._refresh()
 
     def _create_upload_file(self, number: int, name: str) -> Path:
         """Creates a new empty file for an upload; simultaneous uploads, also of other tabs, get different files."""
@@ -211,13 +213,16 @@ class OpenDialog:
         """Returns the named paths with patterns expanded."""
         return self._upload_store.recordings(str(self._paths.value or "").splitlines())
 
-    @_reports_errors
-    def _refresh(self) -> None:
-        """Reads the columns of the first file, and chooses a column map that fits them."""
-        model, paths = self._loaded_model(), self._selected_paths()
-        if model is None or not paths:
+    async def _refresh(self) -> None:
+        """Reads the columns of the first file, in a thread, and chooses a column map that fits them."""
+        try:
+            model, paths = self._loaded_model(), self._selected_paths()
+            if model is None or not paths:
+                return
+            self._raw = await asyncio.to_thread(raw_rows, paths[0])
+        except SafedpaError as error:
+            self.report(str(error))
             return
-        self._raw = raw_rows(paths[0])
         native = set(native_map(model.system).sources) <= set(self._raw.names)
         if self._raw.names and not native and self._map.value == _NATIVE:
             self._map.value = self._matching_shipped_map(model) or _GUESSED  # calls _map_chosen
@@ -263,13 +268,21 @@ class OpenDialog:
 
     @_reports_errors
     def _check_now(self) -> None:
-        """Reads the first recording as the diagnosis would."""
+        """Reads the first recording as the diagnosis would, in a thread; the latest check is shown."""
         model, paths = self._loaded_model(), self._selected_paths()
         if model is None or not paths:
             return
         edited = self._edited_map(model)
         columns = None if edited is None else edited.columns
-        self._show_check(Path(paths[0]).name, len(paths), check_recording(paths[0], model.system, columns), model)
+        self._checks += 1
+        background_tasks.create(self._check_recording(paths, model, columns, self._checks))
+
+    async def _check_recording(
+        self, paths: list[str], model: PhysicsModel, columns: ColumnMap | None, number: int
+    ) -> None:
+        found = await asyncio.to_thread(check_recording, paths[0], model.system, columns)
+        if number == self._checks and not self._check.is_deleted:
+            self._show_check(Path(paths[0]).name, len(paths), found, model)
 
     def report(self, problem: str) -> None:
         """Shows a problem in place of the preview."""
