@@ -33,16 +33,20 @@ if TYPE_CHECKING:
         AbstractBarrier,
         AbstractEquationBarrier,
         CorridorBarrier,
+        DistanceFieldBarrier,
         FilterReport,
         FilterSettings,
         FunctionBarrier,
         HigherOrderBarrier,
+        LipschitzBarrier,
+        LookAheadBarrier,
         RolloutBarrier,
         SafetyFilter,
         SpeedBarrier,
         Status,
         Verdict,
         check_filter,
+        distance_to_occupied,
     )
     from safedpa.safety.defaults import settings_named
     from safedpa.systems import System, Variable
@@ -57,6 +61,7 @@ __all__ = [
     "CorridorBarrier",
     "DataCheck",
     "Diagnosis",
+    "DistanceFieldBarrier",
     "EffectTable",
     "ExportedFiles",
     "FilterReport",
@@ -65,6 +70,8 @@ __all__ = [
     "FunctionBarrier",
     "HigherOrderBarrier",
     "InputError",
+    "LipschitzBarrier",
+    "LookAheadBarrier",
     "PhysicsModel",
     "Plot",
     "PredictedRun",
@@ -91,6 +98,7 @@ __all__ = [
     "columns",
     "compare",
     "diagnose",
+    "distance_to_occupied",
     "export",
     "list_effects",
     "load_model",
@@ -119,8 +127,9 @@ _HOMES = {
     "errors": "InputError SafedpaError",
     "records.run": "Run",
     "result": "Plot Rows",
-    "safety": "AbstractBarrier AbstractEquationBarrier CorridorBarrier FilterReport FilterSettings FunctionBarrier "
-    "HigherOrderBarrier RolloutBarrier SafetyFilter SpeedBarrier Status Verdict check_filter",
+    "safety": "AbstractBarrier AbstractEquationBarrier CorridorBarrier DistanceFieldBarrier FilterReport "
+    "FilterSettings FunctionBarrier HigherOrderBarrier LipschitzBarrier LookAheadBarrier RolloutBarrier SafetyFilter "
+    "SpeedBarrier Status Verdict check_filter distance_to_occupied",
     "safety.defaults": "settings_named",
     "systems": "System Variable",
 }

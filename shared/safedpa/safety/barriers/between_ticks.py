@@ -38,7 +38,7 @@ class LipschitzBarrier(AbstractBarrier):
 
     Raises InputError for bounds that are negative, not finite or all 0, and at evaluation for another number of states.
 
-    >>> wall = LipschitzBarrier(lambda x: min(1.0 - x[0], 0.1), lipschitz=(1.0, 0.0))
+    >>> wall = safedpa.LipschitzBarrier(lambda x: min(1.0 - x[0], 0.1), lipschitz=(1.0, 0.0))
     >>> wall.starting_at(np.array([0.0, 0.0])).h(np.array([0.5, 0.0])).round(3).tolist()
     [0.1, -0.15]
     """

@@ -36,6 +36,10 @@ class DistanceFieldBarrier(AbstractBarrier):
 
     Use it inside ``bounded``, which adds the bound between two ticks that a truncated field needs. Raises InputError
     for a grid smaller than 2 x 2, values that are not finite, and cells or radii that are not positive.
+
+    >>> field = safedpa.DistanceFieldBarrier(np.full((40, 40), 3.0), cell=0.1, radius=0.2)
+    >>> field.h(np.array([2.0, 2.0])).round(2).tolist()
+    [1.73]
     """
 
     def __init__(
@@ -100,7 +104,11 @@ def distance_to_occupied(occupied: ArrayLike, cell: float) -> FloatArray:
 
     ``occupied`` (rows, columns) of booleans: mark cells that nothing is known about as occupied. It is the distance to
     the nearest occupied centre less cell / sqrt(2), since an obstacle may fill its cell up to the corners; inside
-    obstacles it falls with the distance to the nearest free centre. Needs SciPy (extra ``diagnosis``).
+    obstacles it falls with the distance to the nearest free centre. Needs SciPy (extra ``diagnosis``). Raises
+    InputError for anything but a table of booleans.
+
+    >>> safedpa.distance_to_occupied(np.array([[True, False, False]]), 1.0).round(2).tolist()
+    [[-1.71, 0.29, 1.29]]
     """
     from scipy import ndimage
 

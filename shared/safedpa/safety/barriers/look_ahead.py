@@ -32,9 +32,8 @@ class LookAheadBarrier(AbstractBarrier):
     the state. Passages become narrower by 2 ``ahead``, so choose it small: a fifth of the robot's length, say. Raises
     InputError for a distance that is not positive and finite.
 
-    >>> from safedpa.safety import FunctionBarrier
-    >>> disc = FunctionBarrier(lambda s: float(np.hypot(s[0] - 2.0, s[1])) - 0.5)
-    >>> LookAheadBarrier(disc, 0.2).h(np.array([0.0, 0.0, 0.0])).round(3).tolist()
+    >>> disc = safedpa.FunctionBarrier(lambda s: float(np.hypot(s[0] - 2.0, s[1])) - 0.5)
+    >>> safedpa.LookAheadBarrier(disc, 0.2).h(np.array([0.0, 0.0, 0.0])).round(3).tolist()
     [1.1]
     """
 
