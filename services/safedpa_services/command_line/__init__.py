@@ -7,6 +7,7 @@ is one command, imported when it is called. Shared between commands: ``options.p
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 
@@ -20,4 +21,7 @@ def main(arguments: list[str] | None = None) -> None:
     # Set before numpy is imported. Matrices are tiny here, and OpenBLAS's threads busy-wait for each other: a search
     # took twelve times the CPU time with two threads. PyTorch, used for training, is not affected.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names out of a file may have signs that a terminal lacks
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(safedpa.run(sys.argv[1:] if arguments is None else arguments))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib
+import os
+import sys
 from importlib.metadata import EntryPoint, entry_points, version
 
 import click
@@ -73,17 +77,24 @@ class _Commands(click.Group):
             click.echo(error.format_message() if arguments else START)
             return 0
         except click.ClickException as error:
-            return _fail(_with_remedy(error), 2)
+            reason, code = _with_remedy(error), 2
         except (click.Abort, KeyboardInterrupt):
-            return _fail("interrupted", 1)
+            reason, code = "interrupted", 1
         except SafedpaError as error:
-            return _fail(str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1)
+            reason, code = str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1
         except ModuleNotFoundError as error:  # of an extra that the command did not check
             extra = extra_of(error.name or "")
             if extra is None:
                 raise
-            return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 2)
-        return code if isinstance(code, int) else 0
+            reason, code = f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 2
+        except OSError as error:
+            if error.filename is not None or error.errno not in _NOT_PRINTED:
+                raise
+            _give_up_output()
+            reason, code = f"cannot print ({error.strerror}); redirect the output, or name a file with --out", 1
+        else:
+            return code if isinstance(code, int) else 0
+        return _fail(reason, code)
 
 
 def _load_command(point: EntryPoint) -> click.Command:
@@ -116,12 +127,25 @@ def _with_remedy(error: click.ClickException) -> str:
     return f"{message.rstrip('.')}; '{asked.command_path} --help' lists the options"
 
 
+_NOT_PRINTED = (errno.ENOSPC, errno.EIO, errno.EBADF, errno.EPIPE, errno.EFBIG, errno.EDQUOT)
+"""Errors of a standard output that is full, closed, or a terminal that is gone."""
+
+
+def _give_up_output() -> None:
+    """Sends the rest of the standard output nowhere: the interpreter writes what is buffered when it ends."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
 _LONGEST_MESSAGE = 2000
 """Characters; the message may contain text from untrusted files or messages."""
 
 
 def _fail(message: str, code: int) -> int:
-    click.echo(f"safedpa: {readable(' '.join(message.split()), _LONGEST_MESSAGE)}", err=True)
+    with contextlib.suppress(OSError):  # the standard error can be full or closed as well
+        click.echo(f"safedpa: {readable(' '.join(message.split()), _LONGEST_MESSAGE)}", err=True)
     return code
 
 
