@@ -1,12 +1,11 @@
 """Batches under load: when they are made, what waits for them, and that nothing is lost on the way there and back."""
 
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.waiting import until
 
 from safedpa.bus import (
     ACTION,
@@ -25,18 +24,6 @@ from safedpa.bus import (
 )
 from safedpa.bus.service.service_loop import batch_interval
 from safedpa.bus.transport.base import Subscription
-
-PATIENCE = 30.0
-
-
-def until(condition: Callable[[], bool]) -> bool:
-    end = time.monotonic() + PATIENCE
-    pause = threading.Event()
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        pause.wait(0.01)
-    return True
 
 
 @given(robots=st.integers(0, 300), period=st.floats(0.001, 1.0), coalescing=st.booleans())

@@ -1,6 +1,5 @@
 """A message that arrives under another key than it was sent under is not delivered; one without a stamp is."""
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.waiting import until
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.logging import EVENT_LOG
@@ -52,15 +52,6 @@ def network(free_port: int) -> Iterator[Network]:
     raw.close()
     one.close()
     other.close()
-
-
-def until(condition: Any) -> bool:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 @pytest.mark.processes

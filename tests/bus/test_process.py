@@ -4,12 +4,11 @@ import json
 import signal
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
 from safedpa.bus.service.process import StopSignal, log_lifetime
@@ -89,23 +88,13 @@ def ready(process: subprocess.Popen[str]) -> None:
     assert process.stdout.readline() == "ready\n"
 
 
-def within(seconds: float, condition: Callable[[], bool]) -> bool:
-    end = time.monotonic() + seconds
-    pause = threading.Event()
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        pause.wait(0.01)
-    return True
-
-
 @pytest.mark.parametrize("fault", ["main", "thread", "callback", "answer"])
 def test_an_uncaught_error_ends_the_process_and_its_sign_of_life(fault: str, free_port: int) -> None:
     options = ("--fleet", "crash-test", "--connect", f"tcp/127.0.0.1:{free_port}", "--fault", fault)
     transport = ZenohTransport(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
     with Bus(transport, "crash-test") as bus, started(*options) as process:
         ready(process)
-        assert within(30.0, lambda: bus.instances("r", "service") == ["x"])
+        assert until(lambda: bus.instances("r", "service") == ["x"], 30.0)
         if fault in ("callback", "answer"):
 
             def sent() -> bool:
@@ -113,13 +102,13 @@ def test_an_uncaught_error_ends_the_process_and_its_sign_of_life(fault: str, fre
                 transport.ask("safedpa/crash-test/r/request", b"x", 0.1)
                 return process.poll() is not None
 
-            assert within(30.0, sent)
+            assert until(sent, 30.0)
         else:
             assert process.stdin is not None
             process.stdin.write("now\n")
             process.stdin.flush()
-            assert within(30.0, lambda: process.poll() is not None)
-        assert within(5.0, lambda: bus.instances("r", "service") == []), "still announced seconds after its end"
+            assert until(lambda: process.poll() is not None, 30.0)
+        assert until(lambda: bus.instances("r", "service") == [], 5.0), "still announced seconds after its end"
         assert process.returncode == 70
         assert process.stderr is not None
         assert "RuntimeError: planted in" in process.stderr.read()

@@ -8,10 +8,11 @@ import threading
 import time
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus import (
     STATE,
@@ -30,17 +31,6 @@ from safedpa.bus.transport.zenoh import close_session
 from safedpa.errors import BusError, InputError, MessageError
 
 PATIENCE = 30.0
-
-
-def until(condition: Callable[[], bool]) -> bool:
-    """Whether the condition comes true in time; looked at again and again, as events on a network have no caller."""
-    end = time.monotonic() + PATIENCE
-    pause = threading.Event()
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        pause.wait(0.01)
-    return True
 
 
 class Heard:

@@ -16,6 +16,8 @@ def carry_out(work: Any) -> Any:
     match work:
         case "limits":
             return {kind: resource.getrlimit(getattr(resource, f"RLIMIT_{kind}")) for kind in KINDS}
+        case "priority":
+            return {"nice": os.nice(0), "policy": os.sched_getscheduler(0)}
         case "raise", error:
             raise error
         case "sleep", seconds:

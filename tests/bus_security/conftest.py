@@ -1,12 +1,11 @@
 """A fleet's certificates, made once; a router of its own for every test, and who connects to it."""
 
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.access_control import ROUTER, access_control, roles_of, size_limits
@@ -19,17 +18,6 @@ ROBOTS = ("r1", "r2")
 STRANGERS = ("intruder", "robot.r3", "robot", "safety_filter.f")
 """To whom the authority gave certificates, but who are none of the router's roles."""
 PATIENCE = 90.0
-
-
-def until(condition: Callable[[], bool], every: float = 0.005) -> bool:
-    """Whether the condition comes true in time; it is asked every so many s."""
-    end = time.monotonic() + PATIENCE
-    pause = threading.Event()
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        pause.wait(every)
-    return True
 
 
 @pytest.fixture(scope="session")

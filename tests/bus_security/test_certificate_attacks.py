@@ -119,46 +119,8 @@ def test_a_router_is_believed_only_under_its_own_names(network: Any, free_port: 
         attempt(f"tls/127.0.0.2:{free_port}", network.card("safety_filter"))
 
 
-def test_certificates_go_with_tls_and_a_router_alone(network: Any) -> None:
-    with pytest.raises(BusError, match="--mode client"):
-        ZenohSettings("peer", certificates=network.card("policy"))
-    with pytest.raises(BusError, match="wanted tls/HOST:PORT"):
-        ZenohSettings("client", (), ("tcp/127.0.0.1:7447",), network.card("policy"))
-
-
-@pytest.mark.parametrize(
-    ("endpoint", "plain"),
-    [
-        ("tcp/127.0.0.1:7447", False),
-        ("tcp/localhost:7447", False),
-        ("tcp/[::1]:7447", False),
-        ("tls/0.0.0.0:7447", False),
-        ("tcp/0.0.0.0:7447", True),
-        ("tcp/router:7447", True),
-        ("udp/10.0.0.1:7447#iface=eth0", True),
-        ("garbage", True),
-    ],
-)
-def test_what_is_plain_text_and_can_be_reached_from_elsewhere_is_known(endpoint: str, plain: bool) -> None:
-    assert bool(ZenohSettings("client", (), (endpoint,)).plain_endpoints) is plain
-
-
 def test_plain_text_beyond_this_machine_logs_a_warning(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
     ZenohTransport(ZenohSettings("router", (f"tcp/127.0.0.1:{free_port}",))).close()
     assert capsys.readouterr().err == ""
     ZenohTransport(ZenohSettings("router", (f"tcp/0.0.0.0:{free_port}",))).close()
     assert '"kind": "bus.plain_text"' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("settings", "milliseconds"),
-    [
-        (ZenohSettings(), 2000),
-        (ZenohSettings(listen=("tcp/127.0.0.1:7447",)), 2000),
-        (ZenohSettings(connect=("tcp/10.0.0.1:7447",)), 500),
-        (ZenohSettings("client", (), ("tcp/127.0.0.1:7447",)), 500),
-        (ZenohSettings("router", ("tcp/127.0.0.1:7447",)), 500),
-    ],
-)
-def test_a_partition_is_noticed_within_half_a_second(settings: ZenohSettings, milliseconds: int) -> None:
-    assert settings.configuration()["transport/link/tx/lease"] == milliseconds

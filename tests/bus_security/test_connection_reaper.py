@@ -5,11 +5,12 @@ import os
 import resource
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus.security.connection_reaper import (
     ConnectionReaper,
@@ -20,13 +21,6 @@ from safedpa.bus.security.connection_reaper import (
 )
 
 Address = tuple[str, int]
-
-
-def within(condition: Callable[[], object], seconds: float = 60.0) -> bool:
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    return bool(condition())
 
 
 def descriptors() -> int:
@@ -80,7 +74,7 @@ class Door:
     def watched(self) -> bool:
         """After the keeper has looked at everything that is there now."""
         looks = self.looks
-        return within(lambda: self.looks >= looks + 2)
+        return until(lambda: self.looks >= looks + 2)
 
     def enter(self, count: int = 1, *, members: bool = False) -> list[Guest]:
         guests = []
@@ -176,24 +170,24 @@ def test_strangers_are_looked_for_ten_times_a_second_and_reported_once_a_second(
         return [event["count"] for event in events]
 
     looks = watched.looks
-    assert within(lambda: watched.looks >= looks + 10, 6.0)
+    assert until(lambda: watched.looks >= looks + 10, 6.0)
     many = watched.enter(33)
     assert watched.watched()
     watched.now = 100.5
-    assert within(lambda: all(guest.is_cut_off for guest in many))
+    assert until(lambda: all(guest.is_cut_off for guest in many))
     for guest in many:
         guest.accepted.close()
     assert watched.watched()
     assert reported() == [], "half a second after it began"
     watched.now = 101.1
-    assert within(lambda: reported() == [33])
+    assert until(lambda: reported() == [33])
     (one,) = watched.enter()
     assert watched.watched()
     watched.now += 3.5
-    assert within(lambda: one.is_cut_off)
+    assert until(lambda: one.is_cut_off)
     one.accepted.close()
     watched.now += 1.1
-    assert within(lambda: reported() == [33, 1]), "each is counted once"
+    assert until(lambda: reported() == [33, 1]), "each is counted once"
     assert {(event["kind"], event["level"]) for event in events} == {("bus.strangers_cut_off", "warning")}
     assert str(events[0]["sentence"]).startswith("closed 33 connections")
 
@@ -214,10 +208,10 @@ def test_where_no_descriptor_is_left_those_kept_back_are_released_and_taken_agai
     """Meanwhile the process can accept connections, and close those that were cut off."""
     before = descriptors()
     monkeypatch.setattr(os, "dup", none_left)
-    assert within(lambda: descriptors() <= before - 100)
+    assert until(lambda: descriptors() <= before - 100)
     monkeypatch.undo()
     began = time.monotonic()
-    assert within(lambda: descriptors() == before)
+    assert until(lambda: descriptors() == before)
     assert time.monotonic() - began < 2.0
 
 

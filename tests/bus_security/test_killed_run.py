@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tests.waiting import until
 
 pytestmark = [
     pytest.mark.long,
@@ -79,15 +78,6 @@ def _is_new(run: Run, service: str, before: int) -> bool:
 
 def _has_grown(run: Run, size: int) -> bool:
     return run.recorded() > size + 20_000
-
-
-def until(true: Callable[[], Any], seconds: float = 120.0) -> bool:
-    end = time.monotonic() + seconds
-    while not true():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 @contextmanager

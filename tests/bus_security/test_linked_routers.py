@@ -11,7 +11,6 @@ from safedpa.bus import Bus, ZenohSettings, ZenohTransport, request_key
 from safedpa.bus.messages.requests import REQUEST
 from safedpa.bus.security.access_control import access_control
 from safedpa.bus.transport.ports import free_port
-from safedpa.errors import InputError
 
 pytestmark = pytest.mark.processes
 
@@ -111,11 +110,3 @@ def test_a_router_that_was_not_named_brings_nothing(network: Any, west: Any) -> 
     network.leave(western.router)
     assert arrives(network, network.raw("safety_filter"), "safedpa/f/r1/action", b"proof", ear)
     assert {payload for _, payload, _ in ear.heard} == {b"proof"}
-
-
-@pytest.mark.parametrize(
-    "links", [{"policy": ()}, {"router": ()}, {"router.west": ("*",)}, {"router.west": ("r1", "")}]
-)
-def test_only_routers_are_linked(links: dict[str, tuple[str, ...]]) -> None:
-    with pytest.raises(InputError):
-        access_control("f", ["r1"], links)

@@ -57,7 +57,7 @@ def test_a_router_in_plain_text_denies_no_process_and_limits_sizes_and_rates(mon
     assert settings.limits == tuple(size_limits("f"))
 
 
-@pytest.mark.parametrize("by", ["folder", "card"])
+@pytest.mark.parametrize("by", ["folder", "card", "both"])
 def test_a_router_with_certificates_gives_a_revoked_name_no_right(by, tmp_path, monkeypatch):
     """The list of revoked names is in the folder of certificates."""
     monkeypatch.setattr("safedpa.bus.service.process.protect_process_memory", lambda: None)  # of this test's process
@@ -65,9 +65,10 @@ def test_a_router_with_certificates_gives_a_revoked_name_no_right(by, tmp_path, 
     for role in ("router", "policy"):
         authority.issue(role, 1.0)
     (tmp_path / "revoked.txt").write_text("# lost\npolicy\n")
-    identity = {"certificates": tmp_path} if by == "folder" else {"card": PemCredentials.of(tmp_path, "router").pipe()}
+    folder = {"certificates": tmp_path} if by != "card" else {}
+    card = {"card": PemCredentials.of(tmp_path, "router").pipe()} if by != "folder" else {}
     links = ["router.west=r1", "router.east"]
-    settings = settings_of(monkeypatch, listen=["tls/0.0.0.0:7447"], link=links, **identity)
+    settings = settings_of(monkeypatch, listen=["tls/0.0.0.0:7447"], link=links, **folder, **card)
     assert settings.certificates is not None
     assert settings.access is not None
     assert (settings.rates, settings.limits) == (tuple(rate_limits("f", ["r1"])), tuple(size_limits("f")))

@@ -189,19 +189,3 @@ def test_a_refused_handshake_is_reported(network: Any, stack: ExitStack) -> None
     with socket.create_connection((host, int(port))) as plain:
         plain.sendall(b"GET / HTTP/1.1\r\n\r\n")
         assert network.until(lambda: routing.of("bus.handshake_refused"))
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ((), "--listen: got none"),
-        (("--listen", "tls/127.0.0.1:0"), "--certificates: got none"),
-        (("--listen", "tls/127.0.0.1:0", "--certificates", "/nowhere"), "authority.pem: does not exist"),
-        (("--listen", "tls/127.0.0.1:0", "--certificates", "/nowhere", "--plain"), "--plain: got it together"),
-    ],
-)
-def test_a_router_that_could_not_guard_does_not_start(options: tuple[str, ...], sentence: str) -> None:
-    command = [sys.executable, "-m", "safedpa_services.router", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
-    assert done.returncode == 2
-    assert sentence in done.stderr

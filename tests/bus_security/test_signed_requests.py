@@ -68,13 +68,6 @@ def test_a_signed_certificate_is_the_callers_role_for_so_many_days_and_connects_
     assert not made.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
 
 
-@pytest.mark.parametrize("days", [0.0, -1.0, 3651.0, float("nan")])
-def test_foolish_days_are_refused(days: float, tmp_path: Path) -> None:
-    request = request_of(ec.generate_private_key(ec.SECP256R1()))
-    with pytest.raises(InputError, match="wanted more than 0 and at most 3650"):
-        Authority(tmp_path, "f").sign(request, "policy", days)
-
-
 @pytest.mark.parametrize("role", ["", "authority", "a/b", "../policy"])
 def test_a_role_that_is_none_is_refused(role: str, tmp_path: Path) -> None:
     request = request_of(ec.generate_private_key(ec.SECP256R1()))
@@ -93,10 +86,3 @@ def test_what_is_issued_again_takes_the_place_of_what_was_there_and_leaves_nothi
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{name}{end}" for name in ("authority", "policy") for end in (".pem", ".key.pem")
     }
-
-
-def test_what_is_signed_for_others_is_marked_as_what_is_issued(tmp_path: Path) -> None:
-    request = request_of(ec.generate_private_key(ec.SECP256R1()))
-    made = x509.load_pem_x509_certificate(Authority(tmp_path, "f").sign(request, "policy", 1.0))
-    marked = {type(part.value): part.critical for part in made.extensions}
-    assert marked == {x509.BasicConstraints: True, x509.ExtendedKeyUsage: False}

@@ -1,7 +1,6 @@
-"""Silent connections keep no member out, and an observer that cannot join does not end a drive."""
+"""Silent connections keep no member out."""
 
 import contextlib
-import fcntl
 import os
 import resource
 import socket
@@ -10,21 +9,19 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.access_control import roles_of
 from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.security.connection_reaper import ConnectionReaper, defer_accept, listening_ports
+from safedpa.bus.security.connection_reaper import ConnectionReaper, listening_ports
 from safedpa.bus.transport import ports
-from safedpa_services.supervisor.supervisor import Supervisor
 
 SILENT = 1000
 MORE_THAN_FIT = 1200
@@ -37,16 +34,6 @@ def certificates(tmp_path: Path) -> Path:
     for role in roles_of(("r1",)):
         authority.issue(role, 1.0, HOSTS if role == "router" else ())
     return tmp_path / "certificates"
-
-
-def until(true: Callable[[], object]) -> bool:
-    """Whether it comes true; nothing is waited for so long but on a busy machine."""
-    end = time.monotonic() + 90.0
-    while not true():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 def answers(port: int) -> bool:
@@ -160,36 +147,6 @@ def test_sockets_are_looked_for_by_several_threads_at_once() -> None:
             assert doors <= found
 
 
-def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
-    clock = [100.0]
-    with socket.create_server(("127.0.0.1", free_port)) as listening:
-        assert free_port in listening_ports()
-        defer_accept({free_port})
-        member, stranger = (socket.create_connection(("127.0.0.1", free_port)) for _ in range(2))
-        for link in (member, stranger):
-            link.send(b"x")
-        accepted = [listening.accept()[0] for _ in range(2)]
-        keeper = ConnectionReaper({free_port}, lambda: [member.getsockname()], lambda: clock[0])
-        try:
-            for link in (member, stranger):
-                link.settimeout(0.3)
-                with pytest.raises(TimeoutError):
-                    link.recv(1)
-            clock[0] += 2.0  # known for as long at most
-            keeper.check()
-            with pytest.raises(TimeoutError):
-                stranger.recv(1)
-            clock[0] += 2.0
-            stranger.settimeout(60.0)
-            assert stranger.recv(1) == b"", "three seconds are over"
-            with pytest.raises(TimeoutError):
-                member.recv(1)
-        finally:
-            keeper.close()
-            for link in (member, stranger, *accepted):
-                link.close()
-
-
 def test_no_connection_reaper_watches_a_unix_socket(tmp_path: Path) -> None:
     """Whatever may open the folder may connect; looking for strangers ten times a second would find none."""
     listening = ZenohTransport(ZenohSettings(listen=(f"unixsock-stream/{tmp_path}/bus",)))
@@ -197,95 +154,3 @@ def test_no_connection_reaper_watches_a_unix_socket(tmp_path: Path) -> None:
         assert not [thread for thread in threading.enumerate() if thread.name.startswith(ConnectionReaper.__name__)]
     finally:
         listening.close()
-
-
-@pytest.mark.parametrize("number", [40, 700, 1500])
-def test_every_listening_socket_is_found_whatever_its_number(number: int, free_port: int) -> None:
-    """At the first free number from there on: the number itself may be that of a socket at which a session waits."""
-    with socket.create_server(("127.0.0.1", free_port)) as one:
-        with socket.socket(fileno=fcntl.fcntl(one, fcntl.F_DUPFD_CLOEXEC, number)) as other:
-            one.close()
-            assert other.fileno() >= number
-            assert free_port in listening_ports()
-        assert free_port not in listening_ports()
-
-
-# the supervisor
-
-
-@dataclass
-class Scripted:
-    """A process that ends with the given codes, one after the other, and then runs."""
-
-    name: str
-    codes: list[int] = field(default_factory=list)
-    essential: bool = True
-    pid: int = 0
-    restarts: int = 0
-    waits: bool = False
-
-    @property
-    def has_begun(self) -> bool:
-        return self.pid > 0
-
-    def begin(self) -> None:
-        self.start()
-
-    @property
-    def exit_code(self) -> int | None:
-        return self.codes[0] if self.codes and self.pid else None
-
-    def start(self) -> None:
-        self.pid += 1
-
-    def restart_if_due(self) -> bool:
-        self.codes.pop(0)
-        self.restarts += 1
-        return True
-
-    def last_text(self) -> str:
-        return "it cannot be used"
-
-    def terminate(self) -> None:
-        return
-
-    def end(self, patience: float) -> None:
-        return
-
-    def kill(self) -> None:
-        return
-
-
-class Hearing:
-    """A watch that hears every process."""
-
-    def __init__(self, names: list[str]) -> None:
-        self.health = dict.fromkeys(names, None)
-
-    def listen(self, wait: float) -> None:
-        return
-
-    def has_hung(self, *arguments: object) -> bool:
-        return False
-
-    def stop_robot(self) -> bool:
-        return False
-
-
-@pytest.mark.parametrize("code", [75, 2, 70])
-def test_an_observer_that_cannot_join_does_not_end_the_drive(code: int) -> None:
-    recorder: Any = Scripted("recorder", [])
-    robot: Any = Scripted("robot")
-    turns = [0]
-
-    def turn() -> None:
-        turns[0] += 1
-        if turns[0] == 3:
-            recorder.codes = [code] * 5
-        if turns[0] == 40:
-            robot.codes = [0]
-
-    hearing: Any = Hearing(["recorder"])
-    assert Supervisor([recorder], robot, hearing, lambda: turns[0] > 60, turn).run() == 0
-    assert recorder.restarts == 5
-    assert turns[0] == 40

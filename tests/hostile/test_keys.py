@@ -1,27 +1,22 @@
 """Keys of a run are gone when it is, whichever way it ended; a copy of one and a revoked one are cut off."""
 
 import argparse
-import fcntl
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tests.waiting import until
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.access_control import access_control, roles_of
 from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates, PemCredentials
 from safedpa.bus.service.process import add_bus_options, identity_from_options
-from safedpa.errors import BusError, InputError
-from safedpa_services.router import __main__ as router_process
-from safedpa_services.router.refusals import Refusals
+from safedpa.errors import BusError
 from safedpa_services.router.router import DuplicateCertificates, RevocationList
 from safedpa_services.supervisor.certificate_store import ephemeral_certificates
 from safedpa_services.supervisor.private_folder import private_folder
@@ -34,15 +29,6 @@ with ephemeral_certificates("f", "r1") as certificates:
     print(certificates.folder, flush=True)
     time.sleep(60)
 """
-
-
-def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
-    end = time.monotonic() + seconds
-    while not true():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV, signal.SIGINT])
@@ -103,18 +89,6 @@ def test_a_process_reads_its_card_once_and_publishes_nothing_of_it() -> None:
         identity_from_options(options)
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(descriptor)
-
-
-@pytest.mark.parametrize("notice", [b"", b"-----BEGIN ", b"x" * 100_000, b"-----BEGIN \0-----BEGIN \0x"])
-def test_a_card_that_is_none_is_refused(notice: bytes) -> None:
-    reading, writing = os.pipe()
-    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 18)
-    os.write(writing, notice)
-    os.close(writing)
-    with pytest.raises(BusError, match="wanted authority, certificate and key"):
-        PemCredentials.from_descriptor(reading, "policy")
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(reading)
 
 
 def test_a_card_where_nothing_is_open_is_refused() -> None:
@@ -220,86 +194,3 @@ def test_a_revoked_certificate_s_link_ends(fleet: tuple[ZenohTransport, str, Pat
     finally:
         for transport in (*members, router):
             transport.close()
-
-
-class StartedError(Exception):
-    """A router that would have opened its session with ``settings``."""
-
-    def __init__(self, settings: ZenohSettings) -> None:
-        super().__init__("started")
-        self.settings = settings
-
-
-@pytest.fixture
-def settings_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[argparse.Namespace], ZenohSettings]:
-    def opened(settings: ZenohSettings) -> None:
-        raise StartedError(settings)
-
-    def settings(options: argparse.Namespace) -> ZenohSettings:
-        with pytest.raises(StartedError) as started:
-            router_process.work(options, lambda: True)
-        return started.value.settings
-
-    monkeypatch.setattr(router_process, "ZenohTransport", opened)
-    monkeypatch.setattr(router_process, "capture_zenoh_log", lambda *_: None)
-    return settings
-
-
-Settings = Callable[[argparse.Namespace], ZenohSettings]
-
-
-def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path, settings_of: Settings) -> None:
-    authority = Authority(tmp_path, "fleet")
-    authority.issue("router", 1.0, HOSTS)
-    (tmp_path / router_process.REVOKED).write_text("robot.r1\n", encoding="utf-8")
-    settings = settings_of(_router_options(certificates=tmp_path))
-    assert settings.access is not None
-    with_rights = {subject for policy in settings.access["policies"] for subject in policy["subjects"]}
-    assert "robot.r1" not in with_rights
-    assert "policy" in with_rights
-    assert Refusals().total == 0
-    assert os.path.exists(tmp_path / router_process.REVOKED)
-
-
-@pytest.mark.parametrize("known_by", ["certificates", "card", "both"])
-def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(known_by, tmp_path, monkeypatch, settings_of):
-    """By a folder of certificates, by a card, or by both: each is enough, and its rights are in force."""
-    shown = object()
-    monkeypatch.setattr(router_process, "identity_from_options", lambda options: shown)
-    options = _router_options(
-        certificates=tmp_path if known_by != "card" else None, card=3 if known_by != "certificates" else None
-    )
-    settings = settings_of(options)
-    assert settings.certificates is shown
-    assert settings.access is not None
-    assert settings.limits
-    assert settings.rates
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ({}, "--certificates: got none"),
-        ({"plain": True, "certificates": Path("certificates")}, "--plain: got it together with --certificates"),
-        ({"plain": True, "card": 3}, "--plain: got it together with --certificates"),
-        ({"plain": True, "listen": []}, "--listen: got none"),
-    ],
-)
-def test_a_router_is_reachable_and_either_plain_or_shows_who_it_is(options: dict[str, Any], problem: str) -> None:
-    with pytest.raises(InputError, match=problem):
-        router_process.work(_router_options(**options), lambda: True)
-
-
-def test_a_plain_router_limits_sizes_and_rates_all_the_same(settings_of: Settings) -> None:
-    settings = settings_of(_router_options(plain=True))
-    assert (settings.certificates, settings.access) == (None, None)
-    assert settings.limits
-    assert settings.rates
-
-
-def _router_options(**given: Any) -> argparse.Namespace:
-    usual = {
-        "fleet": "fleet", "listen": ["tls/127.0.0.1:7447"], "connect": [], "certificates": None, "role": "router",
-        "robot": ["r1"], "link": [], "plain": False, "card": None,
-    }  # fmt: skip
-    return argparse.Namespace(**(usual | given))

@@ -2,19 +2,16 @@
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.safety.node_steps import state_at
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import TAKEOVER, AbstractNode, Answer, ModelMessage, StateMessage
-from safedpa.bus.service.model_versions import ModelVersions
+from safedpa.bus import TAKEOVER, AbstractNode, ModelMessage, StateMessage
 from safedpa.bus.service.sandbox import JobHandle, JobProcess
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
@@ -41,24 +38,6 @@ BOMBS = {
 """The first is the one that froze a machine for 22 s."""
 
 
-def state_at(tick: int) -> StateMessage:
-    return StateMessage(
-        epoch=1,
-        tick=tick,
-        robot_time=0.05 * tick,
-        publish_time=0.0,
-        values=(0.0, 0.0, 0.0, 0.0),
-        applied=(0.0, 0.0),
-        applied_by="filter",
-        period=0.05,
-        lockstep=False,
-        goal=(1.0, 1.0),
-        obstacles=(),
-        field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.1, 0.4, 0.1),
-    )
-
-
 @pytest.fixture
 def apart() -> Iterator[JobProcess]:
     found = JobProcess("safedpa_services.model_trial:run_model_trial", lambda: time.monotonic() / _BEHIND_OTHERS)
@@ -67,7 +46,7 @@ def apart() -> Iterator[JobProcess]:
 
 
 def turn(node: AbstractNode, tick: int) -> Any:
-    outputs = dict(node.step("r1", state_at(tick), {}))
+    outputs = dict(node.step("r1", state_at(tick, lockstep=False), {}))
     outputs.update(node.afterwards("r1"))
     return outputs.get(TAKEOVER)
 
@@ -152,196 +131,3 @@ def test_a_car_with_every_effect_free_is_a_bounded_matter(offer_of: Callable[...
     assert len(document) < 65_536
     with pytest.raises(InputError):  # not of this fingerprint; what costs time was done before
         run_model_trial(("adaptation", OPTIONS, "r1", offer_of(document), state_at(3), None))
-
-
-# the process apart
-
-
-def spins(work: object) -> dict[str, Any]:
-    while True:
-        continue
-
-
-def eats(work: object) -> dict[str, Any]:
-    return {"document": str(len(bytes(4 << 30)))}
-
-
-def dies(work: object) -> dict[str, Any]:
-    os.abort()
-
-
-def writes(work: object) -> dict[str, Any]:
-    Path(str(work)).write_text("x" * 10_000, encoding="utf-8")
-    return {}
-
-
-def reports_its_niceness(work: object) -> dict[str, Any]:
-    return {"nice": os.nice(0), "policy": os.sched_getscheduler(0)}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("function", "phrase"),
-    [("spins", "more than 5 s of processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
-)
-def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, phrase: str, tmp_path: Path) -> None:
-    apart = _apart(function, tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
-    try:
-        outcome = apart.submit(str(tmp_path / "file")).outcome(wait=True)
-        assert outcome is not None
-        assert phrase in outcome["problem"]
-        assert outcome["problem"]
-        assert not (tmp_path / "file").exists() or (tmp_path / "file").stat().st_size == 0
-    finally:
-        apart.close()
-
-
-def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
-    apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
-    try:
-        assert apart.submit(None).outcome(wait=True) == {"nice": 19, "policy": os.SCHED_OTHER}
-    finally:
-        apart.close()
-
-
-def test_each_answer_comes_while_the_process_waits_for_more_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Not when its output is full or closed: whatever the environment says of what Python holds back."""
-    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
-    try:
-        for number in range(3):
-            assert (apart.submit(number).outcome(wait=True) or {}).get("nice") == 19
-        assert apart.pid
-    finally:
-        apart.close()
-
-
-def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(tmp_path, monkeypatch):
-    slept: list[float] = []
-    apart = _apart("spins", tmp_path, clock=lambda: sum(slept))
-    monkeypatch.setattr("safedpa.bus.service.sandbox.time.sleep", slept.append)
-    try:
-        waited = []
-        for _ in range(40):
-            before = sum(slept)
-            apart.submit("x" * 65_536)
-            waited.append(sum(slept) - before)
-        assert 0.001 < max(waited) < 0.0025
-    finally:
-        apart.close()
-
-
-def test_giving_up_waits_for_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine a process at the lowest priority takes tens of milliseconds to die, with much memory more."""
-    now = [0.0]
-    apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
-    ticket, first = apart.submit(None), apart.pid
-    monkeypatch.setattr("subprocess.Popen.wait", lambda *_, **__: pytest.fail("the loop waited for a process to die"))
-    now[0] += 30.0
-    assert "could not be tried" in (ticket.outcome() or {})["problem"]
-    assert apart.pid == 0
-    monkeypatch.undo()
-    until = time.monotonic() + 30.0
-    while Path(f"/proc/{first}").exists() and time.monotonic() < until:
-        apart.take(0)
-        time.sleep(0.01)
-    assert not Path(f"/proc/{first}").exists(), "it stays as a zombie"
-    apart.close()
-
-
-def test_works_behind_one_that_takes_too_long_fail_at_once_and_end_no_other(tmp_path: Path) -> None:
-    now = [0.0]
-    apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
-    try:
-        first, second, third = (apart.submit(number) for number in range(3))
-        now[0] += 30.0
-        assert "within 20 s" in (first.outcome() or {})["problem"]
-        later, process = apart.submit("later"), apart.pid
-        for ticket in (second, third):
-            assert "another work" in (ticket.outcome() or {})["problem"]
-        assert later.outcome() is None
-        assert apart.pid == process != 0
-    finally:
-        apart.close()
-
-
-def test_many_that_do_not_die_are_not_joined_by_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    apart = _apart("spins", tmp_path)
-    monkeypatch.setattr("subprocess.Popen.poll", lambda _: None)
-    for _ in range(4):
-        apart.submit(None)
-        apart.kill()
-    assert "have not exited" in (apart.submit(None).outcome() or {})["problem"]
-    assert apart.pid == 0
-    monkeypatch.undo()
-    apart.close()
-
-
-def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monotonic) -> JobProcess:
-    """With a function of this file, which the process finds as a module of its own."""
-    source = Path(__file__).read_text(encoding="utf-8")
-    begin, end = (
-        source.index("def spins"),
-        source.index('@pytest.mark.long\n@pytest.mark.parametrize(\n    ("function"'),
-    )
-    head = "import os\nimport resource\nfrom pathlib import Path\nfrom typing import Any\n\n"
-    head += "usual = resource.setrlimit\n"  # a fifth of the seconds of a processor
-    head += "fifth = lambda kind, most: (most[0] // 5,) * 2 if kind == resource.RLIMIT_CPU else most\n"
-    head += "resource.setrlimit = lambda kind, most: usual(kind, fifth(kind, most))\n\n\n"
-    (folder / "works_apart.py").write_text(head + source[begin:end], encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(folder))
-        return JobProcess(f"works_apart:{function}", clock)
-
-
-def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMessage]) -> None:
-    """Trials that end together do not hold up a turn together: after each load the loop has as long for others."""
-    now = [0.0]
-
-    class Tried:
-        def outcome(self, *, wait: bool = False) -> dict[str, Any]:
-            return {"document": "good"}
-
-    def load(robot: str, offer: ModelMessage) -> str:
-        now[0] += 0.014
-        return "new"
-
-    versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, load, clock=lambda: now[0])
-    versions.submit = lambda robot, offer: Tried()
-    robots = [f"r{number}" for number in range(8)]
-    for robot in robots:
-        versions.hear(robot, offer_of("document"))
-    for turn_number in range(1, 9):
-        before = now[0]
-        answered = [robot for robot in robots if versions.answer(robot, state_at(turn_number)) is not None]
-        assert answered == [robots[turn_number - 1]]
-        assert now[0] - before == pytest.approx(0.014)
-        now[0] += 0.0141
-
-
-def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., ModelMessage]) -> None:
-    """What a robot in lockstep is answered depends on no clock."""
-    versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, lambda *_: "new", clock=time.monotonic)
-
-    class Tried:
-        def outcome(self, *, wait: bool = False) -> dict[str, Any]:
-            assert wait
-            return {"document": "good"}
-
-    versions.submit = lambda robot, offer: Tried()
-    for robot in ("r1", "r2", "r3"):
-        versions.hear(robot, offer_of("document"))
-        answer = versions.answer(robot, replace(state_at(1), lockstep=True))
-        assert answer is not None
-        assert answer.state == "ready"
-
-
-def test_a_repaired_version_needs_no_trial(offer_of: Callable[..., ModelMessage]) -> None:
-    """What is in force already is not loaded again."""
-    versions: ModelVersions[str] = ModelVersions("policy", "held", "0123456789ab", lambda robot, offer: "other")
-    versions.submit = lambda robot, offer: pytest.fail("nothing is to be tried")
-    versions.adopt_model("r1", Answer(ok=True, sentence="", fingerprint="0123456789ab"))
-    versions.hear("r1", offer_of("document"))
-    answer = versions.answer("r1", state_at(1))
-    assert answer is not None
-    assert answer.state == "ready"
