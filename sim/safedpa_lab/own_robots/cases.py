@@ -27,7 +27,7 @@ _FREE: Final[dict[str, tuple[str, Mapping[str, float], tuple[str, ...]]]] = {
     "own_crane": ("own_crane", {"cart": 1.0, "pole": 0.3, "length": 0.5}, ()),
     "own_motor": ("own_motor", {"gain": 50.0, "damping": 5.0}, ("gain",)),
     "own_quadrotor": ("own_quadrotor", {"gravity": 9.81}, ()),
-    "own_bicycle": ("own_bicycle", {"follow": 1.5, "stiffness": 60.0}, ()),
+    "own_bicycle": ("own_bicycle", {"follow": 1.5, "stiffness": 30.0}, ()),
     "own_conveyor": ("own_conveyor", {"gain": 2.0}, ("gain",)),
 }
 """By robot: kind of the base, given values, and which of them are free."""
@@ -94,6 +94,8 @@ _EQUAL: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "own_omni": {"uy_offset": ("vy_push",)},
     "own_tank": {"level_push": ("pump_offset",)},
     "own_motor": {"voltage_offset": ("speed_push",)},
+    # a car that never reverses has the same friction always
+    "own_bicycle": {"vx_friction": ("vx_push", "speed_offset")},
     # gain (target - v) - c v = (gain + c) (gain / (gain + c) target - v)
     "own_conveyor": {"target_offset": ("speed_push",), "target_gain": ("speed_drag",)},
 }

@@ -252,12 +252,12 @@ class BicycleWithSlip(AbstractBase):
     equation = "m (vy' + r vx) = Ff + Fr; I r' = lf Ff - lr Fr; F = stiffness slip"
     source = "Rajamani, Vehicle Dynamics and Control, 2nd ed., ch. 2"
     system = BICYCLE_WITH_SLIP
-    parameters = (_number("follow", "1/s", 0.05, 20.0, 1.5), _number("stiffness", "1/s2", 1.0, 1000.0, 60.0))
+    parameters = (_number("follow", "1/s", 0.05, 20.0, 1.5), _number("stiffness", "m/s2/rad", 1.0, 1000.0, 30.0))
 
     def rates(self, state: Named, action: Named, parameters: Named, operations: Any) -> dict[str, Any]:
         """Rates of the state by name; ``stiffness`` is per mass and radian, both axles 0.15 m from the centre."""
         vx, vy, r, arm = state["vx"], state["vy"], state["r"], 0.15
-        along = operations.maximum(vx, 0.3)
+        along = operations.maximum(vx, 1.0)
         front = parameters["stiffness"] * (action["steer"] - (vy + arm * r) / along)
         rear = -parameters["stiffness"] * (vy - arm * r) / along
         cos, sin = operations.cos(state["yaw"]), operations.sin(state["yaw"])

@@ -268,8 +268,8 @@ def _quadrotor(x: Values, u: Values) -> Values:
 
 
 def _bicycle(x: Values, u: Values) -> Values:
-    along = max(x[3], 0.3)
-    front, rear = 60.0 * (u[1] - (x[4] + 0.15 * x[5]) / along), -60.0 * (x[4] - 0.15 * x[5]) / along
+    along = max(x[3], 1.0)
+    front, rear = 30.0 * (u[1] - (x[4] + 0.15 * x[5]) / along), -30.0 * (x[4] - 0.15 * x[5]) / along
     c, s = np.cos(x[2]), np.sin(x[2])
     return np.array(
         [
@@ -319,8 +319,8 @@ PLANTS: Final[dict[str, Plant]] = {
         {"vx": 2.0, "vy": 2.0, "vz": 1.5}, (0.02, 0.02, 0.02), _quadrotor, 0.02, 40.0, (0.2, 1.0),
     ),
     "own_bicycle": Plant(
-        ("x", "y", "yaw", "vx", "vy", "r"), ("speed", "steer"), (0.8, -0.3), (5.0, 0.3), {"vx": 3.0, "r": 1.0},
-        (0.01, 0.01, 0.004, 0.02, 0.02, 0.02), _bicycle, 0.05, 60.0, (0.5, 3.0), (0.0, 0.0, 0.0, 1.0, 0.0, 0.0),
+        ("x", "y", "yaw", "vx", "vy", "r"), ("speed", "steer"), (1.5, -0.3), (5.0, 0.3), {"vx": 3.0, "r": 1.0},
+        (0.01, 0.01, 0.004, 0.02, 0.02, 0.02), _bicycle, 0.02, 60.0, (0.5, 3.0), (0.0, 0.0, 0.0, 2.0, 0.0, 0.0),
     ),
     "own_conveyor": Plant(
         ("speed",), ("target",), (-1.8,), (1.8,), {"speed": 1.0}, (0.01,), _conveyor, 0.05, 60.0, (0.5, 3.0)
