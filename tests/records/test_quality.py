@@ -341,3 +341,12 @@ def test_a_run_with_nothing_usable_lists_what_was_found() -> None:
     with pytest.raises(RunError, match=r"no usable stretch of rows: 20 rows without a finite number in x") as caught:
         judge(replace(rows, states=states))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("sign", "kinds"), [(1.0, set()), (-1.0, {"opposite_sign"})])
+def test_a_servo_that_follows_at_once_has_the_sign_of_its_command(sign: float, kinds: set[str]) -> None:
+    rows = car_rows(noise=0.0)
+    actions = rows.actions.copy()
+    actions[:, 0] = sign * 1.02 * rows.states[:, 3]
+    found = run_of_rows(Path("planted.csv"), CAR, native_map(CAR), replace(rows, actions=actions), ())
+    assert {item.kind for item in found.findings} & {"opposite_sign"} == kinds

@@ -116,6 +116,8 @@ _DRIVES = {"throttle": "speed", "target_speed": "speed", "torque": "rate"}
 _MIN_PAIRS = 100
 _OPPOSITE = 0.5
 """Negative partial correlation from which a state certainly opposes its command."""
+_FOLLOWS = 0.05
+"""Share of a command's variation that a state which follows it closely leaves unexplained."""
 _SIGNIFICANT = 0.3
 """Partial correlation from which a delay counts."""
 
@@ -166,6 +168,9 @@ def _partial_correlation(slopes: FloatArray, action: FloatArray, covariates: NDA
         return 0.0
     both = np.column_stack([wanted[good], command[good]])
     residual = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
+    if float(residual[:, 1].std()) < _FOLLOWS * float(command[good].std()):
+        # The state follows its command so closely that nothing is left to correlate; its direction says the same.
+        return float(np.corrcoef(columns[good][:, 0], command[good])[0, 1])
     size = float(np.sqrt((residual[:, 0] ** 2).sum() * (residual[:, 1] ** 2).sum()))
     return float(residual[:, 0] @ residual[:, 1]) / size if size > 1e-12 else 0.0
 
