@@ -28,6 +28,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "cluster": ("ray",),
     "gym": ("gymnasium",),
     "ros": ("rosbags", "pyulog"),
+    "hdf5": ("h5py",),
+    "remote": ("fsspec", "aiohttp"),
 }
 """Modules that each extra installs."""
 

@@ -1,14 +1,19 @@
 """NumPy archives, MATLAB files and LeRobot datasets."""
 
 import json
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
 from safedpa.errors import RunError
+from safedpa.limits import LimitError
 from safedpa.records import Run, load_run
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.readers.arrays import read_array_table
@@ -36,18 +41,60 @@ def matlab(path: Path, variables: dict[str, object]) -> None:
     savemat(path, variables, do_compression=True)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def hdf5(path: Path, variables: dict[str, np.ndarray], *, of_matlab: bool = False) -> None:
+    """MATLAB 7.3 has its header in front, each array transposed, and vectors as matrices."""
+    with h5py.File(path, "w", userblock_size=512 if of_matlab else 0) as file:
+        for name, values in variables.items():
+            content = np.atleast_2d(values.T) if of_matlab else values
+            file.create_dataset(name, data=content, chunks=True, compression="gzip")
+        file.create_dataset("camera", (1000, 480, 640), dtype="u1", chunks=(1, 480, 640))
+    if of_matlab:
+        content = path.read_bytes()
+        path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + content[512:])
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat", ".h5", ".7.3.mat"])
 def test_arrays_are_columns_by_name_or_by_element(suffix: str, tmp_path: Path) -> None:
     plain, wide = tmp_path / f"plain{suffix}", tmp_path / f"wide{suffix}"
     arrays = {"time": DRIVE[:, 0], "state": DRIVE[:, 1:5], "action": DRIVE[:, 5:]}
     for path, content in ((plain, dict(zip(NAMES, DRIVE.T, strict=True))), (wide, arrays)):
         if suffix == ".npz":
             np.savez_compressed(path, **content)
-        else:
+        elif suffix == ".mat":
             matlab(path, content)
+        else:
+            hdf5(path, content, of_matlab=suffix == ".7.3.mat")
     assert_whole(load_run(plain, CAR))
     assert_whole(mapped(wide, "time", "state", "action"))
-    assert raw_rows(wide).names == ("time", *(f"state[{k}]" for k in range(4)), "action[0]", "action[1]")
+    assert set(raw_rows(wide).names) == {"time", *(f"state[{k}]" for k in range(4)), "action[0]", "action[1]"}
+
+
+def test_an_hdf5_file_reads_no_other_file_and_no_more_than_it_holds(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["t"] = DRIVE[:, 0]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = h5py.ExternalLink("other.h5", "t")
+        file.create_dataset("x", (1 << 40,), dtype="f8", chunks=(1 << 16,))
+    with pytest.raises(RunError, match="column 't' is missing"):
+        read_array_table(tmp_path / "a.h5", ("t", "x"))
+    with pytest.raises(LimitError, match="expansion factor"):
+        read_array_table(tmp_path / "a.h5", ("x",))
+
+
+def test_a_log_is_read_by_its_url(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", **dict(zip(NAMES, DRIVE.T, strict=True)))
+    handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        url = f"http://127.0.0.1:{server.server_port}/a.npz"
+        try:
+            assert_whole(load_run(url, CAR))
+            assert_whole(load_run(Path(url), CAR))  # a path has one slash
+            assert raw_rows(url).names[0] == "t"
+            with pytest.raises(RunError, match=f"^{url}x: cannot be read"):
+                load_run(f"{url}x", CAR)
+        finally:
+            server.shutdown()
 
 
 def test_fields_of_a_matlab_struct_are_columns(tmp_path: Path) -> None:
@@ -73,8 +120,9 @@ def test_arrays_that_are_no_columns_are_refused(content: dict[str, list[float]],
 
 def test_other_files_are_named_with_the_remedy(tmp_path: Path) -> None:
     for content, problem in {
-        b"MATLAB 7.3 MAT-file": "a MATLAB file of version 7.3; save it with -v7",
-        b"TDSm\x0e\0\0\0": "a TDMS file; write its channels as CSV or Parquet: npTDMS reads them",
+        b"MATLAB 7.3 MAT-file, damaged": "cannot be read as a MATLAB file",
+        b"\x89HDF\r\n\x1a\n, damaged": "cannot be read as HDF5",
+        b"TDSm\x0e\0\0\0": r"a TDMS file; write its channels as CSV: nptdms.TdmsFile\(FILE\)",
         b"MATLAB 5.0 MAT-file, damaged": "cannot be read as a MATLAB file",
     }.items():
         (tmp_path / "a.mat").write_bytes(content)

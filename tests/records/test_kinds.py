@@ -14,7 +14,6 @@ OTHERS = {
     "\xfd7zXZ": "is packed by xz; unpack it: unxz",
     "\x04\x22\x4d\x18": "is packed by lz4; unpack it: lz4 -d",
     "PK\x03\x04": "is a zip archive, or a spreadsheet; unpack it, or save the sheet as CSV",
-    "\x89HDF": "is an HDF5 file; write its columns as CSV",
     "MATLAB": "is a MATLAB file; write its columns as CSV",
     "\x93NUMPY": "is a NumPy array; write its columns as CSV",
     "ARROW1": "is an Arrow file; write it as Parquet",

@@ -12,7 +12,7 @@ from pathlib import Path
 from safedpa.errors import InputError, RunError
 from safedpa.limits import readable
 
-RECORDINGS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".ulg")
+RECORDINGS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".ulg", ".npz", ".mat", ".h5")
 _RECORDING = f"a recording ({', '.join(RECORDINGS[:-1])} or {RECORDINGS[-1]})"
 _MODELS = (".toml",)
 _MOST_FILES = 1000
@@ -23,6 +23,9 @@ _MAGIC = {
     ".db3": b"SQLite format 3\0",
     ".bag": b"#ROSBAG V2.0\n",
     ".ulg": b"ULog\x01\x12\x35",
+    ".npz": b"PK\x03\x04",
+    ".mat": b"MATLAB",
+    ".h5": b"\x89HDF",
 }
 
 

@@ -17,6 +17,7 @@ from safedpa.records.column_map.propose import best_system, propose_map, sources
 from safedpa.records.readers.bags import AbstractLog, check_readable_mcap, kind_of, topic_log
 from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.preview import raw_rows
+from safedpa.records.readers.table import regular_file
 from safedpa.result import AbstractResult
 from safedpa.systems import System
 from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
@@ -94,7 +95,8 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
         load_user_file(Path(effects))
     path, known = Path(log), robot_named(robot or DEFAULT_ROBOT)
     systems = tuple(one.system for one in (known, *known.variants))
-    topics, text = _proposed(path, systems)
+    with regular_file(path) as file:
+        topics, text = _proposed(file, systems)
     return ProposedColumns(path, tuple(topics), text)
 
 

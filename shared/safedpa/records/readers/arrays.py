@@ -1,9 +1,9 @@
-"""Reads files of named arrays as tables: NumPy archives (``.npz``) and MATLAB files up to version 7 (``.mat``)."""
+"""Reads files of named arrays as tables: NumPy archives (``.npz``), MATLAB files (``.mat``) and HDF5 files."""
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,12 @@ from safedpa.errors import RunError
 from safedpa.extras import need
 from safedpa.limits import check_archive, limit, too_much
 from safedpa.records.readers.cells import element_of
+from safedpa.records.readers.own_process import allow_for
 from safedpa.records.readers.table import Table, require_columns, require_file
 
 __all__ = ["arrays_in", "column_names", "read_array_table"]
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_array_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -27,6 +30,8 @@ def read_array_table(path: Path, wanted: Sequence[str]) -> Table:
     elements = {name: found for name in wanted if (found := element_of(name, list(arrays)))}
     sources = {name: elements[name][0] if name in elements else name for name in wanted}
     require_columns(path, list(dict.fromkeys(sources.values())), list(arrays))
+    if not zipfile.is_zipfile(path) and _is_hdf5(path):
+        arrays = _hdf5_arrays(path, set(sources.values()))
     columns = {name: _column(path, name, arrays[source], elements.get(name)) for name, source in sources.items()}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1:
@@ -35,12 +40,18 @@ def read_array_table(path: Path, wanted: Sequence[str]) -> Table:
 
 
 def arrays_in(path: Path) -> Mapping[str, np.ndarray[Any, Any]]:
-    """Every array of numbers in the file, by name; a field of a MATLAB struct is called ``struct.field``."""
+    """Every array of numbers in the file, by name; a field of a MATLAB struct is called ``struct.field``.
+
+    Those of an HDF5 file have no values, since it can hold far more than the columns that are wanted.
+    """
     require_file(path)
     size = path.stat().st_size
     if size > limit("table_bytes"):
         raise too_much("table_bytes", f"{size} bytes", str(path))
-    found = _numpy_arrays(path) if zipfile.is_zipfile(path) else _matlab_arrays(path)
+    if zipfile.is_zipfile(path):
+        found = _numpy_arrays(path)
+    else:
+        found = _hdf5_arrays(path, ()) if _is_hdf5(path) else _matlab_arrays(path)
     if not found:
         raise RunError(f"{path}: contains no array of numbers; wanted t, states and actions as arrays")
     if len(found) > limit("columns"):
@@ -58,6 +69,8 @@ def column_names(arrays: Mapping[str, np.ndarray[Any, Any]]) -> list[str]:
 
 def _numpy_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     check_archive(path)
+    with zipfile.ZipFile(path) as packed:
+        allow_for(sum(entry.file_size for entry in packed.infolist()))
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -79,6 +92,50 @@ def _matlab_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
         fields = getattr(value, "_fieldnames", None)
         parts = {name: value} if fields is None else {f"{name}.{field}": getattr(value, field) for field in fields}
         found |= {key: part for key, part in parts.items() if isinstance(part, np.ndarray) and _is_column(part)}
+    return found
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether the file is HDF5, also behind the header of MATLAB 7.3."""
+    with path.open("rb") as file:
+        start = file.read(520)
+    return _HDF5 in (start[:8], start[512:])
+
+
+def _hdf5_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """The datasets of numbers by name; only the ``wanted`` ones have values. MATLAB stores arrays transposed."""
+    need("hdf5", what="reading HDF5 files")
+    import h5py
+
+    found: dict[str, np.ndarray[Any, Any]] = {}
+    left = max(limit("expansion_free_bytes"), path.stat().st_size * limit("expansion"))
+
+    def visit(name: str, item: Any) -> None:
+        nonlocal left
+        # data outside of the file are never read
+        if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or name.startswith("#refs#"):
+            return
+        if len(found) > limit("columns"):
+            raise too_much("columns", len(found), str(path))
+        name = name.replace("/", ".") if matlab else name
+        if item.ndim not in (1, 2) or item.dtype.kind not in "fiub" or not item.size:
+            return
+        values = np.broadcast_to(np.empty((), item.dtype), item.shape)
+        if name in wanted:
+            left -= values.size * max(item.dtype.itemsize, 8)
+            if left < 0:
+                raise too_much("expansion", "more", str(path))
+            allow_for(item.nbytes)
+            values = item[()]
+        values = values.T if matlab else values
+        found[name] = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
+
+    try:
+        with h5py.File(path, "r") as file:
+            matlab = file.userblock_size > 0
+            file.visititems(visit)
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path}: cannot be read as HDF5 ({str(error)[:100]}); it may be cut off: copy it") from error
     return found
 
 

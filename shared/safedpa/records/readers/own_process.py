@@ -25,6 +25,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from functools import wraps
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
@@ -59,6 +60,8 @@ _START = (
 )
 _ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 """The libraries of a worker take only the memory that they use."""
+_MAX_FILES = 10_000
+"""Files of a folder that count for its limits."""
 _STACK_BYTES = 2 << 20
 """Stack of each thread of a library, which counts as memory of the worker."""
 
@@ -277,10 +280,11 @@ def _work(connection: socket.socket, folder: str) -> NoReturn:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of the files directly in a folder; 0 if it is missing."""
+    """Bytes of a file, or of the files in a folder; 0 if it is missing."""
     try:
-        files = [item for item in path.iterdir() if item.is_file()] if path.is_dir() else [path]
-        return sum(file.stat().st_size for file in files)
+        if not path.is_dir():
+            return path.stat().st_size
+        return sum(file.stat().st_size for file in islice(path.rglob("*"), _MAX_FILES) if file.is_file())
     except OSError:
         return 0
 

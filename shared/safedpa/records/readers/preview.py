@@ -14,6 +14,7 @@ from safedpa.records.readers.bags import kind_of, topic_log
 from safedpa.records.readers.dialect import CsvFile, decoded, find_layout
 from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.parquet import dataset_files, is_dataset, open_parquet
+from safedpa.records.readers.table import regular_file
 
 __all__ = ["RowPreview", "raw_rows"]
 
@@ -31,7 +32,8 @@ class RowPreview:
 
 def raw_rows(path: str | Path, count: int = 5) -> RowPreview:
     """Returns the first rows of a table, or the field names of a log of topics; raises RunError if unreadable."""
-    return _raw_rows(Path(path), count)
+    with regular_file(Path(path)) as file:
+        return _raw_rows(file, count)
 
 
 @in_own_process

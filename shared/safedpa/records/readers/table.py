@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import RunError, did_you_mean, near_files
+from safedpa.errors import RunError, SafedpaError, did_you_mean, near_files
+from safedpa.extras import need
 from safedpa.limits import limit, too_much
 from safedpa.records.run import Finding
 
 __all__ = ["Table", "regular_file", "require_columns", "require_file"]
+
+_URL = re.compile(r"(https?|s3|gs|gcs|az|abfss?|hdfs|s?ftp|hf):/{1,2}([^/].*)")
+"""A URL, also if ``Path`` removed one of its slashes."""
 
 
 @dataclass(frozen=True)
@@ -41,23 +47,53 @@ class Table:
 
 @contextmanager
 def regular_file(path: Path) -> Iterator[Path]:
-    """Yields the path itself, or for ``-`` (standard input) and a named pipe a temporary file with its content.
+    """Yields the path itself, or a temporary file with the content of ``-`` (standard input), a named pipe or a URL.
 
-    Raises LimitError if the content is larger than a table may be.
+    A URL such as ``s3://`` or ``https://`` is opened by fsspec. Raises LimitError if the content is larger than a table
+    may be, and RunError for a URL that cannot be read.
     """
-    if str(path) != "-" and not path.is_fifo():
+    url = _url_of(path)
+    if not url and str(path) != "-" and not path.is_fifo():
         yield path
         return
-    left = limit("table_bytes")
     with tempfile.TemporaryDirectory(prefix="safedpa-pipe-") as folder:
-        copy = Path(folder) / ("stdin" if str(path) == "-" else path.name)
-        with sys.stdin.buffer if str(path) == "-" else path.open("rb") as source, copy.open("wb") as target:
-            while piece := source.read(1 << 20):
-                left -= len(piece)
-                if left < 0:
-                    raise too_much("table_bytes", "more", str(path))
-                target.write(piece)
+        copy = Path(folder) / ("stdin" if str(path) == "-" else path.name.partition("?")[0])
+        if url:
+            _download(url, copy)
+        else:
+            with sys.stdin.buffer if str(path) == "-" else path.open("rb") as source:
+                _copy(source, copy, str(path))
         yield copy
+
+
+def _copy(source: IO[bytes], copy: Path, name: str) -> None:
+    left = limit("table_bytes")
+    with copy.open("wb") as target:
+        while piece := source.read(1 << 20):
+            left -= len(piece)
+            if left < 0:
+                raise too_much("table_bytes", "more", name)
+            target.write(piece)
+
+
+def _url_of(path: Path) -> str:
+    """The URL that was given as a path, which has lost one slash; empty for a path."""
+    found = _URL.fullmatch(str(path))
+    return f"{found[1]}://{found[2]}" if found else ""
+
+
+def _download(url: str, copy: Path) -> None:
+    need("remote", what=f"reading {url}")
+    import fsspec
+
+    try:
+        with fsspec.open(url, "rb") as source:
+            _copy(source, copy, url)
+    except SafedpaError:
+        raise
+    except Exception as error:  # each store raises its own kinds
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise RunError(f"{url}: cannot be read ({reason}); check the address, or name a file") from error
 
 
 def require_file(path: Path) -> None:

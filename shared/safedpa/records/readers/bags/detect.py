@@ -27,8 +27,8 @@ from safedpa.records.readers.parquet import is_dataset
 
 __all__ = ["kind_of", "topic_log"]
 
-_WANTED = "a recording: .csv, .parquet, .npz, .mat, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
-_MATLAB, _ZIP = b"MATLAB 5.0", b"PK\x03\x04"
+_WANTED = "a recording: .csv, .parquet, .npz, .mat, .h5, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
+_ARRAYS, _ZIP = (b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF"), b"PK\x03\x04"
 _MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
 _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"#ROSBAG V1", "a ROS 1 bag of format 1", "convert it to format 2.0: rosbag fix"),
@@ -36,10 +36,8 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
     (b"\xfd7zXZ", "packed by xz", "unpack it: unxz"),
     (b"\x04\x22\x4d\x18", "packed by lz4", "unpack it: lz4 -d"),
     (b"PK\x03\x04", "a zip archive, or a spreadsheet", "unpack it, or save the sheet as CSV"),
-    (b"\x89HDF", "an HDF5 file", "write its columns as CSV or Parquet"),
-    (b"MATLAB 7.3", "a MATLAB file of version 7.3", "save it with -v7"),
     (b"MATLAB", "a MATLAB file", "write its columns as CSV: writetable"),
-    (b"TDSm", "a TDMS file", "write its channels as CSV or Parquet: npTDMS reads them"),
+    (b"TDSm", "a TDMS file", "write its channels as CSV: nptdms.TdmsFile(FILE).as_dataframe().to_csv(OUT)"),
     (b"\x93NUMPY", "a NumPy array", "write its columns as CSV: numpy.savetxt with a header"),
     (b"ARROW1", "an Arrow file", "write it as Parquet"),
     (b"RRF", "a Rerun recording", "name the log that it was made from"),
@@ -99,7 +97,7 @@ def _kind_of_content(path: Path, start: bytes) -> str:
         return "mcap"
     if start.startswith(_PARQUET) or suffix == ".parquet":
         return "parquet"
-    if start.startswith(_MATLAB) or (start.startswith(_ZIP) and suffix == ".npz"):
+    if start.startswith(_ARRAYS) or (start.startswith(_ZIP) and suffix == ".npz"):
         return "arrays"
     return ""
 
