@@ -1,6 +1,5 @@
 """Messages about many robots that travel as one arrive as if each came alone, and nothing else gets in with them."""
 
-import dataclasses
 from typing import Any
 
 import msgpack
@@ -10,7 +9,6 @@ from hypothesis import strategies as some
 
 from safedpa.bus import (
     ACTION,
-    HEALTH,
     LATENT,
     STATE,
     TOPICS,
@@ -28,7 +26,6 @@ from safedpa.bus import (
 from safedpa.bus.messages.codec import pack_bundle, split_into_bundles, unpack_bundle
 from safedpa.bus.messages.topics import BUNDLE, NO_ROBOT
 from safedpa.bus.security.access_control import ROBOT, ROLES, access_control, check_names, may_write
-from safedpa.bus.transport.inbox import InboxReceiver
 from safedpa.errors import InputError, MessageError
 
 entries = some.lists(some.tuples(some.text(max_size=8), some.binary(max_size=40)), max_size=300)
@@ -127,20 +124,6 @@ def test_a_robot_that_reads_its_own_messages_only_hears_no_bundle(samples: dict[
     robot = wire.bus().inbox((ACTION,), "a", alone=True)
     sent_together(wire, ACTION, samples["action"], ("a", "b"))
     assert robot.take(0.0) == []
-    bus = wire.bus()
-    bus.hold()
-    bus.publish(ACTION, "a", samples["action"], alone=True)
-    assert [item.robot for item in robot.take(0.0)] == ["a"], "it goes out although others are held"
-
-
-def test_of_robots_that_are_not_served_nothing_gets_in(samples: dict[str, Message]) -> None:
-    wire = Wire()
-    inbox = wire.bus(serves=lambda robot: robot == "b").inbox((STATE,))
-    sent_together(wire, STATE, samples["state"], ("a", "b", "c"))
-    wire.bus().publish(STATE, "a", samples["state"])
-    assert [item.robot for item in inbox.take(0.0)] == ["b"]
-    wire.bus().publish(STATE, "b", samples["state"])
-    assert [item.robot for item in inbox.take(0.0)] == ["b"], "alone it gets in as out of a bundle"
 
 
 @pytest.mark.parametrize(
@@ -192,24 +175,6 @@ def test_garbage_of_one_robot_leaves_the_others_in_its_bundle_alone(samples: dic
         ("b", RejectedMessage),
         ("c", ReceivedMessage),
     ]
-
-
-def test_under_a_wildcard_no_bundle_is_opened(samples: dict[str, Message]) -> None:
-    wire = Wire()
-    inbox = wire.bus().inbox((STATE, HEALTH))
-    bundle = pack_bundle([("a", encode(samples["state"])), ("b", encode(samples["state"]))])
-    accept = InboxReceiver(inbox, STATE, "f", "*", None, all_of_them=False)
-    for key in (f"safedpa/f/{BUNDLE}/*", f"safedpa/f/{BUNDLE}/**", "safedpa/f/*/state", f"safedpa/f/{BUNDLE}/state/x"):
-        accept(key, bundle)
-    assert all(isinstance(item, RejectedMessage) for item in inbox.take(0.0))
-
-
-def test_in_a_bundle_no_service_speaks_as_another_either(samples: dict[str, Message]) -> None:
-    wire = Wire()
-    inbox = wire.bus().inbox((HEALTH,))
-    health = dataclasses.replace(samples["health"], service="policy")  # type: ignore[call-arg]
-    sent_together(wire, HEALTH, health, ("a", "b"), "adaptation")
-    assert all(isinstance(item, RejectedMessage) for item in inbox.take(0.0))
 
 
 def test_only_roles_that_serve_the_whole_fleet_may_send_bundles_and_no_robot_may_read_one() -> None:

@@ -174,13 +174,6 @@ def test_fields_that_a_newer_program_added_are_ignored(samples: dict[str, Messag
         assert decode(type(message), payload) == message
 
 
-def test_whole_numbers_count_as_numbers(samples: dict[str, Message]) -> None:
-    payload = msgpack.packb({**table_of(samples["action"]), "values": [1, 0]})
-    values = decode(TOPICS["action"].message, payload).values  # type: ignore[attr-defined]
-    assert values == (1.0, 0.0)
-    assert all(type(value) is float for value in values)
-
-
 @pytest.mark.parametrize("path", sorted(SAMPLES.glob("*.v2.msgpack")), ids=lambda path: path.stem)
 def test_messages_of_version_1_are_understood_for_ever(path: Path, samples: dict[str, Message]) -> None:
     name = path.name.split(".")[0]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import pytest
+from tests.bus.fleet import Clock, latent_of, stamp
 
 from safedpa.bus import (
     HEALTH,
@@ -50,9 +51,9 @@ class Curious(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         self.reported.append((robot, state.tick, isinstance(inputs[LATENT], LatentMessage)))
-        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
-        takeover = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="x", state="ready")
-        return {NOMINAL: NominalMessage(**stamp, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
+        of_state = stamp(state.tick, state.epoch)
+        takeover = TakeoverMessage(**of_state, service="policy", change=1, fingerprint="x", state="ready")
+        return {NOMINAL: NominalMessage(**of_state, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
 
     def hear(self, robot: str, message: Message) -> None:
         assert isinstance(message, ModelMessage)
@@ -78,16 +79,9 @@ class SlowBus(Bus):
         self.asked = (inbox, robot, who)
 
 
-class Clock:
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    return Clock(0.0)
 
 
 @pytest.fixture
@@ -96,16 +90,11 @@ def service(memory_bus: Callable[[], Bus], clock: Clock) -> tuple[Curious, Servi
     return node, ServiceLoop(node, memory_bus(), clock=clock), memory_bus()
 
 
-def latent_of(samples: dict[str, Message], state: StateMessage) -> LatentMessage:
-    return LatentMessage(
-        epoch=state.epoch,
-        tick=state.tick,
-        robot_time=0.0,
-        publish_time=0.0,
-        model="m",
-        values=(0.4,),
-        deviations=(0.1,),
-    )
+def spoken(robot: Bus, loop: ServiceLoop, state: StateMessage) -> None:
+    """Its state and the latent of that tick, and a turn of the loop."""
+    robot.publish(STATE, "r", state)
+    robot.publish(LATENT, "r", latent_of(state.tick, state.epoch))
+    loop.turn(0.0)
 
 
 def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state_at: Any, samples: Any) -> None:
@@ -118,9 +107,7 @@ def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state
 
     memory_bus().answer_requests(answer)
     for tick in range(3):
-        robot.publish(STATE, "r", state_at(tick))
-        robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
-        loop.turn(0.0)
+        spoken(robot, loop, state_at(tick))
     assert asked == [("r", Request(do="status", who="policy"))]
     assert node.reported == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
 
@@ -130,17 +117,13 @@ def test_without_a_diagnosis_other_services_report_the_agreed_model(service, mem
     memory_bus().answer_agreed(lambda name: None)
     memory_bus().answer_agreed(lambda name: Answer(ok=True, sentence="", fingerprint=f"of {name}"))
     memory_bus().answer_requests(lambda name, request: Answer(ok=False, sentence="refused: not known"))
-    robot.publish(STATE, "r", state_at(0))
-    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
-    loop.turn(0.0)
+    spoken(robot, loop, state_at(0))
     assert node.reported == [("r", "of r"), ("r", 0, True)]
 
 
 def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samples: Any) -> None:
     node, loop, robot = service
-    robot.publish(STATE, "r", state_at(0))
-    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
-    loop.turn(0.0)
+    spoken(robot, loop, state_at(0))
     assert node.reported == [("r", None), ("r", 0, True)]
 
 
@@ -148,9 +131,7 @@ def test_messages_that_came_while_it_waited_are_not_lost(broker: Any, clock: Clo
     node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
     loop, robot = ServiceLoop(node, bus, clock=clock), Bus(MemoryTransport(broker), "test")
     for tick in range(2):
-        robot.publish(STATE, "r", state_at(tick))
-        robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
-        loop.turn(0.0)
+        spoken(robot, loop, state_at(tick))
     assert node.reported == [], "it is still waiting"
     inbox, *asked = bus.asked
     assert asked == ["r", "policy"]
@@ -181,7 +162,7 @@ def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(answered_at
     """The newest message of each topic waits, the state first; later messages do not wait, until the robot leaves."""
     node, bus, inbox = Curious(), Asked(), Inbox()
     handshake_ = ModelHandshake(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
-    latent = received(LATENT, latent_of(samples, state_at(2)))
+    latent = received(LATENT, latent_of(2, state_at(2).epoch))
     assert handshake_.deadline() == float("inf")
     assert not handshake_.holds(latent), "a robot is met by its state"
     older, newer, other = (received(STATE, state_at(tick), robot) for tick, robot in ((1, "r"), (2, "r"), (1, "q")))
@@ -224,9 +205,7 @@ def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_
     node, loop, robot = service
     for epoch in (1, 2):
         state = state_at(0, epoch=epoch)
-        robot.publish(STATE, "r", state)
-        robot.publish(LATENT, "r", latent_of(samples, state))
-        loop.turn(0.0)
+        spoken(robot, loop, state)
         clock.now += 40.0
         loop.turn(0.0)
     assert node.reported == [("r", None), ("r", 0, True)] * 2
@@ -236,9 +215,7 @@ def test_a_node_that_holds_no_model_asks_for_none(broker: Any, clock: Clock, sta
     node = Indifferent()
     loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
     robot = Bus(MemoryTransport(broker), "test")
-    robot.publish(STATE, "r", state_at(0))
-    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
-    loop.turn(0.0)
+    spoken(robot, loop, state_at(0))
     assert node.reported == [("r", 0, True)]
 
 
@@ -255,9 +232,7 @@ def test_answers_go_out_under_the_service_s_name_and_health_names_the_model(
 ) -> None:
     _, loop, robot = service
     inbox = memory_bus().inbox((TAKEOVER, HEALTH), keep_all=True)
-    robot.publish(STATE, "r", state_at(0))
-    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
-    loop.turn(0.0)
+    spoken(robot, loop, state_at(0))
     clock.now = 1.0
     loop.turn(0.0)
     received = {item.key: item.message for item in inbox.take(0.0)}

@@ -34,12 +34,13 @@ def test_a_bundle_has_as_many_bytes_as_a_message_may_have_and_no_more(more: int,
     assert [name for name, _ in found] == ([key] if more else ["safedpa/f/a/state", "safedpa/f/b/state"])
 
 
-@pytest.mark.parametrize(
-    "key", [f"safedpa/f/{BUNDLE}/state/x", f"safedpa/f/{BUNDLE}/states", f"safedpa/f/{BUNDLE}/state/"]
-)
+@pytest.mark.parametrize("key", ["+/state/x", "+/states", "+/state/", "+/*", "+/**", "*/state"])
 def test_a_bundle_under_another_key_is_handed_on_as_it_came_and_refused_there(key: str) -> None:
-    payload = pack_bundle([("a", b"1"), ("b", b"2")])
-    assert opened(intake(), key, payload) == [(key, payload)]
+    key, payload, inbox = f"safedpa/f/{key}", pack_bundle([("a", b"1"), ("b", b"2")]), Inbox()
+    by = InboxReceiver(inbox, STATE, "f", "*", None, all_of_them=False)
+    assert opened(by, key, payload) == [(key, payload)]
+    by(key, payload)
+    assert [type(item) for item in inbox.take(0.0)] == [RejectedMessage]
 
 
 def test_a_bundle_of_a_service_is_opened_under_its_name() -> None:

@@ -62,11 +62,3 @@ def test_slack_is_for_the_topics_that_are_named(state_of: StateAt) -> None:
     slot.keep(NOMINAL, NominalMessage(**stamp(5), values=(0.0, 0.0), controller="test"))
     assert slot.is_complete((LATENT, NOMINAL), {LATENT: 1})
     assert not slot.is_complete((LATENT, NOMINAL), {})
-
-
-@pytest.mark.parametrize(
-    ("age", "sentence"),
-    [(None, "no latent has arrived"), (1, "the latent is 1 ticks old"), (3, "the latent is 3 ticks old")],
-)
-def test_a_stale_input_says_how_old_it_is(age: int | None, sentence: str) -> None:
-    assert Stale(LATENT, age).sentence == sentence

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.bus.fleet import latent_of, stamp
 
 from safedpa.bus import (
     ACTION,
@@ -46,8 +47,7 @@ class Guesser(AbstractNode):
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         del robot, inputs
         self.threads.add(threading.current_thread().name)
-        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
-        return {LATENT: LatentMessage(**stamp, model="m", values=(0.5,), deviations=(0.1,))}
+        return {LATENT: latent_of(state.tick, state.epoch)}
 
 
 class FixedPolicy(AbstractNode):
@@ -66,9 +66,8 @@ class FixedPolicy(AbstractNode):
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         del robot
         latent = inputs[LATENT]
-        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
         values = latent.values if isinstance(latent, LatentMessage) else (-1.0,)
-        return {NOMINAL: NominalMessage(**stamp, values=values, controller="test")}
+        return {NOMINAL: NominalMessage(**stamp(state.tick, state.epoch), values=values, controller="test")}
 
     def begin_shutdown(self) -> None:
         self.ends += 1
@@ -109,7 +108,7 @@ def test_a_state_is_answered_on_the_thread_that_brought_it(state_at: Callable[..
             answers += process.nominal_actions.take(PATIENCE)
     nominal_actions = [item.message for item in answers if isinstance(item, ReceivedMessage)]
     assert [nominal.tick for nominal in nominal_actions] == list(range(20))
-    assert {nominal.values for nominal in nominal_actions if isinstance(nominal, NominalMessage)} == {(0.5,)}
+    assert {nominal.values for nominal in nominal_actions if isinstance(nominal, NominalMessage)} == {(0.1,)}
     assert threading.current_thread().name in process.nodes[0].threads
     assert process.nodes[1].ends == 1
 
@@ -158,8 +157,7 @@ def test_a_node_prepares_once_while_its_inputs_are_missing(state_at: Callable[..
     bus.publish(STATE, "r", state_at(3, lockstep=True))
     loop.turn(0.0)
     assert node.prepared == [3]
-    stamp = {"epoch": state_at(3).epoch, "tick": 3, "robot_time": 0.0, "publish_time": 0.0}
-    bus.publish(LATENT, "r", LatentMessage(**stamp, model="m", values=(0.5,), deviations=(0.1,)))
+    bus.publish(LATENT, "r", latent_of(3, state_at(3).epoch))
     loop.turn(0.0)
     assert node.prepared == [3]
 

@@ -93,14 +93,6 @@ def test_an_input_may_come_before_its_state(lockstep: Fleet) -> None:
     assert lockstep.nominal_ticks() == [("r", 1)]
 
 
-def test_in_real_time_it_steps_as_soon_as_its_inputs_are_there(real_time: Fleet) -> None:
-    real_time.state(0)
-    assert real_time.nominal_ticks() == []
-    real_time.latent(0)
-    assert real_time.nominal_ticks() == [("r", 0)]
-    assert isinstance(real_time.node.steps[0][2], LatentMessage)
-
-
 def test_in_real_time_a_missing_input_is_stale_when_the_share_is_over(real_time: Fleet) -> None:
     real_time.state(0)
     real_time.wait(0.0099)
@@ -161,13 +153,6 @@ def test_repetitions_do_not_push_the_deadline(real_time: Fleet) -> None:
         real_time.clock.now += 0.003
         real_time.state(0)
     assert real_time.nominal_ticks()[0] == ("r", 0)
-
-
-def test_an_input_of_a_later_tick_is_none_of_this_one(real_time: Fleet) -> None:
-    real_time.state(0)
-    real_time.latent(3)
-    real_time.wait(0.02)
-    assert real_time.node.steps == [("r", 0, Stale(LATENT, 0))]
 
 
 def test_late_and_foreign_inputs_change_nothing(real_time: Fleet) -> None:
@@ -247,17 +232,6 @@ def test_a_message_for_every_robot_is_refused(lockstep: Fleet) -> None:
     health = lockstep.health()
     assert set(health) == {"r"}
     assert (health["r"].tick, health["r"].refused) == (0, 2)
-
-
-def test_several_robots_are_served_side_by_side(lockstep: Fleet) -> None:
-    for robot in ("a", "b", "c"):
-        lockstep.state(4, robot)
-    lockstep.latent(4, "b")
-    assert lockstep.nominal_ticks() == [("b", 4)]
-    lockstep.latent(4, "a")
-    lockstep.latent(4, "c")
-    assert lockstep.nominal_ticks() == [("a", 4), ("c", 4)]
-    assert set(lockstep.health()) == {"a", "b", "c"}
 
 
 def test_an_error_about_one_robot_does_not_end_the_service_of_the_others(lockstep: Fleet) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from tests.bus.fleet import stamp
 
 from safedpa.bus import ModelMessage, ZenohSettings
 
@@ -13,17 +14,9 @@ def offer_of() -> Callable[..., ModelMessage]:
 
     def made(document: str, fingerprint: str = "0123456789ab", change: int = 1, margin: str = "") -> ModelMessage:
         return ModelMessage(
-            epoch=1,
-            tick=0,
-            robot_time=0.0,
-            publish_time=0.0,
-            step="offer",
-            change=change,
-            fingerprint=fingerprint,
-            replaces="",
-            document=document,
+            **stamp(epoch=1), step="offer", change=change, fingerprint=fingerprint, replaces="", document=document,
             margin=margin,
-        )
+        )  # fmt: skip
 
     return made
 

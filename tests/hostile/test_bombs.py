@@ -30,6 +30,7 @@ from safedpa.errors import InputError
 from safedpa.limits import check_archive
 from safedpa.networks import load_weights
 from safedpa.records import load_column_map, load_run
+from safedpa.records.readers.own_process import in_this_process
 from safedpa.robots.car.system import CAR
 from safedpa.safety.margins.calibration import margin_from_text
 from safedpa.ros.definitions import known_fields
@@ -63,7 +64,8 @@ def refuse(path):
     reference = count()
     at_first, began = memory("VmRSS"), time.process_time()
     try:
-        LOADERS[path.suffix](path)
+        with in_this_process():
+            LOADERS[path.suffix](path)
         refusal = ""
     except InputError as error:
         refusal = str(error)
