@@ -17,6 +17,7 @@ from safedpa.bus import Bus, MemoryBroker, MemoryTransport, ServiceLoop
 from safedpa.bus.messages.topics import TOPICS, key_of
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.records.readers.own_process import in_this_process
 from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.common.drives import shipped_nodes
 from safedpa_lab.experiments.hostile.targets import Target, messages, targets
@@ -174,7 +175,8 @@ def fuzz(
 def _try(target: Target, tally: Tally, data: bytes, out: Path | None) -> None:
     began, hole = time.process_time(), ""
     try:
-        target.read(data)
+        with in_this_process():
+            target.read(data)
     except InputError as error:
         tally.refused += 1
         if "\n" in str(error):

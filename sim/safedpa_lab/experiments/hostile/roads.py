@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from safedpa.errors import InputError
+from safedpa.records.readers.own_process import in_this_process
 from safedpa_lab.experiments.hostile.bombs import BOMBS, Bomb
 from safedpa_lab.experiments.record import ReportProgress, silent
 
@@ -289,7 +290,8 @@ def _child(work: Callable[[], int], folder: Path, notice: Path, reported: int) -
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
         before, began = _memory("VmRSS"), time.process_time()
         try:
-            code = work()
+            with in_this_process():  # what a reader takes is measured here
+                code = work()
         except SystemExit as error:
             code = error.code if isinstance(error.code, int) else 1
         except BaseException:  # noqa: BLE001  this is what is looked for
