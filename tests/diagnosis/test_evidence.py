@@ -11,13 +11,13 @@ import pytest
 
 from safedpa.diagnosis.coverage import coverage_of, within_coverage
 from safedpa.diagnosis.fit import data_checks
-from safedpa.diagnosis.fit import horizon as evidence
-from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, prepare_runs
-from safedpa.diagnosis.fit.horizon import (
+from safedpa.diagnosis.fit.data_checks import (
     HorizonData,
+    check_data_sufficiency,
     data_at_horizon,
     data_at_other_horizons,
     displayed_windows,
+    prepare_runs,
     recommended_recording,
     select_horizon,
 )
@@ -184,8 +184,8 @@ def simulating(monkeypatch: pytest.MonkeyPatch, ends: Callable[[Any, Any], Any],
         assert rows.tolist() == found.end.tolist()
         return np.array(scale)
 
-    monkeypatch.setattr(evidence, "simulate", simulate)
-    monkeypatch.setattr(evidence, "change_scale", change_scale)
+    monkeypatch.setattr(data_checks, "simulate", simulate)
+    monkeypatch.setattr(data_checks, "change_scale", change_scale)
     return seen
 
 
@@ -298,8 +298,8 @@ def test_runs_of_another_robot_or_too_short_for_any_window_are_refused(period, l
 
 @pytest.fixture
 def named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evidence, "shooting_of", lambda runs, seconds: ("to fit", runs, seconds))
-    monkeypatch.setattr(evidence, "heldout_of", lambda runs, seconds: ("to judge", runs, seconds))
+    monkeypatch.setattr(data_checks, "shooting_of", lambda runs, seconds: ("to fit", runs, seconds))
+    monkeypatch.setattr(data_checks, "heldout_of", lambda runs, seconds: ("to judge", runs, seconds))
 
 
 @pytest.mark.usefixtures("named")

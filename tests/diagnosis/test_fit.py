@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from safedpa.comparison.windows import windows_of
 from safedpa.diagnosis.detectable import standardized_gain
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.data_checks import data_at_horizon
 from safedpa.diagnosis.fit.kalman import LinearizedTrajectory, Noise, kalman_innovations
 from safedpa.diagnosis.fit.least_squares import Fit, fit, known_slopes, with_values
 from safedpa.diagnosis.fit.prediction_error_method import PredictionErrorFit, prediction_error_fit

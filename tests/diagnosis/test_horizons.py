@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.fit.horizon import select_horizon
+from safedpa.diagnosis.fit.data_checks import select_horizon
 from safedpa.diagnosis.identifiability.check import check_identifiability, check_lines
 from safedpa.diagnosis.identifiability.rehearsal import (
     measured_noise,

@@ -9,7 +9,7 @@ import pytest
 from safedpa.comparison.actuators import delayed_actions
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.fit.cross_validation import error_with, heldout_of
-from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.data_checks import data_at_horizon
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import shooting_of
 from safedpa.diagnosis.fit.trial import fit_trial

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.comparison.bins import angle_edges, merge_small_bins, round_edges
 from safedpa.comparison.comparison import compare_model, residuals
 from safedpa.comparison.excerpt import without_duplicates
 from safedpa.comparison.rollout import predict_run
@@ -22,7 +21,16 @@ from safedpa.comparison.summary import (
     where_sentence,
     worse_sentence,
 )
-from safedpa.comparison.where import cells, factors, window_errors, window_positions, window_squares
+from safedpa.comparison.where import (
+    angle_edges,
+    cells,
+    factors,
+    merge_small_bins,
+    round_edges,
+    window_errors,
+    window_positions,
+    window_squares,
+)
 from safedpa.comparison.windows import windows_of
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.effects import effect

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model, write_model
 from safedpa.effects import Varies, Where, conditioned, effect, effects_of
 from safedpa.effects.channel_effects import delayed, follow, settled
-from safedpa.effects.effects_with_law import may_have_law
-from safedpa.effects.law import law_of
+from safedpa.effects.law import law_of, may_have_law
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from safedpa.comparison.rollout_error import change_scale
 from safedpa.diagnosis.fit.cross_validation import HeldoutError, error_with
-from safedpa.diagnosis.fit.data_checks import prepare_runs
-from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
+from safedpa.diagnosis.fit.data_checks import data_at_horizon, displayed_windows, prepare_runs
 from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, fit_trial, trial_of, values_of, with_effect_at

@@ -20,11 +20,14 @@ from safedpa.diagnosis.experiment_design import choose_experiment
 from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.data_checks import (
     DataSufficiency,
+    HorizonData,
     check_data_sufficiency,
+    data_at_horizon,
+    data_at_other_horizons,
+    displayed_windows,
     finding_row,
     prepare_runs,
 )
-from safedpa.diagnosis.fit.horizon import HorizonData, data_at_horizon, data_at_other_horizons, displayed_windows
 from safedpa.diagnosis.fit.trial import values_of
 from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, FittedValue, Report, Unexplained, Verdict
 from safedpa.diagnosis.residuals.unmodelled import LibraryMatcher, alternative_formula, find_unexplained_structure

@@ -13,8 +13,7 @@ from functools import cached_property
 from safedpa.comparison.rollout_error import rollout_error
 from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, prepare_runs
-from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
+from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, displayed_windows, prepare_runs
 from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.trial import fit_trials, values_of
 from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, Unexplained

@@ -18,8 +18,7 @@ from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
 from safedpa.dynamics.user_files import load_user_files
 from safedpa.effects.effect import AbstractEffect
-from safedpa.effects.effects_with_law import conditioned, law_behind
-from safedpa.effects.law import Varies, Where, law_of
+from safedpa.effects.law import Varies, Where, conditioned, law_behind, law_of
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, ModelFileError

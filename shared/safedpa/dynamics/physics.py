@@ -31,7 +31,7 @@ from safedpa.dynamics.recorded_step import (
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings, check_values
 from safedpa.dynamics.tangent import ScalarTangent, batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
-from safedpa.effects.effects_with_law import plain
+from safedpa.effects.law import plain
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar

@@ -14,9 +14,8 @@ from safedpa.effects.effect import (
     SensorEffect,
     Stage,
 )
-from safedpa.effects.effects_with_law import Conditioned, conditioned
 from safedpa.effects.general import general_effects
-from safedpa.effects.law import Varies, Where
+from safedpa.effects.law import Conditioned, Varies, Where, conditioned
 from safedpa.effects.library import effect, effects_of, load_effects, robots
 from safedpa.effects.parameter import Parameter
 

@@ -9,17 +9,28 @@ at an instant is a function of the effect's parameters and of one variable v:
 w rises from 0 to 1 over the width ``edge`` at the border of the region, so that the model has slopes there, for fits
 and for the safety filter. v is the time since the start of the run, a state, an action, or the absolute value of one
 (``abs_speed``).
+
+An effect with a law keeps its name. An effect on rates is wrapped as it is. An effect on commands without memory (gain,
+offset, dead zone, limit) acts on the felt command, after every delay and lag, where state and time are known. Effects
+with memory and sensor effects cannot have a law: their memory, or the inverse of the measurement, would not be defined.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Protocol, final
+from typing import Any, ClassVar, Final, final
 
-from safedpa.effects.effect import AbstractEffect, Context, Named
+from safedpa.effects.effect import (
+    AbstractEffect,
+    CommandEffect,
+    Context,
+    FeltEffect,
+    Named,
+    RateEffect,
+    Stage,
+)
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError, did_you_mean
 from safedpa.operations import Scalar
@@ -36,37 +47,6 @@ _LONGEST: Final = 1e7
 """s; the longest run."""
 
 
-class Law(Protocol):
-    """How the parameters of an effect follow from its settings and its context."""
-
-    key: ClassVar[str]
-    """The key in model files."""
-
-    @property
-    def phrase(self) -> str:
-        """The law in model files and on the command line: ``x above``, ``gain with time``."""
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of the variables that it depends on."""
-
-    @abstractmethod
-    def check(self, item: AbstractEffect, system: System) -> None:
-        """Raises ModelFileError if the law does not fit the effect, or the system lacks the variable."""
-
-    @abstractmethod
-    def parameters(self, item: AbstractEffect, system: System) -> tuple[Parameter, ...]:
-        """Returns the law's own parameters."""
-
-    @abstractmethod
-    def numbers(self, item: AbstractEffect, own: Named, context: Context) -> Named:
-        """Returns the effect's parameters at an instant, by name."""
-
-    @abstractmethod
-    def sentence(self, values: Mapping[str, float], item: AbstractEffect, system: System) -> str:
-        """Returns when and where the effect acts, as text for reports."""
-
-
 @final
 @dataclass(frozen=True)
 class Where:
@@ -76,16 +56,20 @@ class Where:
     variable: str
     edge: float
     key: ClassVar[str] = "where"
+    """The key in model files."""
 
     @property
-    def phrase(self) -> str:  # noqa: D102
+    def phrase(self) -> str:
+        """The law in model files and on the command line: ``x above``, ``gain with time``."""
         return self.shape if self.shape in PLACES else f"{self.variable} {self.shape}"
 
     @property
-    def variables(self) -> tuple[str, ...]:  # noqa: D102
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables that it depends on."""
         return ("x", "y") if self.shape in PLACES else (self.variable,)
 
-    def check(self, item: AbstractEffect, system: System) -> None:  # noqa: D102
+    def check(self, item: AbstractEffect, system: System) -> None:
+        """Raises ModelFileError if the law does not fit the effect, or the system lacks the variable."""
         known = variables_of_law(system)
         for name in self.variables:
             if name not in known:
@@ -98,7 +82,8 @@ class Where:
         if all(parameter.neutral is None for parameter in item.parameters):
             raise ModelFileError(f"effect '{item.name}' has no number at which it does nothing; leave 'where' out")
 
-    def parameters(self, item: AbstractEffect, system: System) -> tuple[Parameter, ...]:  # noqa: D102
+    def parameters(self, item: AbstractEffect, system: System) -> tuple[Parameter, ...]:
+        """Returns the law's own parameters."""
         if self.shape == "circle":
             return (
                 Parameter("at_x", "m", -1e4, 1e4, 1.0),
@@ -115,7 +100,8 @@ class Where:
         known = variables_of_law(system)[self.variable]
         return tuple(_threshold(f"{self.variable}_{end}", known) for end in ends)
 
-    def numbers(self, item: AbstractEffect, own: Named, context: Context) -> Named:  # noqa: D102
+    def numbers(self, item: AbstractEffect, own: Named, context: Context) -> Named:
+        """Returns the effect's parameters at an instant, by name."""
         inside, found = self.inside(own, context), dict(own)
         for parameter in item.parameters:
             at = parameter.neutral
@@ -146,7 +132,8 @@ class Where:
         # the nearer end counts
         return operations.minimum(value - own[f"{self.variable}_from"], own[f"{self.variable}_to"] - value)
 
-    def sentence(self, values: Mapping[str, float], item: AbstractEffect, system: System) -> str:  # noqa: D102
+    def sentence(self, values: Mapping[str, float], item: AbstractEffect, system: System) -> str:
+        """Returns when and where the effect acts, as text for reports."""
         if self.shape == "circle":
             x, y, radius = (values[name] for name in ("at_x", "at_y", "radius"))
             return f"inside the circle of {radius:.2f} m about x = {x:.2f}, y = {y:.2f} m"
@@ -170,7 +157,10 @@ class Where:
 @final
 @dataclass(frozen=True)
 class Varies:
-    """One parameter of the effect changes linearly with a variable; its setting is the value at 0."""
+    """One parameter of the effect changes linearly with a variable; its setting is the value at 0.
+
+    Its members are those of ``Where``.
+    """
 
     parameter: str
     variable: str
@@ -226,7 +216,93 @@ class Varies:
         return next(parameter for parameter in item.parameters if parameter.name == self.parameter)
 
 
-def law_of(key: str, phrase: str, edge: float | None, owner: str) -> Where | Varies:
+Law = Where | Varies
+
+
+class Conditioned(AbstractEffect):
+    """Base of both kinds; two are equal if their effects, laws and systems are."""
+
+    inner: AbstractEffect
+    law: Law
+
+    def __init__(self, inner: AbstractEffect, law: Law, system: System) -> None:
+        law.check(inner, system)
+        # class attributes of an effect, here of the instance: what reads effects need not know of laws
+        self.inner, self.law, self.known = inner, law, system
+        self.name: str = inner.name  # type: ignore[misc]
+        self.robot: str = inner.robot  # type: ignore[misc]
+        self.stage: Stage = inner.stage  # type: ignore[misc]
+        self.equation: str = f"{inner.equation}; {law.key} {law.phrase}"  # type: ignore[misc]
+        self.parameters = (*inner.parameters, *law.parameters(inner, system))  # type: ignore[misc]
+        self.signature: str = inner.signature  # type: ignore[misc]
+        self.source: str = inner.source  # type: ignore[misc]
+        self.timed: bool = inner.timed or TIME in law.variables  # type: ignore[misc]
+        self.needs = inner.needs  # type: ignore[misc]
+        self.mirrored = inner.mirrored  # type: ignore[misc]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Conditioned) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return type(self), type(self.inner), self.inner.name, self.law, self.known
+
+
+@final
+class ConditionedRate(Conditioned, RateEffect):
+    """A law on an effect on rates."""
+
+    inner: RateEffect
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        return self.inner.modify(rates, self.law.numbers(self.inner, parameters, context), context)
+
+
+@final
+class ConditionedCommand(Conditioned, FeltEffect):
+    """A law on an effect on commands without memory."""
+
+    inner: CommandEffect
+
+    def feel(self, parameters: Named, context: Context) -> Named:  # noqa: D102
+        own = self.law.numbers(self.inner, parameters, context)
+        # None: may_have_law() admits no command effect with memory
+        return self.inner.transform(context.action, None, own, context.period, context.operations)[0]
+
+
+def may_have_law(item: AbstractEffect, system: System) -> bool:
+    """Returns whether an effect acts on rates, or on commands without memory."""
+    if isinstance(item, CommandEffect):
+        return item.initial_memory(dict.fromkeys(system.action_names, 0.0)) is None
+    return isinstance(item, RateEffect) and not isinstance(item, Conditioned)
+
+
+def conditioned(item: AbstractEffect, law: Law, system: System) -> ConditionedRate | ConditionedCommand:
+    """Returns the effect with a law. Raises ModelFileError if effect, law and system do not fit."""
+    if not may_have_law(item, system):
+        raise ModelFileError(
+            f"effect '{item.name}': got '{law.key}', but what remembers commands or changes the sensor cannot depend "
+            "on where and when; leave it out"
+        )
+    if isinstance(item, CommandEffect):
+        return ConditionedCommand(item, law, system)
+    assert isinstance(item, RateEffect)
+    return ConditionedRate(item, law, system)
+
+
+def plain(item: AbstractEffect) -> AbstractEffect:
+    """Returns the effect without its law."""
+    return item.inner if isinstance(item, Conditioned) else item
+
+
+def law_behind(item: AbstractEffect) -> Law | None:
+    """Returns the law of an effect, or None."""
+    return item.law if isinstance(item, Conditioned) else None
+
+
+def law_of(key: str, phrase: str, edge: float | None, owner: str) -> Law:
     """Returns the law that a model file or the command line names. Raises ModelFileError with what is wanted."""
     parts = phrase.split() if isinstance(phrase, str) else []
     if key == Varies.key:

@@ -161,8 +161,7 @@ def corrected_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Set
 def corrected_error(task: CorrectionTask) -> tuple[str, float]:
     """Returns the robot's name and its held-out error with the corrected model; NaN if its data cannot be read."""
     from safedpa.diagnosis.fit.cross_validation import error_with
-    from safedpa.diagnosis.fit.data_checks import prepare_runs
-    from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
+    from safedpa.diagnosis.fit.data_checks import data_at_horizon, displayed_windows, prepare_runs
     from safedpa.diagnosis.search.initial_model import initial_search
     from safedpa.dynamics import load_model
 

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import BoolArray, FloatArray
-from safedpa.comparison.bins import angle_edges, round_edges
 from safedpa.comparison.comparison import Comparison
 from safedpa.comparison.rollout_error import scaled_error, trimmed_rms
-from safedpa.comparison.where import POSITION
+from safedpa.comparison.where import POSITION, angle_edges, round_edges
 from safedpa.comparison.windows import Windows
 
 _MIN_WINDOWS = 3

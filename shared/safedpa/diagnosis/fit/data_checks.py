@@ -1,18 +1,133 @@
-"""Checks whether recordings allow a verdict about physics, and prepares the runs that the diagnosis uses."""
+"""Checks whether recordings allow a verdict about physics, and prepares what the diagnosis uses of them.
+
+The horizon is the number of seconds over which predictions are compared with data to decide what a model lacks. The
+data determine it, not the user. In a long window an effect grows above the noise. In a window that is too long the
+error of the start dominates (a pendulum near upright), or too few independent windows remain. So the longest of a fixed
+series of horizons is taken in which errors of the start stay small and of which the recordings hold enough windows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from safedpa.comparison.excerpt import subsample_runs, without_duplicates
-from safedpa.diagnosis.fit.horizon import FEWEST_SECONDS, FEWEST_WINDOWS, recommended_recording, select_horizon
-from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.comparison.rollout import check_system
+from safedpa.comparison.rollout_error import change_scale
+from safedpa.comparison.windows import check_runs, windows_of
+from safedpa.diagnosis.fit.cross_validation import Heldout, heldout_of
+from safedpa.diagnosis.fit.multiple_shooting import Shooting, shooting_of, simulate
 from safedpa.dynamics import PhysicsModel
+from safedpa.errors import RunError
 from safedpa.records.run import Finding, Run
+
+LONGEST = 1.0
+"""Longest horizon [s], unless 20 rows last longer."""
+# At low rates a second holds too few rows to separate a rate from noise.
+_LONGEST_ROWS = 20
+# Each horizon is about 0.7 of the one before: close enough that no usable length is missed by much.
+_SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12)
+# The start takes one unknown per state, so fewer rows leave nothing to fit a parameter to.
+_MIN_ROWS = 6
+# Twice FEWEST_WINDOWS: a shorter horizon is preferred to a verdict from few independent windows.
+_ENOUGH_WINDOWS = 20
+FEWEST_WINDOWS = 10
+FEWEST_SECONDS = 5.0
+"""Below either of these no effect is judged."""
+# Bound on the growth of an error of the start, in units of each state's usual change. A pendulum near upright grows by
+# exp(4.4 t), which gives 0.4 s.
+_MAX_GROWTH = 8.0
+# A 90 % quantile over 120 windows is precise enough to choose between horizons.
+_SAMPLED_WINDOWS = 120
+# Large enough for differences in double precision, small enough to stay linear.
+_DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class HorizonData:
+    """The same recordings at one horizon: windows for the fit and windows for the held-out error."""
+
+    seconds: float
+    shooting: Shooting
+    heldout: Heldout
+
+
+def data_at_horizon(runs: Sequence[Run], seconds: float) -> HorizonData:
+    """Returns windows of ``seconds``; raises InputError and RunError as ``windows_of`` does."""
+    return HorizonData(seconds, shooting_of(runs, seconds), heldout_of(runs, seconds))
+
+
+def data_at_other_horizons(runs: Sequence[Run], seconds: float) -> Iterator[HorizonData]:
+    """Yields the recordings at 0.5, 0.2 and 2 times the horizon, as far as they hold enough windows of it."""
+    period = float(np.median([run.period for run in runs]))
+    for share in (0.5, 0.2, 2.0):
+        if share * seconds >= _MIN_ROWS * period and _count(runs, share * seconds) >= FEWEST_WINDOWS:
+            yield data_at_horizon(runs, share * seconds)
+
+
+def select_horizon(model: PhysicsModel, runs: Sequence[Run]) -> float:
+    """Returns the horizon [s] on which the search decides for these runs, whatever horizon is displayed.
+
+    If no horizon of the series has enough windows, the shortest is returned, which has most. Raises InputError for a
+    model of another robot, RunError for unusable runs.
+    """
+    check_runs(runs)
+    check_system(model.system, runs[0].system, runs[0].name)
+    period = float(np.median([run.period for run in runs]))
+    longest = max(LONGEST, _LONGEST_ROWS * period)
+    horizons = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _MIN_ROWS * period]
+    if not _count(runs, horizons[-1]):
+        raise RunError(_too_short_message(runs, horizons[-1]))
+    enough = [seconds for seconds in horizons[:-1] if _count(runs, seconds) >= _ENOUGH_WINDOWS]
+    # The shortest horizon needs no growth check: there is nothing to fall back to.
+    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _MAX_GROWTH), horizons[-1])
+
+
+def _too_short_message(runs: Sequence[Run], seconds: float) -> str:
+    lasts = max(float(t[-1] - t[0]) for run in runs for t, _, _ in run.parts() if len(t))
+    return (
+        f"{runs[0].name}: the longest stretch without a gap lasts {lasts:.4g} s, and effects are judged over "
+        f"{seconds:g} s at least; record {recommended_recording(seconds)}"
+    )
+
+
+def recommended_recording(seconds: float) -> str:
+    """Returns a text that says how long to record for windows of ``seconds``: the minimum, and a better value."""
+    least = max(FEWEST_SECONDS, FEWEST_WINDOWS * seconds)
+    return f"{least:.3g} s, better " + ("a minute" if least <= 30.0 else f"{2.0 * least:.3g} s")
+
+
+def displayed_windows(runs: Sequence[Run], horizon: float, evidence: HorizonData) -> Heldout:
+    """Returns windows of the displayed horizon; those of ``evidence`` if it is the same."""
+    same = abs(horizon - evidence.seconds) < 1e-9
+    return evidence.heldout if same else heldout_of(runs, horizon)
+
+
+def _count(runs: Sequence[Run], seconds: float) -> int:
+    """Returns how many windows of ``seconds`` fit one after the other without overlap."""
+    return int(sum((t[-1] - t[0] + 0.5 * run.period) // seconds for run in runs for t, _, _ in run.parts() if len(t)))
+
+
+def _growth(model: PhysicsModel, runs: Sequence[Run], seconds: float) -> float:
+    """Returns the 90 % quantile of the growth of an error of the start, with states in units of their usual change."""
+    every = windows_of(runs, seconds, every=seconds)
+    windows = every.select(np.unique(np.linspace(0, len(every) - 1, _SAMPLED_WINDOWS).astype(np.int64)))
+    scale = np.maximum(change_scale(every, every.end), 1e-9)
+    starts = windows.states[windows.start]
+    size = starts.shape[1]
+    shifted = np.stack([starts, *(starts + _DIFFERENCE * scale * np.eye(size)[index] for index in range(size))])
+    rows = np.array([0, int(windows.steps.min())])
+    with np.errstate(all="ignore"):
+        # Predictions may overflow where the model is unstable; those windows count as growing without bound below.
+        ends = simulate([model] * (size + 1), windows, rows, shifted)[:, 1]
+        columns = (ends[..., 1:] - ends[..., :1]) / (_DIFFERENCE * scale[:, None])
+    finite = np.where(np.isfinite(columns), np.clip(columns, -1e6, 1e6), 1e6)
+    # The spectral norm is the growth of the worst direction of the start's error.
+    return float(np.quantile(np.linalg.norm(finite, ord=2, axis=(-2, -1)), 0.9))
+
 
 MOST_ROWS = 40_000
 """Rows used at most; longer recordings are thinned to evenly spread pieces."""

@@ -8,8 +8,7 @@ from typing import Any
 
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.diagnose import library_for
-from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, prepare_runs
-from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, prepare_runs
 from safedpa.diagnosis.report_schema import Detectable
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.dynamics import PhysicsModel

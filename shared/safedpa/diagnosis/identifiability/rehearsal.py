@@ -15,8 +15,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.detectable import changed_values
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.fit.data_checks import MOST_ROWS, prepare_runs
-from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.data_checks import MOST_ROWS, data_at_horizon, prepare_runs
 from safedpa.diagnosis.fit.trial import with_effect_at
 from safedpa.diagnosis.identifiability.check import IdentifiabilityCheck, check_identifiability
 from safedpa.diagnosis.report_schema import Detectable

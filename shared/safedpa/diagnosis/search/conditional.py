@@ -30,7 +30,7 @@ from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, know
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
-from safedpa.effects.effects_with_law import may_have_law, plain
+from safedpa.effects.law import may_have_law, plain
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
 

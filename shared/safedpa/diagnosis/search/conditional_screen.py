@@ -24,8 +24,7 @@ from safedpa.diagnosis.fit.trial import EffectTrial, fit_trial, standardized_gai
 from safedpa.diagnosis.search.regions import CircularRegion, StripRegion, share_one_area
 from safedpa.diagnosis.search.search_state import SearchState, given_effect_names
 from safedpa.effects import AbstractEffect, Varies, Where
-from safedpa.effects.effects_with_law import may_have_law
-from safedpa.effects.law import ABS, TIME, variables_of_law
+from safedpa.effects.law import ABS, TIME, may_have_law, variables_of_law
 
 # Quantiles of a variable at which a one-sided condition may begin: equal shares of the data, so that every candidate
 # has rows on both sides. A fit moves the border afterwards.

@@ -29,7 +29,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.horizon import HorizonData
+from safedpa.diagnosis.fit.data_checks import HorizonData
 from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import (

@@ -293,8 +293,7 @@ def _over_length(folder: Path, effort: Effort) -> Curve:
 def _over_effects(log: Any, effort: Effort) -> Curve:
     """Seconds of our search over the number of candidates in the library."""
     from safedpa.diagnosis.diagnose import library_for
-    from safedpa.diagnosis.fit.data_checks import prepare_runs
-    from safedpa.diagnosis.fit.horizon import data_at_horizon
+    from safedpa.diagnosis.fit.data_checks import data_at_horizon, prepare_runs
     from safedpa.diagnosis.search.forward_selection import run_search
     from safedpa.dynamics import load_model
     from safedpa.records import load_run
