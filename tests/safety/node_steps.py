@@ -2,7 +2,18 @@
 
 from typing import Any
 
-from safedpa.bus import LATENT, NOMINAL, VERDICT, LatentMessage, NominalMessage, Stale, StateMessage, VerdictMessage
+from safedpa.bus import (
+    LATENT,
+    NOMINAL,
+    SURROUNDINGS,
+    VERDICT,
+    LatentMessage,
+    NominalMessage,
+    Stale,
+    StateMessage,
+    SurroundingsMessage,
+    VerdictMessage,
+)
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.runtime.node import SafetyFilterNode
@@ -32,9 +43,24 @@ def latent_at(state: StateMessage, model: PhysicsModel = CAR) -> LatentMessage:
     return LatentMessage(**stamp(state), model=fingerprint(model), values=values, deviations=values)
 
 
-def asked(node: SafetyFilterNode, state: StateMessage, latent: Any, nominal: tuple[float, ...] = (1.0, 0.0)):
-    inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp(state), values=nominal, controller="test")}
+def surroundings(state: StateMessage, **known: Any) -> SurroundingsMessage:
+    """What perception says: nothing is near, but what is ``known``."""
+    return SurroundingsMessage(**stamp(state), **{"points": (), "movers": (), "hidden": (), "ages": (0.05,), **known})
+
+
+def answer_to(node: SafetyFilterNode, state: StateMessage, inputs: dict[Any, Any]) -> VerdictMessage:
     node.step("r", state, inputs)
     verdict = node.afterwards("r")[VERDICT]
     assert isinstance(verdict, VerdictMessage)
     return verdict
+
+
+def asked(
+    node: SafetyFilterNode,
+    state: StateMessage,
+    latent: LatentMessage | Stale,
+    nominal: tuple[float, ...] = (1.0, 0.0),
+    seen: SurroundingsMessage | Stale | None = None,
+) -> VerdictMessage:
+    inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp(state), values=nominal, controller="test")}
+    return answer_to(node, state, inputs if seen is None else {**inputs, SURROUNDINGS: seen})

@@ -7,19 +7,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, asked, latent_at, stamp, state_at
+from tests.safety.node_steps import (
+    ABSENT,
+    CAR,
+    LATE,
+    SETTINGS,
+    answer_to,
+    asked,
+    latent_at,
+    stamp,
+    state_at,
+    surroundings,
+)
 
 from safedpa.bus import (
     ACTION,
     LATENT,
     NOMINAL,
-    SURROUNDINGS,
     VERDICT,
     NominalMessage,
     Request,
     Stale,
     StateMessage,
-    SurroundingsMessage,
     VerdictMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
@@ -261,13 +270,6 @@ MOVER = (0.75, 0.0, 0.25, 0.0, 0.0, 1.5)
 """Half a metre ahead of the car, and it may come at 1.5 m/s."""
 
 
-def answer_to(node: SafetyFilterNode, state: StateMessage, inputs: dict[Any, Any]) -> VerdictMessage:
-    node.step("r", state, inputs)
-    verdict = node.afterwards("r")[VERDICT]
-    assert isinstance(verdict, VerdictMessage)
-    return verdict
-
-
 def pendulum_asked(nominal: Any) -> VerdictMessage:
     corridor: dict[str, Any] = {"corridor": (-1.0, 1.0), "obstacles": (), "field": (), "footprint": ()}
     state = state_at(0, (0.0, 0.0), applied=(0.0,), period=PENDULUM.period, **corridor)
@@ -328,13 +330,7 @@ def sensing(**changed: Any) -> StateMessage:
 
 
 def sees(node: SafetyFilterNode, state: StateMessage, *, latent: bool = True, **seen: Any) -> VerdictMessage:
-    around = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
-    inputs = {
-        LATENT: latent_at(state) if latent else ABSENT,
-        NOMINAL: NominalMessage(**stamp(state), values=(0.2, 0.0), controller="test"),
-        SURROUNDINGS: SurroundingsMessage(**stamp(state), **around),
-    }
-    return answer_to(node, state, inputs)
+    return asked(node, state, latent_at(state) if latent else ABSENT, (0.2, 0.0), surroundings(state, **seen))
 
 
 def ring(count: int) -> tuple[tuple[float, ...], ...]:

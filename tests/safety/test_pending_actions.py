@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import CAR, LATE, SETTINGS, asked, latent_at, state_at
+from tests.safety.node_steps import CAR, LATE, SETTINGS, asked, latent_at, state_at, surroundings
 
 from safedpa.bus import SurroundingsMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, load_model
@@ -253,19 +253,12 @@ def test_the_filter_predicts_from_where_the_action_of_an_old_state_acts(age: flo
     assert old.turn((2.0, 0.0)).h_next < new.turn((2.0, 0.0)).h_next - 0.5 * age
 
 
-STAMP = {"epoch": 1, "tick": 3, "robot_time": 0.15, "publish_time": 0.2}
 POINTS = ((1.0, 2.0, 0.05), (3.0, -1.0, 0.4))
 
 
 def seen(movers: tuple[tuple[float, ...], ...], hidden: tuple[tuple[float, ...], ...]) -> SurroundingsMessage:
-    return SurroundingsMessage(
-        **STAMP,  # type: ignore[arg-type]
-        points=POINTS,
-        movers=movers,
-        hidden=hidden,
-        ages=(0.05, 0.1),
-        problems=("one source is late",),
-    )
+    known = {"movers": movers, "hidden": hidden, "problems": ("one source is late",)}
+    return surroundings(state_at(3), points=POINTS, ages=(0.05, 0.1), **known)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.safety.node_steps import asked, latent_at
 
-from safedpa.bus import ACTION, LATENT, NOMINAL, SURROUNDINGS, LatentMessage, NominalMessage, Stale, StateMessage
-from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, fingerprint, load_model
+from safedpa.bus import ACTION, SURROUNDINGS, Stale, StateMessage
+from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers.obstacles import braking_of
@@ -130,12 +131,8 @@ def rolled(broken, ticks: int = 60) -> float:
     for tick in range(ticks):
         state = replace(reported(tuple(true.tolist()), tick), obstacles=())
         state, values = (state, tuple(model.latent.tolist())) if tick == 0 else broken(state, tuple(model.latent))
-        stamp = {"epoch": 1, "tick": tick, "robot_time": state.robot_time, "publish_time": 0.0}
-        latent = LatentMessage(**stamp, model=fingerprint(model), values=values, deviations=(0.1,) * len(model.latent))
-        nominal = NominalMessage(**stamp, values=(0.2, 0.0), controller="t")
-        seen = Stale(SURROUNDINGS, 1)
-        action = node.step("r", state, {LATENT: latent, NOMINAL: nominal, SURROUNDINGS: seen})[ACTION].values
-        node.afterwards("r")
+        latent = replace(latent_at(state, model), values=values)
+        action = asked(node, state, latent, (0.2, 0.0), Stale(SURROUNDINGS, 1)).action
         true = np.asarray(model.step(true, np.array(action), model.latent))
     return float(true[3])
 

@@ -7,10 +7,12 @@ from math import pi
 
 import numpy as np
 import pytest
+from tests.safety import node_steps
+from tests.safety.node_steps import latent_at, surroundings
 
-from safedpa.bus import LATENT, NOMINAL, SURROUNDINGS, VERDICT, ScanMessage, StateMessage, SurroundingsMessage
-from safedpa.bus.messages.messages import ActionMessage, LatentMessage, NominalMessage, VerdictMessage
-from safedpa.dynamics import PhysicsModel, fingerprint, load_model
+from safedpa.bus import SURROUNDINGS, ScanMessage, StateMessage, SurroundingsMessage
+from safedpa.bus.messages.messages import ActionMessage
+from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.dynamics.model_file import parse_model, write_model
 from safedpa.perception import PerceptionNode
 from safedpa.perception.occlusion import OcclusionMap
@@ -32,25 +34,8 @@ def car(latency: float = 0.05) -> CarRobot:
     return CarRobot(PILLAR, sensor_inputs=SimulatedSensors((Laser(LaserSettings(latency=latency), 1),)))
 
 
-def stamp(state: StateMessage) -> dict[str, object]:
-    return {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
-
-
 def asked(node: SafetyFilterNode, state: StateMessage, seen: SurroundingsMessage, model: PhysicsModel = MODEL):
-    known, stamped = model.latent, stamp(state)
-    latent = LatentMessage(  # type: ignore[arg-type]
-        **stamped, model=fingerprint(model), values=tuple(known.tolist()), deviations=(0.1,) * len(known)
-    )
-    nominal = NominalMessage(**stamped, values=(1.0, 0.0), controller="t")  # type: ignore[arg-type]
-    node.step("r", state, {LATENT: latent, NOMINAL: nominal, SURROUNDINGS: seen})
-    verdict = node.afterwards("r")[VERDICT]
-    assert isinstance(verdict, VerdictMessage)
-    return verdict
-
-
-def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
-    empty: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,)}
-    return SurroundingsMessage(**stamp(state), **{**empty, **known})  # type: ignore[arg-type]
+    return node_steps.asked(node, state, latent_at(state, model), seen=seen)
 
 
 def seen_by(node: PerceptionNode, robot: CarRobot) -> tuple[StateMessage, SurroundingsMessage]:

@@ -5,6 +5,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
+from tests.safety.node_steps import surroundings
 
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
@@ -52,10 +53,7 @@ def state_of(values: tuple[float, ...]) -> StateMessage:
 
 
 def seen_by(state: StateMessage, points: Rows = (), movers: Rows = (), hidden: Rows = ()) -> SurroundingsMessage:
-    return SurroundingsMessage(
-        epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=0.0, points=points,
-        movers=movers, hidden=hidden, ages=(0.0,),
-    )  # fmt: skip
+    return surroundings(state, points=points, movers=movers, hidden=hidden)
 
 
 def scene(draw: np.random.Generator, count: int) -> tuple[StateMessage, SurroundingsMessage]:

@@ -6,9 +6,10 @@ from math import hypot
 
 import numpy as np
 import pytest
+from tests.safety.node_steps import asked, latent_at, surroundings
 
-from safedpa.bus import LATENT, NOMINAL, SURROUNDINGS, VERDICT, Stale, StateMessage, SurroundingsMessage
-from safedpa.bus.messages.messages import LatentMessage, NominalMessage, VerdictMessage
+from safedpa.bus import SURROUNDINGS, Stale, StateMessage, SurroundingsMessage
+from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.operations import FLOATS
 from safedpa.perception import PerceptionNode
@@ -189,12 +190,6 @@ def test_no_slope_exceeds_the_bound_however_the_car_brakes(against: float, decel
         assert (np.abs(stack.grad_h(state)) <= bound + 1e-9).all()
 
 
-def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
-    empty: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,)}
-    stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
-    return SurroundingsMessage(**stamp, **{**empty, **known})  # type: ignore[arg-type]
-
-
 def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, nominal: float = 1.0) -> VerdictMessage:
     """One tick of the real node at the origin, driving east."""
     robot = CarRobot(
@@ -202,18 +197,8 @@ def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, nomina
         sensor_inputs=SimulatedSensors((Laser(LaserSettings()),)),
     )
     state = replace(robot.state_message(), values=(0.0, 0.0, 0.0, speed))
-    stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
-    own = fingerprint(MODEL)
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
-    latent = LatentMessage(
-        **stamp, model=own, values=tuple(MODEL.latent.tolist()), deviations=(0.1,) * len(MODEL.latent)
-    )
-    nominal_speed = NominalMessage(**stamp, values=(nominal, 0.0), controller="test")
-    inputs = {LATENT: latent, NOMINAL: nominal_speed, SURROUNDINGS: seen or surroundings(state)}
-    node.step("r", state, inputs)
-    verdict = node.afterwards("r")[VERDICT]
-    assert isinstance(verdict, VerdictMessage)
-    return verdict
+    return asked(node, state, latent_at(state), (nominal, 0.0), seen or surroundings(state))
 
 
 def state_of() -> StateMessage:

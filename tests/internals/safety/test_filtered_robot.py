@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.internals.safety.robot_memory import driven, reported, verdict_of
-from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, stamp, state_at
+from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, state_at, surroundings
 
-from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
+from safedpa.bus import LATENT, StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.recorded_step import rollout_held_action
 from safedpa.errors import InputError
@@ -20,10 +20,6 @@ from safedpa.safety.margins.online import OnlineMarginMonitor
 from safedpa.safety.prediction.command_history import CommandHistory
 from safedpa.safety.prediction.delay_estimator import DelayEstimator
 from safedpa.safety.prediction.predictor import Prediction
-
-
-def seen(state: StateMessage, **known: Any) -> SurroundingsMessage:
-    return SurroundingsMessage(**stamp(state), **{"points": (), "movers": (), "hidden": (), "ages": (0.05,), **known})
 
 
 def kept_calls(monkeypatch: pytest.MonkeyPatch, where: type, name: str, answer: Any = None) -> list[Any]:
@@ -129,7 +125,7 @@ def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(monkeyp
 
     memory.margin, memory.scene.around = SimpleNamespace(epsilon=before), around  # type: ignore[assignment,method-assign]
     monkeypatch.setattr(RobotSession, "watch_margin", widened)
-    memory.observe_surroundings(state, seen(state))
+    memory.observe_surroundings(state, surroundings(state))
     assert asked_for == ([before, now] if again else [before])
     assert memory.barriers == f"scene {len(asked_for)}"
 
