@@ -196,26 +196,6 @@ def test_a_name_that_another_robot_uses_is_refused():
     claim_name(newcomer, "r2")
 
 
-def test_the_first_of_two_robots_that_start_at_once_keeps_the_name(monkeypatch):
-    broker, now = MemoryBroker(), [0.0]
-    second = Bus(MemoryTransport(broker), "test")
-
-    class First(Bus):
-        def announce(self, robot: str, service: str, instance: str) -> None:
-            super().announce(robot, service, instance)
-            second.announce(robot, service, "b")
-
-    def sleep(seconds: float) -> None:
-        now[0] += seconds
-        if now[0] > 3.0:
-            second.close()
-
-    monkeypatch.setattr("safedpa.bus.transport.bus.time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
-    first = First(MemoryTransport(broker), "test")
-    first.claim("r1", "robot", "a")
-    assert first.instances("r1", "robot") == ["a"]
-
-
 def test_an_unannounced_robot_is_detected_by_its_states():
     broker = MemoryBroker()
     speaker, newcomer = Bus(MemoryTransport(broker), "test"), Bus(MemoryTransport(broker), "test")
