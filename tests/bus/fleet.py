@@ -50,6 +50,20 @@ class Clock:
         return self.now
 
 
+class Heard:
+    """What a subscription delivered."""
+
+    def __init__(self) -> None:
+        self.samples: list[tuple[str, bytes]] = []
+
+    def __call__(self, key: str, payload: bytes) -> None:
+        self.samples.append((key, payload))
+
+    @property
+    def payloads(self) -> list[bytes]:
+        return [payload for _, payload in self.samples]
+
+
 class FixedPolicy(AbstractNode):
     """Its action names the tick; it records the calls that it gets."""
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
+from tests.bus.fleet import Heard
 
 from safedpa.bus import (
     LATENT,
@@ -23,14 +24,6 @@ from safedpa.bus.transport.memory import JointTransport
 from safedpa.errors import BusError
 
 INSIDE = frozenset(["latent"])
-
-
-class Heard:
-    def __init__(self) -> None:
-        self.samples: list[tuple[str, bytes]] = []
-
-    def __call__(self, key: str, payload: bytes) -> None:
-        self.samples.append((key, payload))
 
 
 def test_messages_between_services_are_heard_inside_once_and_outside() -> None:

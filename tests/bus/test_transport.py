@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from tests.bus.fleet import Heard
 from tests.waiting import until
 
 from safedpa.bus import (
@@ -31,20 +32,6 @@ from safedpa.bus.transport.zenoh import close_session
 from safedpa.errors import BusError, InputError, MessageError
 
 PATIENCE = 30.0
-
-
-class Heard:
-    """What a subscription delivered."""
-
-    def __init__(self) -> None:
-        self.samples: list[tuple[str, bytes]] = []
-
-    def __call__(self, key: str, payload: bytes) -> None:
-        self.samples.append((key, payload))
-
-    @property
-    def payloads(self) -> list[bytes]:
-        return [payload for _, payload in self.samples]
 
 
 class TransportContract(ABC):

@@ -1,6 +1,7 @@
 """What the router reads out of Zenoh's log: lines as Zenoh 1.10.2 writes them."""
 
 import json
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -134,79 +135,72 @@ def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
     assert refusals.total == sum(line == END.format("1") for line in lines)
 
 
+class Members:
+    """Sessions and the names that they show, looked at for copies; ``cut`` has those that were cut off."""
+
+    def __init__(self) -> None:
+        self.there, self.cut = list[tuple[str, str]](), list[set[str]]()
+        self.twins = DuplicateCertificates(lambda: self.there, self.cut_off)
+
+    def cut_off(self, sessions: set[str]) -> int:
+        self.cut.append(sessions)
+        return len(sessions)
+
+    def looked_at(self, times: int, *there: tuple[str, str]) -> list[str]:
+        """What the last look finds, while they are there."""
+        self.there = list(there)
+        return [self.twins.look() for _ in range(times)][-1]
+
+
+A, B, COPY = ("a", "policy"), ("b", "policy"), ("copy", "policy")
+
+
 def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys: pytest.CaptureFixture[str]) -> None:
-    members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
-    cut: list[set[str]] = []
-    twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
-    assert not any(twins.look() for _ in range(9))
-    members.append(("c", "robot.r1"))
-    assert not any(twins.look() for _ in range(3)), "a process that was just restarted"
-    assert cut == []
-    assert twins.look() == ["robot.r1"]
-    assert cut == [{"c"}], "the one that was there first stays"
+    members, others = Members(), (A, ("b", "robot.r1"))
+    assert not members.looked_at(9, *others)
+    assert not members.looked_at(3, *others, ("c", "robot.r1")), "a process that was just restarted"
+    assert members.cut == []
+    assert members.twins.look() == ["robot.r1"]
+    assert members.cut == [{"c"}], "the one that was there first stays"
     (event,) = events(capsys)
     assert (event["kind"], event["service"]) == ("bus.duplicate_certificate", "robot.r1")
-    members.pop()
-    assert twins.look() == []
+    assert members.looked_at(1, *others) == []
 
 
-def test_of_two_that_were_there_together_neither_is_cut_off() -> None:
-    """The router began again: no one knows which is the copy."""
-    twins = DuplicateCertificates(
-        lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off")
-    )
-    assert [twins.look() for _ in range(5)][-1] == ["policy"]
-
-
-def test_of_two_that_come_while_the_router_begins_neither_is_cut_off() -> None:
+@pytest.mark.parametrize(
+    "story",
+    [
+        [(5, [A, B])],
+        [(1, []), (1, [A]), (6, [A, B])],
+        [(10, [A, B]), (1, []), (1, [A]), (1, [A, B]), (4, [A, B])],
+    ],
+    ids=["the router begins again", "they come while it begins", "it stood still"],
+)
+def test_of_two_of_which_no_one_knows_who_is_the_copy_neither_is_cut_off(story: list[tuple[int, list[Any]]]) -> None:
     """Both knock again and again while there is no router; which of them is heard first says nothing."""
-    members: list[tuple[str, str]] = []
-    twins = DuplicateCertificates(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
-    twins.look()
-    members.append(("a", "policy"))
-    twins.look()
-    members.append(("b", "policy"))
-    assert [twins.look() for _ in range(6)][-1] == ["policy"]
+    members = Members()
+    assert [members.looked_at(times, *there) for times, there in story][-1] == ["policy"]
+    assert members.cut == []
 
 
 def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
     """A router that hung loses all links at once; they come back in any order, and the copy may be faster."""
-    members = [("a", "policy")]
-    cut: list[set[str]] = []
-    twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
-    for _ in range(10):
-        twins.look()
-    members[:] = [("copy", "policy")]
-    twins.look()
-    members[:] = [("copy", "policy"), ("a", "policy")]
-    assert [twins.look() for _ in range(4)][-1] == ["policy"]
-    assert cut == [{"copy"}]
-
-
-def test_of_two_that_were_there_together_neither_is_cut_off_after_the_router_stood_still() -> None:
-    members = [("a", "policy"), ("b", "policy")]
-    twins = DuplicateCertificates(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
-    for _ in range(10):
-        twins.look()
-    for there in ([], [("a", "policy")], [("a", "policy"), ("b", "policy")]):
-        members[:] = there
-        twins.look()
-    assert [twins.look() for _ in range(4)][-1] == ["policy"]
+    members = Members()
+    members.looked_at(10, A)
+    members.looked_at(1, COPY)
+    assert members.looked_at(4, COPY, A) == ["policy"]
+    assert members.cut == [{"copy"}]
 
 
 @pytest.mark.parametrize(("others", "cut"), [(10, "a"), (5000, "old")])
 def test_of_sessions_that_come_and_go_the_oldest_are_forgotten_and_those_present_are_not(others: int, cut: str) -> None:
     """Names may come from an attacker; of 4096 sessions it is remembered when they came first."""
-    members, ended = [("old", "policy")], list[set[str]]()
-    twins = DuplicateCertificates(lambda: members, lambda sessions: ended.append(sessions) or len(sessions))
-    for _ in range(10):
-        twins.look()
+    members, old = Members(), ("old", "policy")
+    members.looked_at(10, old)
     for number in range(others):
-        members[:] = [("a", "policy"), (f"s{number}", "recorder")]
-        twins.look()
-    members[:] = [("a", "policy"), ("old", "policy")]
-    assert [twins.look() for _ in range(4)][-1] == ["policy"]
-    assert ended == [{cut}]
+        members.looked_at(1, A, (f"s{number}", "recorder"))
+    assert members.looked_at(4, A, old) == ["policy"]
+    assert members.cut == [{cut}]
 
 
 @pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])
