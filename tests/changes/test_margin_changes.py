@@ -171,17 +171,6 @@ def test_a_robot_that_may_stand_before_a_change_may_stand_after_it(h: float, old
     assert (phased.waiting == ()) is (new <= old or h >= 1.5 * new / eta)
 
 
-def test_the_sentence_about_a_narrower_margin_and_about_none() -> None:
-    assert margin_change({"a": 0.2}, {"a": 0.1}, {"a": 0.01}, 0.5) == (
-        "the margin of a goes from 0.2 to 0.1 where h is 0.01, at once"
-    )
-    assert margin_change({"a": 0.2}, {"a": 0.3}, {"a": 0.7}, 0.5).endswith(
-        "hardly any room, so it follows h, all of it from 0.9 on"
-    )
-    assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
-    assert margin_change({"a": 0.2}, {"a": 0.2}, {"a": 0.0}, 0.5) == ""
-
-
 def test_command_and_page_report_the_margin_before_it_is_used(changing_node: Any) -> None:
     """With the decision, and in the answer to ``status`` until the next change."""
     changes = changing_node(CAR).changes
@@ -210,9 +199,10 @@ def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None
 @pytest.mark.parametrize(
     ("old", "h", "reported"),
     [
-        ({}, 5.0, ["goes from 0 to 0.125 where h is 5, at once"]),
+        ({}, 5.0, ["the margin of a goes from 0 to 0.125 where h is 5, at once"]),
+        ({"a": 0.2}, 0.01, ["goes from 0.2 to 0.125 where h is 0.01, at once"]),
         ({"a": 0.1}, 0.375, ["goes from 0.1 to 0.125 where h is 0.375, at once"]),
-        ({"a": 0.1}, 0.25, ["hardly any room", "all of it from 0.375 on"]),
+        ({"a": 0.1}, 0.25, ["hardly any room, so it follows h, all of it from 0.375 on"]),
         ({"a": 0.1}, 0.24, ["it would stop the robot here", "all of it from 0.375 on"]),
         ({"a": 0.125}, 0.1, []),
     ],
@@ -222,6 +212,7 @@ def test_the_sentence_about_a_change_at_its_limits(old: dict[str, float], h: flo
     text = margin_change(old, {"a": 0.125}, {"a": h}, 0.5)
     assert all(phrase in text for phrase in reported)
     assert bool(text) == bool(reported)
+    assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
 
 
 def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:

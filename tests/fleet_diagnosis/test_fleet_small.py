@@ -12,7 +12,6 @@ import pytest
 
 from safedpa.fleet.one_robot import Options, Task, diagnose_robot, options_digest
 from safedpa.fleet.robots import RobotLogs
-from safedpa_lab.experiments.fleet.diagnosis import judged_fleet
 from safedpa_services.command_line.group import safedpa
 
 
@@ -103,37 +102,6 @@ def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, reported,
     shown = capsys.readouterr().err
     assert reported in shown
     assert shown.count("\n") == 1
-
-
-def test_the_experiment_counts_wrong_groups():
-    def group(kind, robots, *effects):
-        found = [{"effect": effect, "indistinguishable_from": [], "parameters": {}} for effect in effects]
-        return {"kind": kind, "robots": robots, "effects": found}
-
-    kinds = (("missing", "a", "payload"), ("missing", "bc", "understeer"), ("nothing", "de"))
-    groups = [group(kind, list(names), *effects) for kind, names, *effects in kinds]
-    rows = [{"robot": name, "found": []} for name in "abcde"]
-    document = {"groups": groups, "robots": rows, "common": None, "false_discovery": {}}
-    truth = {"a": {}, "b": {"understeer": {}}, "c": {}, "d": {"payload": {}}, "e": {}}
-    result = judged_fleet(document, truth)
-    assert (result["hidden"]["hits"], result["hidden"]["of"]) == (1, 2)
-    assert (result["healthy"]["hits"], result["healthy"]["of"]) == (1, 3)
-    assert (result["groups_right"], result["groups_hidden"], result["groups_false"]) == (0, 2, 1)
-    assert [row["robot"] for row in result["wrong"]] == ["a", "c", "d"]
-
-
-def test_an_effect_hidden_in_all_robots_counts_in_none():
-    found = [{"effect": "quadratic_drag", "indistinguishable_from": [], "parameters": {}}]
-    groups = [
-        {"kind": "missing", "robots": ["a"], "effects": found},
-        {"kind": "nothing", "robots": ["b"], "effects": []},
-    ]
-    common = {"effects": [{"effect": "quadratic_drag", "confirmed": {"holds": True}}]}
-    rows = [{"robot": name, "found": []} for name in "ab"]
-    document = {"groups": groups, "robots": rows, "common": common, "false_discovery": {}}
-    result = judged_fleet(document, {"a": {"quadratic_drag": {}}, "b": {"quadratic_drag": {}}})
-    assert result["healthy"]["hits"] == 2
-    assert result["common_hidden"] == result["common_named"] == ["quadratic_drag"]
 
 
 PATIENCE = 240_000

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.lab.experiments.drives import STATUSES, follow, robot, tick
+from tests.messages import finding_of, stamp
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, ReceivedMessage
+from safedpa.bus import FINDING, MODEL, ModelMessage, ReceivedMessage
 from safedpa.dynamics import load_model
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
@@ -379,20 +380,11 @@ def test_the_brake_by_time_to_collision_stops_less_than_0_8_s_ahead(points, spee
 
 def test_the_error_before_and_after_a_change_of_the_model_is_a_mean(monkeypatch: Patch) -> None:
     """Before it all that was reported from the finding on; after it what is reported from 10 to 20 s."""
-    usual: dict[str, Any] = {
-        "epoch": 1, "tick": 0, "publish_time": 0.0, "model": "m", "sentence": "", "band": 0.0, "threshold": 0.0,
-        "coverage": 0.0,
-    }  # fmt: skip
 
     def finding(at: float, error: float, stage: str = "raised", number: int = 1) -> Any:
-        return FINDING, FindingMessage(
-            **usual, robot_time=at, stage=stage, number=number, error=error, evidence=at, where="speed"
-        )
+        return FINDING, finding_of(stage, robot_time=at, number=number, error=error, evidence=at, where="speed")
 
-    take = ModelMessage(
-        epoch=1, tick=1, robot_time=5.0, publish_time=0.0, step="take", change=1, fingerprint="f", replaces="e",
-        from_tick=100,
-    )  # fmt: skip
+    take = ModelMessage(**stamp(1, period=5.0), step="take", change=1, fingerprint="f", replaces="e", from_tick=100)
     before = [finding(1.0, 9.0, "learning", 0), *(finding(at, e) for at, e in ((2.0, 1.0), (3.0, 2.0), (4.0, 6.0)))]
     later = ((9.0, 0.1), (10.0, 0.2), (14.9, 9.0), (15.0, 0.5), (20.0, 0.7), (25.0, 0.9), (25.1, 9.0))
     after = [finding(at, error, "watching", 2) for at, error in later]

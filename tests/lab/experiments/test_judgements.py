@@ -8,7 +8,6 @@ import pytest
 
 from safedpa_lab.experiments.common.statistics import wilson_interval
 from safedpa_lab.experiments.diagnosis import real_logs
-from safedpa_lab.experiments.diagnosis.hidden_effects import page_of as hidden_page
 from safedpa_lab.experiments.diagnosis.hidden_effects import summary
 from safedpa_lab.experiments.diagnosis.real_logs import folds_target, targets_of
 from safedpa_lab.experiments.fleet import diagnosis as fleet_diagnosis
@@ -70,13 +69,6 @@ def test_effects_have_a_row_if_one_is_hidden_alone() -> None:
     assert nothing["wrong_additions"]["hits"] == 1
     unknown = summary(["one"], [case(error_ratio=NAN)])["suites"][0]
     assert (unknown["error_ratio_median"], unknown["error_ratio_within"]) == (None, None)
-
-
-@pytest.mark.parametrize("count", [1, 4])
-def test_the_page_of_hidden_effects_reports_the_number_of_cases(count: int) -> None:
-    found = summary(("one",), [case(str(n), hidden=("drag",), processor_seconds=1.0) for n in range(count)])
-    document = {"versions": {"numpy": "2"}, "seeds": [1, 2], "date": "2026-01-02T03", "cases": [{}] * count, **found}
-    assert f"{count} cases, seeds 1, 2; finished 2026-01-02; numpy 2." in hidden_page(document)
 
 
 ALIKE = {"drag": ["slope"], "slope": ["drag"]}

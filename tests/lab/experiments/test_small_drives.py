@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 
 import pytest
+from tests.messages import stamp, state_of
 
 from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 from safedpa.errors import InputError
@@ -119,10 +120,7 @@ def test_invalid_delays_are_refused() -> None:
         assert allowed.seconds == 0.1
 
 
-STATE = StateMessage(
-    epoch=1, tick=3, robot_time=0.15, publish_time=0.0, values=(0.0,) * 4, applied=(0.0,) * 2, applied_by="filter",
-    period=0.05, lockstep=True, goal=(), obstacles=(), field=(), footprint=(),
-)  # fmt: skip
+STATE = state_of(tick=3, robot_time=0.15)
 
 
 class FixedPolicy(AbstractNode):
@@ -136,10 +134,7 @@ class FixedPolicy(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         del robot, inputs
-        nominal = NominalMessage(
-            epoch=1, tick=state.tick, robot_time=0.0, publish_time=0.0, values=self.values, controller="test"
-        )
-        return {NOMINAL: nominal}
+        return {NOMINAL: NominalMessage(**stamp(state.tick), values=self.values, controller="test")}
 
     def forget(self, robot: str) -> None:
         self.forgotten.append(robot)

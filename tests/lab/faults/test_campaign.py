@@ -12,8 +12,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.messages import verdict_of
 
-from safedpa.bus import VerdictMessage
 from safedpa.errors import InputError
 from safedpa_lab.experiments.report import output_folder, write_report
 from safedpa_lab.experiments.table import EXPERIMENTS
@@ -52,16 +52,9 @@ def trace(marks: str) -> list[TracedPeriod]:
 
 
 def evidence(periods: list[TracedPeriod], fallbacks: tuple[int, ...] = ()) -> Evidence:
-    verdicts = {(5, tick): verdict(tick) for tick in fallbacks}
+    verdicts = {(5, tick): verdict_of("fallback", epoch=5, tick=tick) for tick in fallbacks}
     actions = {(5, one.tick): {(1.0, 0.1)} for one in periods}
     return Evidence(periods, verdicts, actions, PERIOD)
-
-
-def verdict(tick: int) -> VerdictMessage:
-    return VerdictMessage(
-        epoch=5, tick=tick, robot_time=0.0, publish_time=0.0, status="fallback", sentence="", action=(), nominal=(),
-        slack=0.0, active=(), h_now=0.0, h_next=0.0, margin=0.0, solver="", microseconds=0.0,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -133,7 +126,7 @@ def test_an_action_was_sent_if_any_action_for_its_state_equals_it(sent, stale) -
 
 @pytest.mark.parametrize(("status", "driven"), [("passed", True), ("corrected", True), ("fallback", False)])
 def test_a_period_is_driven_if_the_filter_had_all_its_inputs(status: str, driven: bool) -> None:
-    reported = {(5, 2): replace(verdict(2), status=status)}
+    reported = {(5, 2): verdict_of(status, epoch=5, tick=2)}
     assert Evidence([], reported, {}, PERIOD).is_driven(lived(2)) is driven
     assert not Evidence([], reported, {}, PERIOD).is_driven(lived(2, "watchdog"))
     assert Evidence([], {}, {}, PERIOD).is_driven(lived(2)), "its verdict was not heard"
@@ -213,7 +206,8 @@ class Fleet:
         speed = self.script.speeds[min(self.restarts, len(self.script.speeds) - 1)]
         states = {(5, tick): SimpleNamespace(values=(0.0, 0.0, 0.0, v)) for tick, v in ((1, 9.0), (2, speed))}
         return SimpleNamespace(
-            states=states, newest=(5, 2), verdicts={(5, tick): verdict(tick) for tick in self.script.fallbacks},
+            states=states, newest=(5, 2),
+            verdicts={(5, tick): verdict_of("fallback", epoch=5, tick=tick) for tick in self.script.fallbacks},
             actions={(5, tick): {(1.0, 0.1)} for tick in range(99)}, acknowledged={"one": 30, "two": 12},
         )  # fmt: skip
 

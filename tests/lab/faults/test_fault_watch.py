@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.messages import latent_of, stamp, verdict_of
 
 from safedpa.bus import (
     ACTION,
@@ -19,13 +20,11 @@ from safedpa.bus import (
     Answer,
     Bus,
     HealthMessage,
-    LatentMessage,
     MemoryBroker,
     MemoryTransport,
     Request,
     StateMessage,
     TakeoverMessage,
-    VerdictMessage,
     ZenohSettings,
     ZenohTransport,
 )
@@ -49,23 +48,18 @@ class Fleet:
         self.observer = Observer(Bus(MemoryTransport(broker), "test"), "r1")
 
     def tick(self, tick: int, epoch: int = 5, model: str = "old", status: str = "passed", by: str | None = None):
-        stamp = {"epoch": epoch, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
+        header = stamp(tick, 0.0, epoch)
         state = CarRobot(Scene.random(1), epoch=epoch).state_message()
         self.bus.publish(STATE, "r1", replace(state, tick=tick, applied_by="filter"))
-        self.bus.publish(LATENT, "r1", LatentMessage(**stamp, model=model, values=(), deviations=()))
-        verdict = VerdictMessage(
-            **stamp, status=status, sentence="", action=(), nominal=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
-            margin=0.0, solver="", microseconds=0.0, model=model if by is None else by,
-        )  # fmt: skip
-        self.bus.publish(VERDICT, "r1", verdict)
-        self.bus.publish(ACTION, "r1", ActionMessage(**stamp, values=(1.0, 0.0)))
+        self.bus.publish(LATENT, "r1", latent_of(**header, model=model))
+        self.bus.publish(VERDICT, "r1", verdict_of(status, **header, model=model if by is None else by))
+        self.bus.publish(ACTION, "r1", ActionMessage(**header, values=(1.0, 0.0)))
         self.observer.listen(0.0)
 
     def taken(self, tick: int, model: str, epoch: int = 5) -> None:
         message = TakeoverMessage(
-            epoch=epoch, tick=tick, robot_time=0.0, publish_time=0.0, service="safety_filter", change=1,
-            fingerprint=model, state="taken",
-        )  # fmt: skip
+            **stamp(tick, 0.0, epoch), service="safety_filter", change=1, fingerprint=model, state="taken"
+        )
         self.bus.publish(TAKEOVER, "r1", message, "safety_filter")
         self.observer.listen(0.0)
 

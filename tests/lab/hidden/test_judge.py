@@ -207,14 +207,14 @@ def test_another_file_is_no_record(tmp_path, text):
 
 
 def test_the_page_has_every_figure():
-    page = page_of(document_of([DRAG_RECORD, ALARM], [7]))
+    page = page_of(document_of([DRAG_RECORD, ALARM], [7, 8]))
     rows = [line for line in page.splitlines() if line.startswith("|")]
     assert len({line.count("|") for line in rows[:4]}) == 1
     suite = [cell.strip() for cell in next(line for line in rows if line.startswith("| ordinary")).split("|")[1:-1]]
     assert suite[:7] == ["ordinary", "1", "100", "21 to 100", "100", "100", "0"]
     assert suite[7:] == ["0", "100", "1.020", "1.020", "100", "9.0", "9.0", "6.0", "6.0"]
     assert "- `none-nothing-2`: hidden nothing; effect_missing, added payload" in page
-    assert re.search(r"^2 cases, seeds 7; finished 20\d\d-", page, re.MULTILINE), page
+    assert re.search(r"^2 cases, seeds 7, 8; finished 20\d\d-", page, re.MULTILINE), page
 
 
 @pytest.mark.parametrize(
