@@ -174,7 +174,7 @@ def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys
         [(1, []), (1, [A]), (6, [A, B])],
         [(10, [A, B]), (1, []), (1, [A]), (1, [A, B]), (4, [A, B])],
     ],
-    ids=["the router begins again", "they come while it begins", "it stood still"],
+    ids=["the router begins again", "they come while it begins", "it hung for a while"],
 )
 def test_of_two_of_which_no_one_knows_who_is_the_copy_neither_is_cut_off(story: list[tuple[int, list[Any]]]) -> None:
     """Both knock again and again while there is no router; which of them is heard first says nothing."""

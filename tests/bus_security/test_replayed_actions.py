@@ -20,19 +20,20 @@ TICKS = 60
 Attack = Callable[[int, ActionMessage], Iterable[ActionMessage]]
 
 
-class Attacked(CarRobot):
+class Attacked:
     """A car that is sent an attacker's actions, too; the attacker is faster than the filter where ``before``."""
 
     def __init__(self, epoch: int, attack: Attack, *, before: bool = True) -> None:
-        super().__init__(Scene.random(5, "none"), epoch=epoch)
+        self.car = CarRobot(Scene.random(5, "none"), epoch=epoch)
+        self.state_message, self.scans, self.advance = self.car.state_message, self.car.scans, self.car.advance
         self.recorded: list[ActionMessage] = []
         self._attack, self._before = attack, before
 
     def receive(self, message: ActionMessage) -> str | None:
         self.recorded.append(message)
-        sent = [decode(ActionMessage, encode(forged)) for forged in self._attack(self.tick, message)]
+        sent = [decode(ActionMessage, encode(forged)) for forged in self._attack(self.car.tick, message)]
         first, last = (sent, []) if self._before else ([], sent)
-        answers = [super(Attacked, self).receive(one) for one in (*first, message, *last)]
+        answers = [self.car.receive(one) for one in (*first, message, *last)]
         return answers[len(first)]
 
 
@@ -63,15 +64,15 @@ def recorded() -> Attacked:
 )
 def test_recorded_actions_change_nothing(recorded, epoch, sent, refusals, before):
     again = driven(epoch, lambda tick, honest: recorded.recorded[sent(tick)], before=before)
-    assert again.trajectory_hash == recorded.trajectory_hash
-    assert again.guard.refusals == refusals
+    assert again.car.trajectory_hash == recorded.car.trajectory_hash
+    assert again.car.guard.refusals == refusals
 
 
 @pytest.mark.parametrize("values", [(9.0, 0.0), (0.0, -9.0), (1.0,), (1.0, 0.0, 0.0), ()])
 def test_of_this_tick_but_beyond_the_actuators(recorded: Attacked, values: tuple[float, ...]) -> None:
     again = driven(1, lambda tick, honest: [dataclasses.replace(honest, values=values)])
-    assert again.trajectory_hash == recorded.trajectory_hash
-    assert sum(again.guard.refusals.values()) == TICKS
+    assert again.car.trajectory_hash == recorded.car.trajectory_hash
+    assert sum(again.car.guard.refusals.values()) == TICKS
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e13])
@@ -82,12 +83,12 @@ def test_what_is_no_number_does_not_become_a_message(recorded: Attacked, value: 
 
 def test_a_twin_of_the_filter_that_is_slower_changes_nothing_and_is_counted(recorded: Attacked) -> None:
     again = driven(1, lambda tick, honest: [dataclasses.replace(honest, values=(1.0, 0.3))], before=False)
-    assert again.trajectory_hash == recorded.trajectory_hash
-    assert again.guard.refusals == {"repeated": TICKS}
+    assert again.car.trajectory_hash == recorded.car.trajectory_hash
+    assert again.car.guard.refusals == {"repeated": TICKS}
 
 
 def test_a_twin_of_the_filter_that_is_faster_drives_and_is_only_counted(recorded: Attacked) -> None:
     """What does not hold: who has the filter's key is the filter. The threat model says so."""
     again = driven(1, lambda tick, honest: [dataclasses.replace(honest, values=(1.0, 0.3))])
-    assert again.trajectory_hash != recorded.trajectory_hash
-    assert again.guard.refusals == {"repeated": TICKS}
+    assert again.car.trajectory_hash != recorded.car.trajectory_hash
+    assert again.car.guard.refusals == {"repeated": TICKS}
