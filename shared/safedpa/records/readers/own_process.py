@@ -45,15 +45,13 @@ _WAIT_PER_SECOND, _MIN_WAIT = 20.0, 300.0
 """Time [s] for which a caller waits, for each second of processor time, and at least."""
 _HEADER = struct.Struct("<Q")
 """Length of the pickled content that follows."""
-_ROS = ("rosbags.typesys", "mcap.records", "lz4.frame")
+_TABLE = ("pandas", "pyarrow.parquet", "pyarrow.csv", "pyarrow.compute")
+_ROS = ("rosbags.typesys", "rosbags.serde", "mcap.records", "mcap.data_stream", "lz4.frame", "zstandard", "sqlite3")
 _LIBRARIES = {
-    b"PAR1": ("pyarrow.parquet",),
-    b"\x89MCAP": _ROS,
-    b"SQLite": _ROS,
-    b"#ROSBAG": _ROS,
-    b"ULog": ("pyulog.core",),
-}
-"""Slow imports by the first bytes of a file: the server imports them once, for all workers."""
+    b"\x89MCAP": _ROS, b"SQLite": _ROS, b"#ROSBAG": _ROS, b"ULog": ("pyulog.core",),
+    b"MATLAB": ("scipy.io", "h5py"), b"\x89HDF": ("h5py",), b"PK": (),
+}  # fmt: skip
+"""Slow imports by the first bytes of a file, other than a table: the server imports them once, for all workers."""
 _START = (
     "import sys;sys.path[:]=sys.argv[2].split(sys.argv[3]);"
     "from safedpa.records.readers.own_process import serve;serve(int(sys.argv[1]))"
@@ -126,8 +124,8 @@ def _libraries(path: Path) -> str:
         with path.open("rb") as file:
             start = file.read(8)
     except OSError:
-        return " ".join(_ROS) if path.is_dir() else ""
-    return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), ()))
+        return " ".join((*_ROS, *_TABLE)) if path.is_dir() else ""
+    return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), _TABLE))
 
 
 def _answer(path: Path, libraries: str, request: bytes) -> tuple[str, Any]:
