@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
+from tests.messages import stamp, state_of
 
 from safedpa.adaptation import AdaptationNode, EstimatorSettings, HistoryEstimator, LatentEstimator
 from safedpa.adaptation.batch_history_estimator import BatchHistoryEstimator
@@ -35,12 +36,7 @@ MODEL = parse_model(
 
 
 def state(tick: int, values: tuple[float, ...], applied: tuple[float, ...], **changes: Any) -> StateMessage:
-    fixed: dict[str, Any] = {
-        "epoch": 1, "robot_time": 0.05 * tick, "publish_time": 0.0, "applied_by": "filter", "period": 0.05,
-        "lockstep": True, "goal": (1.0, 1.0), "obstacles": (), "field": (-4.0, 4.0, -4.0, 4.0),
-        "footprint": (0.08, 0.4, 0.12),
-    }  # fmt: skip
-    return StateMessage(tick=tick, values=values, applied=applied, **{**fixed, **changes})
+    return state_of(*values, **{**stamp(tick), "applied": applied, "lockstep": True, **changes})
 
 
 def drive(count: int, ratio: float = 0.6) -> list[StateMessage]:
@@ -153,13 +149,9 @@ def states(count: int, period: float = 0.05) -> list[StateMessage]:
     values = np.cumsum(draw.normal(scale=0.05, size=(count, 4)), axis=0)
     actions = draw.normal(scale=0.3, size=(count, 2))
     return [
-        StateMessage(
-            epoch=1, tick=tick, robot_time=period * tick, publish_time=0.0, values=tuple(values[tick].tolist()),
-            applied=tuple(actions[tick].tolist()), applied_by="filter", period=period, lockstep=True, goal=(1.0, 1.0),
-            obstacles=(), field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.08, 0.4, 0.12),
-        )
+        state(tick, values[tick].tolist(), tuple(actions[tick].tolist()), robot_time=period * tick, period=period)
         for tick in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def latents(node: AdaptationNode, messages: list[StateMessage]) -> list[np.ndarray]:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from tests.messages import stamp
 
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.drawing import Discs, Lines, Rings
@@ -17,10 +18,7 @@ from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 SEEN = SurroundingsMessage(
-    epoch=1,
-    tick=4,
-    robot_time=0.2,
-    publish_time=0.0,
+    **stamp(4),
     points=((1.0, 2.0, 0.05), (1.5, 2.0, 0.1)),
     movers=((3.0, 0.5, 0.2, 0.0, 0.0, 1.5),),
     hidden=((-1.0, 0.0, 0.4, 1.5),),

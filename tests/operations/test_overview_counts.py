@@ -3,17 +3,17 @@
 from typing import Any
 
 import pytest
-from tests.operations.conftest import LOOP, STATE_FIELDS
+from tests.messages import health_of, state_of
+from tests.operations.conftest import LOOP
 
-from safedpa.bus import Bus, HealthMessage, MemoryBroker, MemoryTransport, ReceivedMessage, StateMessage
+from safedpa.bus import Bus, HealthMessage, MemoryBroker, MemoryTransport, ReceivedMessage
 from safedpa.bus.messages.topics import HEALTH, STATE
 from safedpa.bus.monitor.fleet_state import FleetOverview, ServiceOverview, SlidingCounter
 from safedpa_services.command_line.status import document_of
 
 
 def beat(steps: int = 0, stale: int = 0, sent: float = 0.0, **changes: Any) -> HealthMessage:
-    known: dict[str, Any] = {"epoch": 1, "tick": 1, "robot_time": 0.0, "service": "s", "pid": 1, "state": "running"}
-    return HealthMessage(**{**known, **changes}, steps=steps, stale=stale, publish_time=sent)
+    return health_of(**{"service": "s", "pid": 1, **changes}, steps=steps, stale=stale, publish_time=sent)
 
 
 def service(**changes: Any) -> ServiceOverview:
@@ -21,11 +21,6 @@ def service(**changes: Any) -> ServiceOverview:
     found = ServiceOverview("s", 1, first, 0.0)
     found.hear("a", first, 0.0)
     return found
-
-
-def state_of() -> StateMessage:
-    stamp: dict[str, Any] = {"epoch": 7, "tick": 1, "robot_time": 0.05, "publish_time": 0.0}
-    return StateMessage(**{**stamp, **STATE_FIELDS, "period": 0.05})
 
 
 def test_counts_are_those_of_the_last_ten_seconds_in_slices_of_half_a_second() -> None:
@@ -164,7 +159,7 @@ def test_a_robots_own_heartbeat_adds_no_service_and_one_without_a_robot_no_robot
     listened = Listened()
     listened.heard("r", service="robot")
     listened.heard("-", service="filter")
-    listened.fleet.hear(ReceivedMessage(STATE, "q", state_of(), b"", "key", listened.now))
+    listened.fleet.hear(ReceivedMessage(STATE, "q", state_of(epoch=7, tick=1), b"", "key", listened.now))
     assert (set(listened.fleet.robots), set(listened.fleet.services)) == ({"q", "r"}, {("filter", 1)})
     assert listened.fleet.refused == 0
 
@@ -187,7 +182,7 @@ def test_robots_alone_or_processes_alone_are_a_fleet(fleet: Any) -> None:
 
 
 def test_a_robot_without_a_verdict_has_neither_status_nor_h(fleet: Any) -> None:
-    fleet.bus.publish(STATE, "r1", state_of())
+    fleet.bus.publish(STATE, "r1", state_of(epoch=7, tick=1))
     fleet.overview.listen(0.0)
     (robot,) = document_of(fleet.overview)["robots"]
     assert [robot[name] for name in ("coverage", "promised", "verdict", "h")] == [None, None, "", None]

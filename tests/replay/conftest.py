@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import final
 
 import pytest
+from tests.messages import STAMP
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
@@ -72,10 +73,7 @@ def offered(name: str, change: int) -> ModelMessage:
     margin = margin_for(model)
     assert margin is not None
     return ModelMessage(
-        epoch=1,
-        tick=0,
-        robot_time=0.0,
-        publish_time=0.0,
+        **STAMP,
         step="offer",
         change=change,
         fingerprint=fingerprint(changed),

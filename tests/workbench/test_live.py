@@ -4,21 +4,19 @@ import json
 import signal
 
 import pytest
+from tests.messages import finding_of, stamp, state_of, verdict_of
 
 from safedpa.bus import (
     FINDING,
     STATE,
     Answer,
     Bus,
-    FindingMessage,
     HealthMessage,
     MemoryBroker,
     MemoryTransport,
     ModelMessage,
     Request,
-    StateMessage,
     TakeoverMessage,
-    VerdictMessage,
 )
 from safedpa.errors import InputError
 from safedpa_services.workbench.live.links import LiveLink, ReplayLink
@@ -62,30 +60,19 @@ REPORT = {
 }  # fmt: skip
 
 
-def stamp(tick, epoch=1):
-    return {"epoch": epoch, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0}
-
-
 def state(tick, epoch=1, **more):
-    return StateMessage(
-        **stamp(tick, epoch), values=(0.01 * tick, 0.0, 0.0, 1.0), applied=(1.0, 0.0), applied_by="filter",
-        period=0.05, lockstep=False, goal=(2.0, 2.0), obstacles=((1.0, 1.0, 0.3),), field=(-4.0, 4.0, -4.0, 4.0),
-        footprint=(0.1, 0.4, 0.15), **more,
-    )  # fmt: skip
+    fields = {**stamp(tick, epoch=epoch), "applied": (1.0, 0.0), "obstacles": ((1.0, 1.0, 0.3),), **more}
+    return state_of(0.01 * tick, 0.0, 0.0, 1.0, **fields)
 
 
 def verdict(tick, **more):
-    return VerdictMessage(
-        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0),
-        slack=0.0, active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0, **more,
-    )  # fmt: skip
+    fields = {**stamp(tick), "action": (1.0, 0.0), "nominal": (1.0, 0.0), "h_now": 0.4, "h_next": 0.4, **more}
+    return verdict_of("passed", sentence="The nominal action is safe.", margin=0.03, microseconds=300.0, **fields)
 
 
 def finding(tick, stage="watching", error=0.05, report="", number=0):
-    return FindingMessage(
-        **stamp(tick), model="aaaa", stage=stage, sentence=f"the stage is {stage}", number=number, error=error,
-        band=0.06, evidence=1.0, threshold=13.8, coverage=0.99, where="speed", report=report,
-    )  # fmt: skip
+    fields = {"model": "aaaa", "sentence": f"the stage is {stage}", "error": error, "where": "speed", "report": report}
+    return finding_of(stage, **stamp(tick), number=number, **fields)
 
 
 def model(tick, step):

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.messages import STAMP
 
 from safedpa.bus import NOMINAL, STATE, VERDICT, ModelMessage, TakeoverMessage
 from safedpa.errors import InputError
@@ -175,15 +176,11 @@ def test_every_loop_hangs_and_three_interpreters_are_gripped() -> None:
 
 
 def model(step: str) -> ModelMessage:
-    return ModelMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, step=step, change=1, fingerprint="f", replaces="e"
-    )
+    return ModelMessage(**STAMP, step=step, change=1, fingerprint="f", replaces="e")
 
 
 def takeover(service: str, state: str) -> TakeoverMessage:
-    return TakeoverMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, service=service, change=1, fingerprint="f", state=state
-    )
+    return TakeoverMessage(**STAMP, service=service, change=1, fingerprint="f", state=state)
 
 
 OTHERS = [model("offer"), takeover("adaptation", "ready"), takeover("policy", "taken"), model("drop")]
