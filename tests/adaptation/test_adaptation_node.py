@@ -36,7 +36,7 @@ MODEL = parse_model(
 
 
 def state(tick: int, values: tuple[float, ...], applied: tuple[float, ...], **changes: Any) -> StateMessage:
-    return state_of(*values, **{**stamp(tick), "applied": applied, "lockstep": True, **changes})
+    return state_of(**{**stamp(tick), "values": values, "applied": applied, "lockstep": True, **changes})
 
 
 def drive(count: int, ratio: float = 0.6) -> list[StateMessage]:
@@ -149,7 +149,9 @@ def states(count: int, period: float = 0.05) -> list[StateMessage]:
     values = np.cumsum(draw.normal(scale=0.05, size=(count, 4)), axis=0)
     actions = draw.normal(scale=0.3, size=(count, 2))
     return [
-        state(tick, values[tick].tolist(), tuple(actions[tick].tolist()), robot_time=period * tick, period=period)
+        state(
+            tick, tuple(values[tick].tolist()), tuple(actions[tick].tolist()), robot_time=period * tick, period=period
+        )
         for tick in range(count)
     ]
 
