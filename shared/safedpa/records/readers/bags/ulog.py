@@ -31,8 +31,8 @@ _MAX_NUMBERS = 4096
 """Limit of numbers in one message; the largest of PX4 has 400."""
 _MAX_TOTAL_NUMBERS = 100_000
 """Limit of numbers in all subscribed topics; a PX4 vehicle has 10,000."""
-_MAX_UNKNOWN = 10_000
-"""Limit of messages of unknown kinds: pyulog needs 2 us for each, and a damaged log has a few dozen."""
+_MAX_UNKNOWN = 200_000
+"""Limit of messages of unknown kinds: pyulog needs 2 us for each, and a hole of zeros has one in 3 bytes."""
 _DAMAGED = "is a damaged PX4 flight log; fetch it from the vehicle's card again"
 _DEFINITION_KINDS, _DATA_KINDS = b"BIMFPQ", b"ALC"
 """Message kinds of the definition section, and those with which the data section begins."""
