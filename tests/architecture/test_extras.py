@@ -56,10 +56,11 @@ PROGRAM = """
 import contextlib, io, json, sys
 for name in {heavy!r}:
     sys.modules[name] = None  # as if it were not installed
+from safedpa.records.readers.own_process import in_this_process
 from safedpa_services.command_line.group import safedpa
 for line in json.loads(sys.argv[1]):
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), in_this_process():
         try:
             code = safedpa.run(line.split())
         except BaseException as error:

@@ -78,7 +78,7 @@ def in_own_process(
     """
 
     @wraps(read)
-    def called(path: Path, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
+    def called(path: Path, /, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
         if getattr(_direct, "on", False) or sys.platform != "linux":
             return read(path, *arguments, **options)
         request = (read.__module__, read.__qualname__, (path, *arguments), options)
