@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from safedpa.api.planning import DataCheck, Rehearsal, check_data, rehearse
     from safedpa.api.predicting import PredictedRun, predict
     from safedpa.api.robot_check import RobotCheck, check
+    from safedpa.api.starting import StartedModel, init
     from safedpa.dynamics import PhysicsModel, load_model, save_model
     from safedpa.errors import InputError, SafedpaError
     from safedpa.records.run import Run
@@ -85,6 +86,7 @@ __all__ = [
     "SafetyFilter",
     "SavedDiagnosis",
     "SpeedBarrier",
+    "StartedModel",
     "Status",
     "System",
     "Variable",
@@ -100,6 +102,7 @@ __all__ = [
     "diagnose",
     "distance_to_occupied",
     "export",
+    "init",
     "list_effects",
     "load_model",
     "predict",
@@ -123,6 +126,7 @@ _HOMES = {
     "api.planning": "DataCheck Rehearsal check_data rehearse",
     "api.predicting": "PredictedRun predict",
     "api.robot_check": "RobotCheck check",
+    "api.starting": "StartedModel init",
     "dynamics": "PhysicsModel load_model save_model",
     "errors": "InputError SafedpaError",
     "records.run": "Run",

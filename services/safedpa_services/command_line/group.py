@@ -17,8 +17,8 @@ from safedpa.limits import readable
 
 COMMANDS = (
     "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
-    "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
-    "sense", "serve", "status", "stop", "train", "up", "workbench",
+    "effects", "export", "go", "init", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros",
+    "screenshot", "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """Each is the click command ``command`` of the module of its name in this package, imported when it is called."""
 _IN_SHARED_MODULES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from safedpa.errors import ColumnMapError, InputError, RunError
@@ -14,7 +15,7 @@ from safedpa.records.readers.table import Table, regular_file
 from safedpa.records.run import Finding, RawRows, Run
 from safedpa.systems import System
 
-__all__ = ["load_run"]
+__all__ = ["load_run", "read_columns"]
 
 _MAX_TOPICS = 8
 """Topics that an error lists; the command ``safedpa columns`` lists all."""
@@ -54,7 +55,18 @@ def _rows_of(
         return read_rows_from_mcap(path, system)
     if kind == "topics" and columns is None:
         raise RunError(_map_needed(path, system))
-    return mapped_rows(_read(path, kind, mapping, system), mapping, system)
+    if kind == "topics":
+        return mapped_rows(read_log_table(topic_log(path), mapping, system), mapping, system)
+    return mapped_rows(_read(path, kind, mapping.sources), mapping, system)
+
+
+@in_own_process
+def read_columns(path: Path, sources: Sequence[str]) -> Table:
+    """Reads columns of a table as they are. Raises RunError for an unusable file, InputError for a log of topics."""
+    kind = kind_of(path)
+    if kind in ("topics", "mcap"):
+        raise InputError(f"{path}: got a log of topics, wanted a table; 'safedpa columns {path}' lists its contents")
+    return _read(path, kind, sources)
 
 
 def _map_needed(path: Path, system: System) -> str:
@@ -71,21 +83,19 @@ def _map_needed(path: Path, system: System) -> str:
     )
 
 
-def _read(path: Path, kind: str, mapping: ColumnMap, system: System) -> Table:
-    if kind == "topics":
-        return read_log_table(topic_log(path), mapping, system)
+def _read(path: Path, kind: str, sources: Sequence[str]) -> Table:
     if kind == "arrays":
         from safedpa.records.readers.arrays import read_array_table
 
-        return read_array_table(path, mapping.sources)
+        return read_array_table(path, sources)
     if kind == "dataset":
         from safedpa.records.readers.parquet import read_dataset
 
-        return read_dataset(path, mapping.sources)
+        return read_dataset(path, sources)
     if kind == "parquet":
         from safedpa.records.readers.parquet import read_parquet_table
 
-        return read_parquet_table(path, mapping.sources)
+        return read_parquet_table(path, sources)
     from safedpa.records.readers.csv import read_csv_table
 
-    return read_csv_table(path, mapping.sources)
+    return read_csv_table(path, sources)

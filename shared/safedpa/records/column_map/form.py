@@ -11,7 +11,9 @@ from safedpa.records.column_map.propose import COMMANDED, MEASURED, propose_sour
 from safedpa.records.column_map.units import UNITS
 from safedpa.systems import System
 
-__all__ = ["DERIVED", "QuantityForm", "guess_columns", "lines_of", "map_text", "units_for"]
+__all__ = [
+    "DERIVED", "QuantityForm", "guess_columns", "is_time", "lines_of", "map_text", "unit_named", "units_for",
+]  # fmt: skip
 
 DERIVED = "(slope of another column)"
 """Source of a state that has no column: the derivative of another column."""
@@ -190,12 +192,23 @@ def _normalized(name: str) -> str:
 
 
 def _unit_in(name: str, si: str) -> str:
-    parts = _parts(name)
-    for candidate in reversed(parts[1:]):
-        unit = _UNIT_ENDINGS.get(candidate, candidate)
-        if unit in UNITS and UNITS[unit].si == si:
-            return unit
-    return ""
+    return next((unit for unit in _units_in(name) if UNITS[unit].si == si), "")
+
+
+def _units_in(name: str) -> list[str]:
+    units = [_UNIT_ENDINGS.get(part, part) for part in reversed(_parts(name)[1:])]
+    return [unit for unit in units if unit in UNITS]
+
+
+def unit_named(name: str) -> str:
+    """The unit that ends a column's name, such as ``deg`` of ``angle_deg``; empty without one."""
+    ambiguous = ("1", "s", "in", "min")  # of joint_1, start_s, plugged_in and speed_min
+    return next((unit for unit in _units_in(name) if unit not in ambiguous), "")
+
+
+def is_time(name: str) -> bool:
+    """Whether a column's name is one of those that logs use for the time."""
+    return _normalized(name) in _COLUMN_NAMES["t"]
 
 
 def _toml_string(text: str) -> str:

@@ -1,0 +1,304 @@
+"""Bases that ``init`` proposes for the columns of a log, as Python source whose rates are linear in the parameters."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from safedpa.arrays import FloatArray
+from safedpa.dynamics import AbstractBase
+from safedpa.effects.library import module_from
+from safedpa.operations import NUMPY
+from safedpa.records.column_map.recognise import changes
+from safedpa.systems import System, Variable
+
+__all__ = [
+    "KINDS", "WHOLE", "Chain", "ProposedBase", "Term", "base_of", "bases_of_chain", "fitted_start", "follows", "moving",
+    "whole_robot",
+]  # fmt: skip
+
+WHOLE: Final = {
+    "bicycle": "states x, y, yaw, speed; actions with 'steer' in the name and one more",
+    "differential_drive": "states x, y, yaw, speed, turn_rate; actions with 'turn' in the name and one more",
+    "multirotor": "states vx, vy, vz; actions thrust, pitch, roll",
+}
+"""Bases of whole robots, with the names that they need."""
+KINDS: Final = ("integrator", "first_order", "double_integrator", "joint", "position_loop", *WHOLE)
+_SPANS = (2, 4, 8, 16, 32)
+"""Rows over which changes are compared with the integrated equations; the best fit is taken."""
+_RANGE = 20.0
+"""Bounds of a proposed parameter, as a multiple of its fitted value."""
+_LINE = 100
+"""Longest line of a rate in the proposed file; longer ones have a line for each summand."""
+_FOLLOWS = (0.8, 1.25)
+"""Slope between a command and a state from which the state follows the command in the same unit."""
+
+_FILE: Final = '''\
+"""{robot}: system, base and effects, proposed from {origin}; check names, units and bounds."""
+
+from safedpa.dynamics import AbstractBase
+from safedpa.effects import Parameter, general_effects
+from safedpa.systems import System, Variable
+
+SYSTEM = System(
+    name="{robot}",
+    state=(
+{states}
+    ),
+    action=(
+{actions}
+    ),
+)
+
+
+class Base(AbstractBase):
+    """{equation}."""
+
+    kind = "{kind}"
+    equation = "{equation}"
+    source = "fitted to {origin}"
+    system = SYSTEM
+    parameters = (
+{parameters}
+    )
+
+    def rates(self, state, action, parameters, operations):
+        """Rates of the state by name."""
+        return {{
+{rates}
+        }}
+
+
+EFFECTS = general_effects(SYSTEM, moving={{{sizes}}})  # usual sizes
+'''
+"""The Python file of a proposal."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One summand of a rate: ``sign`` times a parameter (none if empty) times a Python expression."""
+
+    parameter: str
+    unit: str
+    expression: str
+    sign: int = 1
+    positive: bool = False
+    """Whether a fit with a negative parameter rules the base out."""
+
+    @property
+    def source(self) -> str:
+        """The summand as Python, without its sign."""
+        factor = [f'parameters["{self.parameter}"]'] if self.parameter else []
+        return " * ".join([*factor, *([self.expression] if self.expression else [])])
+
+
+@dataclass(frozen=True)
+class ProposedBase:
+    """A kind of base for some states: the summands of each rate, and the usual size of what forces change."""
+
+    kind: str
+    rates: Mapping[str, tuple[Term, ...]]
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def equation(self) -> str:
+        """The rates of the states that have parameters, for reports."""
+        texts = []
+        for state, terms in self.rates.items():
+            if any(term.parameter for term in terms):
+                text = _sum(terms).replace("operations.", "").replace(" * ", " ")
+                texts.append(f"{state}' = " + re.sub(r'\w+\["(\w+)"\]', r"\1", text))
+        return "; ".join(texts)
+
+    def source(self, system: System, sizes: Mapping[str, float], origin: str) -> str:
+        """The Python file with system, base and effects."""
+        named = {term.parameter: term for terms in self.rates.values() for term in terms if term.parameter}
+        rates = [line for name, terms in self.rates.items() for line in _rate_lines(name, terms)]
+        return _FILE.format(
+            robot=system.name,
+            origin=origin,
+            states="\n".join(map(_variable, system.state)),
+            actions="\n".join(map(_variable, system.action)),
+            equation=self.equation,
+            kind=self.kind,
+            parameters="\n".join(map(self._parameter, named.values())),
+            rates="\n".join(rates),
+            sizes=", ".join(f'"{name}": {size:.3g}' for name, size in sizes.items()),
+        )
+
+    def _parameter(self, term: Term) -> str:
+        value = self.values.get(term.parameter, 1.0)
+        low, high = sorted((0.0, _RANGE * value)) if self.values else (-1e12, 1e12)
+        return (
+            f'        Parameter("{term.parameter}", "{term.unit}", {low:.4g}, {high:.4g}, {value:.4g}, neutral=None),'
+        )
+
+
+def _sum(terms: Sequence[Term]) -> str:
+    text = "".join(f" {'+' if term.sign > 0 else '-'} {term.source}" for term in terms)
+    return text.removeprefix(" + ").removeprefix(" ")
+
+
+def _rate_lines(name: str, terms: Sequence[Term]) -> list[str]:
+    line = f'            "{name}": {_sum(terms)},'
+    if len(line) <= _LINE:
+        return [line]
+    rows = [f"                {'+' if term.sign > 0 else '-'} {term.source}" for term in terms]
+    rows[0] = rows[0].replace("+ ", "", 1)
+    return [f'            "{name}": (', *rows, "            ),"]
+
+
+def _variable(item: Variable) -> str:
+    angle = ", angle=True" if item.angle else ""
+    return f'        Variable("{item.name}", "{item.unit}", {item.low!r}, {item.high!r}{angle}),'
+
+
+def moving(base: ProposedBase) -> list[str]:
+    """The states whose rates have parameters: those that forces change."""
+    return [name for name, terms in base.rates.items() if any(term.parameter for term in terms)]
+
+
+def base_of(source: str) -> AbstractBase:
+    """The base of a proposed file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "proposed.py"
+        path.write_text(source, encoding="utf-8")
+        made: AbstractBase = module_from(path).Base()
+    return made
+
+
+def fitted_start(base: AbstractBase, t: FloatArray, states: FloatArray, actions: FloatArray) -> dict[str, float]:
+    """Least-squares parameters of rates that are linear in them, from changes over several rows; {} without a fit."""
+    state = dict(zip(base.system.state_names, states.T, strict=True))
+    action = dict(zip(base.system.action_names, actions.T, strict=True))
+    names = [item.name for item in base.parameters]
+
+    def rates(on: str) -> dict[str, FloatArray]:
+        values = {name: float(name == on) for name in names}
+        found = base.rates(state, action, values, NUMPY)
+        return {name: np.broadcast_to(np.asarray(rate, dtype=np.float64), t.shape) for name, rate in found.items()}
+
+    known, regressors = rates(""), {name: rates(name) for name in names}
+    best, found = np.inf, {}
+    for span in _SPANS:
+        left, right = [], []
+        for entry, values in state.items():
+            change = changes(t, values, span)[0] - changes(t, known[entry], span)[1]
+            columns = [changes(t, regressors[name][entry] - known[entry], span)[1] for name in names]
+            scale = float(np.std(changes(t, values, span)[0]))
+            if scale > 0.0 and any(np.any(column) for column in columns):
+                left.append(np.stack(columns, axis=1) / scale)
+                right.append(change / scale)
+        if not left:
+            return {}
+        matrix, target = np.concatenate(left), np.concatenate(right)
+        size = np.linalg.norm(matrix, axis=0)
+        solution = np.linalg.lstsq(matrix / np.where(size > 0.0, size, 1.0), target, rcond=1e-6)[0]
+        rest = float(np.mean((target - matrix / np.where(size > 0.0, size, 1.0) @ solution) ** 2))
+        if rest < best and np.all(size > 0.0):
+            best, found = rest, dict(zip(names, (solution / size).tolist(), strict=True))
+    return found
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A state that commands change: ``position`` and, where there is one, its ``rate``; the commands that drive it."""
+
+    position: Variable
+    rate: Variable | None
+    commands: tuple[Variable, ...]
+    follows: str = ""
+    """The command that the position follows in the same unit, if any."""
+    prefix: str = ""
+    """Before the names of the parameters; empty for a robot with one chain."""
+
+
+def bases_of_chain(chain: Chain) -> list[ProposedBase]:
+    """The bases that the columns of a chain allow, simplest first."""
+    position, rate = chain.position, chain.rate
+    pushed = tuple(_gain(chain, command, rate or position) for command in chain.commands)
+    if rate is None:
+        name = position.name
+        following = _following(chain, name, "response", "1/s")
+        damping = Term(f"{chain.prefix}damping", "1/s", f'state["{name}"]', -1, True)
+        offset = Term(f"{chain.prefix}offset", f"{position.unit}/s", "")
+        rest = (following,) if following else (*pushed, damping, offset)
+        return [ProposedBase("integrator", {name: pushed}), ProposedBase("first_order", {name: rest})]
+    way = (Term("", "", f'state["{rate.name}"]'),)
+    damping = Term(f"{chain.prefix}damping", "1/s", f'state["{rate.name}"]', -1, True)
+    kinds: dict[str, tuple[Term, ...]] = {"double_integrator": pushed}
+    if position.unit == "rad":
+        gravity = Term(f"{chain.prefix}gravity", "rad/s2", f'operations.sin(state["{position.name}"])', -1)
+        kinds["joint"] = (*pushed, gravity)
+    following = _following(chain, position.name, "stiffness", "1/s2")
+    if following:
+        kinds["position_loop"] = (following, damping)
+    return [ProposedBase(kind, {position.name: way, rate.name: terms}) for kind, terms in kinds.items()]
+
+
+def _following(chain: Chain, name: str, parameter: str, unit: str) -> Term | None:
+    if not chain.follows:
+        return None
+    return Term(f"{chain.prefix}{parameter}", unit, f'(action["{chain.follows}"] - state["{name}"])', 1, True)
+
+
+def _gain(chain: Chain, command: Variable, state: Variable) -> Term:
+    own = f"{command.name}_" if len(chain.commands) > 1 else ""
+    rate = f"{state.unit}2" if state.unit.endswith("/s") else f"{state.unit}/s"
+    per = f"({command.unit})" if {" ", "/"} & set(command.unit) else command.unit
+    unit = rate if per == "1" else f"{rate}/{per}"
+    return Term(f"{chain.prefix}{own}gain", unit, f'action["{command.name}"]')
+
+
+def follows(state: FloatArray, command: FloatArray) -> bool:
+    """Whether a state follows a command in the same unit: slope about 1 and little else."""
+    if np.std(command) <= 0.0 or np.std(state) <= 0.0:
+        return False
+    slope = float(np.cov(state, command)[0, 1] / np.var(command))
+    near = abs(float(np.mean(state) - np.mean(command))) < float(np.std(command) + np.std(state))
+    return near and _FOLLOWS[0] < slope < _FOLLOWS[1] and float(np.corrcoef(state, command)[0, 1]) > 0.5
+
+
+def whole_robot(system: System) -> list[ProposedBase]:
+    """Bases of whole robots that the names of states and actions allow: bicycle, differential drive, multirotor."""
+    names, actions = set(system.state_names), system.action_names
+    found = []
+    steer = next((name for name in actions if "steer" in name), "")
+    turn = next((name for name in actions if re.search(r"turn|yaw|omega|angular|\bw", name)), "")
+    if {"x", "y", "yaw", "speed"} <= names and len(actions) == 2 and (steer or turn):
+        drive = next(name for name in actions if name != (steer or turn))
+        pose = {axis: (Term("", "", f'state["speed"] * operations.{f}(state["yaw"])'),) for axis, f in _AXES}
+        speed = (
+            Term("drive_gain", "m/s2", f'action["{drive}"]'),
+            Term("speed_damping", "1/s", 'state["speed"]', -1, True),
+        )
+        if steer:
+            tangent = f'operations.sin(action["{steer}"]) / operations.cos(action["{steer}"])'
+            yaw = (Term("turn_gain", "1/m", f'state["speed"] * {tangent}'),)
+            found.append(ProposedBase("bicycle", {**pose, "yaw": yaw, "speed": speed}))
+        elif "turn_rate" in names:
+            answer = Term("turn_response", "1/s", f'(action["{turn}"] - state["turn_rate"])', 1, True)
+            rest = {"yaw": (Term("", "", 'state["turn_rate"]'),), "speed": speed, "turn_rate": (answer,)}
+            found.append(ProposedBase("differential_drive", {**pose, **rest}))
+    if {"vx", "vy", "vz"} <= names and {"thrust", "pitch", "roll"} <= set(actions):
+        thrust, pitch, roll = 'action["thrust"]', 'action["pitch"]', 'action["roll"]'
+        gain = "thrust_gain"
+        rates = {
+            "vx": (Term(gain, "1", f"{thrust} * operations.sin({pitch}) * operations.cos({roll})"),),
+            "vy": (Term(gain, "1", f"{thrust} * operations.sin({roll})", -1),),
+            "vz": (
+                Term(gain, "1", f"{thrust} * operations.cos({pitch}) * operations.cos({roll})"),
+                Term("gravity", "m/s2", "", -1),
+            ),
+        }
+        found.append(ProposedBase("multirotor", rates))
+    return found
+
+
+_AXES = (("x", "cos"), ("y", "sin"))

@@ -1,0 +1,440 @@
+"""``init``: from a log to a first model: which columns are states and commands, a base, and the files of a robot."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from safedpa.api.fitting import refit
+from safedpa.api.inputs import read_log
+from safedpa.api.proposed_bases import (
+    KINDS,
+    WHOLE,
+    Chain,
+    ProposedBase,
+    base_of,
+    bases_of_chain,
+    fitted_start,
+    follows,
+    moving,
+    whole_robot,
+)
+from safedpa.arrays import FloatArray
+from safedpa.comparison.comparison import compare_model
+from safedpa.comparison.output import refuse_inputs, require_writable_folder
+from safedpa.dynamics import PhysicsModel, Setting, write_model
+from safedpa.errors import InputError, RunError, SafedpaError, did_you_mean
+from safedpa.extras import need
+from safedpa.limits import printable
+from safedpa.progress import progress
+from safedpa.records.column_map.file import parse_column_map
+from safedpa.records.column_map.form import QuantityForm, map_text
+from safedpa.records.column_map.recognise import (
+    LoggedColumn,
+    changes,
+    is_command,
+    logged_column,
+    rate_pairs,
+    time_column,
+)
+from safedpa.records.load import read_columns
+from safedpa.records.readers.preview import raw_rows
+from safedpa.records.run import Run, Stretch
+from safedpa.result import AbstractResult
+from safedpa.systems import System, Variable, systems
+
+_TRAINING = 0.7
+"""Share of the log on which the bases are fitted; they are compared on the rest."""
+_CLEARLY = 0.95
+"""A later base is taken instead of a simpler one if its error is below this share of the simpler one's."""
+_DERIVED_ROWS = 5
+"""Window of a derived rate, in periods."""
+_DRIVEN = 0.02
+"""Least share of the unexplained changes of a state that a command must explain."""
+_LEAST_PERIOD = 0.01
+"""Shortest period of a proposed model, s; quicker logs are thinned."""
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class StartedModel(AbstractResult):
+    """A first model of a robot, from a log.
+
+    ``kinds`` are the bases by state, ``error`` is that of the model on the last part of the log, as a share of the
+    usual change after ``horizon`` [s]; ``unused`` are columns of the log that are in no role. ``folder`` has the files
+    robot.py (system, base, effects), model.toml and columns.toml; ``command`` diagnoses the model with the log.
+
+    Example:
+
+        >>> started = safedpa.init("degrees.csv", "my_pendulum", actions={"torque": "torque"})
+        >>> started.system.state_names, started.kinds
+        (('theta', 'rate'), {'theta': 'joint'})
+    """
+
+    folder: Path
+    log: Path
+    system: System
+    kinds: dict[str, str]
+    error: float
+    horizon: float
+    unused: tuple[str, ...]
+
+    @property
+    def command(self) -> str:
+        """The shell command that diagnoses the model."""
+        files = {"--columns": self.folder / "columns.toml", "--effects": self.folder / "robot.py"}
+        given = ["safedpa", "diagnose", str(self.folder / "model.toml"), str(self.log)]
+        options = [text for option, path in files.items() for text in (option, str(path))]
+        return shlex.join([*given, *options, "--horizon", f"{self.horizon:g}"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the document that ``safedpa init --json`` prints."""
+        return {
+            "folder": str(self.folder),
+            "states": list(self.system.state_names),
+            "actions": list(self.system.action_names),
+            "bases": self.kinds,
+            "error": self.error if np.isfinite(self.error) else None,
+            "horizon": self.horizon,
+            "unused": list(self.unused),
+            "next": self.command,
+        }
+
+    def __str__(self) -> str:
+        states = ", ".join(f"{item.name} [{item.unit}]" for item in self.system.state)
+        actions = ", ".join(f"{item.name} [{item.unit}]" for item in self.system.action)
+        bases = ", ".join(f"{kind} ({name})" for name, kind in self.kinds.items())
+        unused = [f"not used: {', '.join(map(printable, self.unused))}"] if self.unused else []
+        error = f"error on the last part of the log after {self.horizon:g} s: {self.error:.3g} of the usual change"
+        checked = f"check names, units and bounds in {self.folder / 'robot.py'}, then:"
+        return "\n".join(
+            [f"states: {states}", f"actions: {actions}", f"base: {bases}", *unused, error, checked, f"  {self.command}"]
+        )
+
+    def _facts(self) -> dict[str, object]:
+        return {"robot": self.system.name, "bases": self.kinds, "error": f"{self.error:.3g}", "folder": self.folder}
+
+    def _columns(self) -> dict[str, Sequence[Any]]:
+        roles = {"state": self.system.state, "action": self.system.action}
+        rows = [(role, item) for role, items in roles.items() for item in items]
+        table: dict[str, Sequence[Any]] = {"role": [role for role, _ in rows]}
+        return table | {name: [getattr(item, name) for _, item in rows] for name in ("name", "unit", "low", "high")}
+
+
+def init(
+    log: str | Path,
+    out: str | Path,
+    *,
+    states: Mapping[str, str] | None = None,
+    actions: Mapping[str, str] | None = None,
+    base: str | None = None,
+    robot: str | None = None,
+    horizon: float | None = None,
+    force: bool = False,
+) -> StartedModel:
+    """Writes a first model of a robot from a log of it: robot.py, model.toml and columns.toml in the folder ``out``.
+
+    The log is a table (CSV, Parquet, arrays). Without ``states`` and ``actions`` (columns by name) the columns are
+    recognised: a rate is the slope of another column; a command has the name of one or is constant between jumps. The
+    base is the one with the smallest error on the last part of the log among those that the columns allow, or that of
+    the kind ``base``. ``robot`` is the name of the robot, by default that of the folder; ``horizon`` [s] how far ahead
+    the error is. The proposal has to be checked. Raises InputError for unknown columns or kinds and if no state or no
+    command is found, RunError for an unusable log.
+
+    Example:
+
+        >>> safedpa.init("degrees.csv", "my_pendulum", actions={"torque": "torque"}).system.action_names
+        ('torque',)
+    """
+    need("diagnosis", what="init()")
+    path, folder = Path(log), Path(out)
+    if base is not None and base not in KINDS:
+        raise InputError(f"base: got '{base}'; {did_you_mean(base, KINDS)}")
+    name = _identifier(robot or folder.resolve().name)
+    if name in systems():
+        raise InputError(f"robot: '{name}' is known already; choose another name with --robot")
+    files = [folder / file for file in ("robot.py", "model.toml", "columns.toml")]
+    refuse_inputs(files, [path], False)
+    existing = [str(file) for file in files if file.exists()]
+    if existing and not force:
+        raise InputError(f"{existing[0]}: exists and may have your changes; choose another folder, or use --force")
+    table = _Columns.of(path, states or {}, actions or {})
+    started = _Proposal(path, name, table, horizon)
+    with progress("comparing bases") as report_progress:
+        report_progress(0, 1)
+        found = started.chosen(base)
+        report_progress(1, 1)
+    require_writable_folder(folder, create=True)
+    system = found.model.system
+    for file, text in zip(files, (found.source, write_model(found.model), started.map_text(system)), strict=True):
+        file.write_text(text, encoding="utf-8")
+    used = {
+        item.source
+        for item in (*table.states, *table.actions)
+        if item.name in (*system.state_names, *system.action_names)
+    }
+    unused = tuple(column for column in table.names if column not in used | {table.time})
+    return StartedModel(folder, path, system, found.kinds, found.error, started.horizon, unused)
+
+
+def _identifier(name: str) -> str:
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "robot"
+    return plain if plain[0].isalpha() else f"robot_{plain}"
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns of a log by their role."""
+
+    names: tuple[str, ...]
+    time: str
+    time_unit: str
+    t: FloatArray
+    states: tuple[LoggedColumn, ...]
+    actions: tuple[LoggedColumn, ...]
+
+    @classmethod
+    def of(cls, log: Path, states: Mapping[str, str], actions: Mapping[str, str]) -> _Columns:
+        """Reads a log and recognises the columns that ``states`` and ``actions`` do not name."""
+        preview = raw_rows(log, 20)
+        for column in (*states.values(), *actions.values()):
+            if column not in preview.names:
+                raise InputError(f"{log}: no column '{column}'; {did_you_mean(column, preview.names)}")
+        cells = list(zip(*preview.rows, strict=False)) if preview.rows else [()] * len(preview.names)
+        numeric = [name for name, column in zip(preview.names, cells, strict=False) if all(map(_is_number, column))]
+        table = read_columns(log, numeric).columns
+        rows = np.all([np.isfinite(values) for values in table.values()], axis=0) if table else np.empty(0, bool)
+        varied = {name: values[rows] for name, values in table.items() if rows.any() and np.ptp(values[rows]) > 0.0}
+        time = time_column(varied)
+        if not time or rows.sum() < 50:
+            raise RunError(f"{log}: {rows.sum()} usable rows, time column '{time}'; wanted 50 rows and a column t [s]")
+        clock = logged_column(time, varied.pop(time))
+        own = {column: name for name, column in (*states.items(), *actions.items())}
+        columns = [logged_column(column, values, own.get(column, "")) for column, values in varied.items()]
+        commands = [item for item in columns if item.source in actions.values()]
+        if not actions:
+            commands = [item for item in columns if item.source not in own and is_command(item)]
+        taken = {item.source for item in commands}
+        measured = [item for item in columns if item.source not in taken and (not states or item.source in own)]
+        if not commands or not measured:
+            what, option = ("command", "--action") if not commands else ("state", "--state")
+            raise InputError(f"{log}: no column looks like a {what}; name one with {option} NAME=COLUMN")
+        unit = clock.unit if clock.si == "s" else ""
+        t = clock.values - clock.values[0]
+        return cls(preview.names, time, unit, t, tuple(measured), tuple(commands))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return cell == "" or float(cell) is not None
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A base, fitted: the model, its error on the last part of the log, robot.py, and the kinds by state."""
+
+    proposed: ProposedBase
+    model: PhysicsModel
+    error: float
+    source: str
+    kinds: dict[str, str]
+
+
+class _Proposal:
+    """Compares bases for the columns of a log."""
+
+    def __init__(self, log: Path, robot: str, columns: _Columns, horizon: float | None) -> None:
+        self.log, self.robot, self.columns = log, robot, columns
+        measured = float(np.median(np.diff(columns.t)))
+        self.period = float(f"{max(measured, _LEAST_PERIOD):.4g}")
+        self.thinned = measured < 0.7 * _LEAST_PERIOD
+        self.horizon = horizon or float(f"{max(1.0, 20.0 * self.period):.3g}")
+        pairs = rate_pairs(columns.t, columns.states)
+        known = {item.name: item for item in columns.states}
+        self.pairs = {position: rate for position, rate in pairs.items() if position in known and rate in known}
+        self.quantities = {item.name: item for item in (*columns.states, *columns.actions)}
+        if any(item.si in ("A", "N m") for item in columns.actions):  # a motor that turns something
+            for item in columns.states:
+                if "pos" in item.name and item.si == "m":
+                    self.quantities[item.name] = item.with_si("rad")
+        for position, rate in self.pairs.items():
+            si = self.quantities[position].si
+            self.quantities[rate] = self.quantities[rate].with_si(f"{si}/s")
+        self.derived: dict[str, str] = {}
+        self.actions = tuple(self._variable(item.name, command=True) for item in columns.actions)
+
+    def chosen(self, base: str | None) -> _Fit:
+        """The base with the smallest error on the last part of the log."""
+        whole = self._whole(base)
+        if base in WHOLE:
+            if whole is None:
+                raise InputError(f"base: {base} needs other states or actions: {WHOLE[base]}")
+            return whole
+        chains = self._chains(base)
+        if chains:
+            best = chains[0] if len(chains) == 1 else self._fitted(_joined([one.proposed for one in chains]))
+            best = replace(best, kinds={head: kind for one in chains for head, kind in one.kinds.items()})
+            return best if whole is None or best.error < whole.error else whole
+        if whole is None:
+            raise InputError(f"{self.log}: no base fits the columns; name them with --state and --action")
+        return whole
+
+    def _whole(self, base: str | None) -> _Fit | None:
+        system = System(self.robot, tuple(map(self._variable, self._measured())), self.actions)
+        options = [one for one in whole_robot(system) if base in (None, one.kind)]
+        return self._best(options)
+
+    def _best(self, options: Sequence[ProposedBase]) -> _Fit | None:
+        best: _Fit | None = None
+        for option in options:
+            try:
+                found = self._fitted(option)
+            except SafedpaError:
+                continue  # a base that cannot be fitted to this log
+            if best is None or found.error < _CLEARLY * best.error:
+                best = found
+        return best
+
+    def _measured(self) -> list[str]:
+        return [item.name for item in self.columns.states]
+
+    def _chains(self, base: str | None) -> list[_Fit]:
+        heads = [name for name in self._measured() if name not in self.pairs.values()]
+        found = []
+        for head in heads:
+            options = chain.from_iterable(bases_of_chain(one) for one in self._chain(head, len(heads) > 1))
+            found.append(self._best([one for one in options if base in (None, one.kind)]))
+        return [one for one in found if one is not None]
+
+    def _chain(self, name: str, several: bool) -> list[Chain]:
+        """The state with its measured rate; without one alone, and with its slope."""
+        commands = self._commands_of(name)
+        if not commands:
+            return []
+        position, values = self._variable(name), self.quantities[name].values
+        copied = [item.name for item in commands if follows(values, self.quantities[item.name].values)]
+        for command in copied[:1]:
+            self.quantities[command] = self.quantities[command].with_si(position.unit)
+        self.actions = tuple(self._variable(item.name, command=True) for item in self.columns.actions)
+        prefix = f"{name}_" if several else ""
+        one = Chain(position, None, commands, copied[0] if copied else "", prefix)
+        if name in self.pairs:
+            return [replace(one, rate=self._variable(self.pairs[name]))]
+        if position.unit.endswith("/s"):
+            return [one]
+        rate = f"{name}_rate"
+        self.derived[rate] = name
+        return [one, replace(one, rate=self._variable(rate))]
+
+    def _commands_of(self, name: str) -> tuple[Variable, ...]:
+        """The commands without which the changes of a state, or of its rate, are explained worse."""
+        t, values = self.columns.t, self.quantities[name].values
+        rate = self.quantities[self.pairs[name]].values if name in self.pairs else np.gradient(values, t)
+        used = []
+        for command in self.actions:
+            others = [self.quantities[item.name].values for item in self.actions if item is not command]
+            for changed, known in ((values, [values]), (rate, [values, rate])):
+                rest = [_unexplained(t, changed, [*known, *others])]
+                rest.append(_unexplained(t, changed, [*known, *others, self.quantities[command.name].values]))
+                if rest[1] < (1.0 - _DRIVEN) * rest[0]:
+                    used.append(command)
+                    break
+        return tuple(used)
+
+    def _fitted(self, proposed: ProposedBase) -> _Fit:
+        """The base, fitted to the first part of the log, and its error on the rest: of positions, if there are any."""
+        system = System(self.robot, tuple(map(self._variable, proposed.rates)), self._driving(proposed))
+        training, rest = _parts(read_log(self.log, system, parse_column_map(self.map_text(system), self.log.stem)))
+        t, states, actions = max(training.parts(), key=lambda part: len(part[0]))
+        values = fitted_start(base_of(self._source(system, proposed)), t, states, actions)
+        terms = [term for rate in proposed.rates.values() for term in rate]
+        if not values or any(values[term.parameter] <= 0.0 for term in terms if term.positive):
+            raise RunError(f"{self.log}: {proposed.kind} does not fit")
+        rounded = {name: float(f"{value:.4g}") for name, value in values.items()}
+        source = self._source(system, replace(proposed, values=rounded))
+        made = base_of(source)
+        settings = {f"base.{item.name}": Setting(item.start, free=True) for item in made.parameters}
+        model = refit(PhysicsModel(made, (), settings, self.period), training, horizon=self.horizon).model
+        per_state = compare_model(model, [rest], self.horizon).error.per_state
+        later = (*self.derived, *self.pairs.values())
+        heads = [at for at, state in enumerate(system.state_names) if state not in later]
+        kinds = {system.state_names[heads[0]]: proposed.kind}
+        return _Fit(proposed, model, float(np.nanmean(per_state[heads])), source, kinds)
+
+    def _driving(self, proposed: ProposedBase) -> tuple[Variable, ...]:
+        text = " ".join(term.expression for terms in proposed.rates.values() for term in terms)
+        return tuple(item for item in self.actions if f'action["{item.name}"]' in text)
+
+    def _source(self, system: System, proposed: ProposedBase) -> str:
+        sizes = {name: self._size(name) for name in moving(proposed)}
+        return proposed.source(system, sizes, printable(self.log.name, but='"\\'))
+
+    def _size(self, name: str) -> float:
+        return float(np.quantile(np.abs(self._values(name)), 0.9)) or 1.0
+
+    def _values(self, name: str) -> FloatArray:
+        if name not in self.derived:
+            return self.quantities[name].values
+        t, values = self.columns.t, self.quantities[self.derived[name]].values
+        slopes = changes(t, values, _DERIVED_ROWS)[0] / changes(t, np.ones_like(t), _DERIVED_ROWS)[1]
+        return np.asarray(slopes, dtype=np.float64)
+
+    def _variable(self, name: str, command: bool = False) -> Variable:
+        values = self._values(name)
+        low, high = float(values.min()), float(values.max())
+        space = (0.01 if command else 2.0) * (high - low)
+        digit = 10.0 ** np.floor(np.log10(0.1 * (high - low)))  # rounded outwards: no row of the log is beyond
+        low = round(float(np.floor((low - space) / digit) * digit), 12)
+        high = round(float(np.ceil((high + space) / digit) * digit), 12)
+        if name in self.derived:
+            return Variable(name, f"{self.quantities[self.derived[name]].si}/s", low, high)
+        wraps = not command and bool(np.any(np.abs(np.diff(values)) > np.pi)) and self.quantities[name].si == "rad"
+        return Variable(name, self.quantities[name].si, low, high, wraps)
+
+    def map_text(self, system: System) -> str:
+        """The column map for the states and actions of a system, as TOML."""
+        lines = [QuantityForm("t", "s", self.columns.time, self.columns.time_unit)]
+        for item in (*system.state, *system.action):
+            if item.name not in self.derived:
+                found = self.quantities[item.name]
+                lines.append(QuantityForm(item.name, found.si, found.source, found.unit))
+        text = map_text(system, lines)
+        window = float(f"{_DERIVED_ROWS * self.period:.3g}")
+        for name in (state for state in system.state_names if state in self.derived):
+            text += f'{name} = {{ derive = "slope", of = "{self.derived[name]}", window = {window!r} }}\n'
+        return text.replace("\n\n", f"\nkeep_period = {self.period!r}\n\n", 1) if self.thinned else text
+
+
+def _parts(run: Run) -> tuple[Run, Run]:
+    """The first and the last part of a run."""
+    at = int(_TRAINING * len(run.t))
+    first = tuple(Stretch(part.start, min(part.stop, at)) for part in run.stretches if part.start < at)
+    last = tuple(Stretch(max(part.start, at), part.stop) for part in run.stretches if part.stop > at)
+    return replace(run, stretches=first), replace(run, stretches=last)
+
+
+def _joined(bases: Sequence[ProposedBase]) -> ProposedBase:
+    """One base of several, whose states do not act on each other."""
+    rates = {name: terms for base in bases for name, terms in base.rates.items()}
+    return ProposedBase("_and_".join(dict.fromkeys(base.kind for base in bases)), rates)
+
+
+def _unexplained(t: FloatArray, values: FloatArray, columns: Sequence[FloatArray]) -> float:
+    """Mean square of the changes of a column that the integrals of others do not explain, over the best span."""
+    rests = []
+    for span in (4, 16):
+        change = changes(t, values, span)[0]
+        matrix = np.stack([changes(t, column, span)[1] for column in (*columns, np.ones_like(t))], axis=1)
+        matrix /= np.linalg.norm(matrix, axis=0)
+        solution = np.linalg.lstsq(matrix, change, rcond=1e-9)[0]
+        rests.append(float(np.mean((change - matrix @ solution) ** 2)) / max(float(np.var(change)), 1e-300))
+    return min(rests)
