@@ -289,6 +289,14 @@ def test_an_empty_bag_and_an_empty_topic(tmp_path: Path) -> None:
     assert "topic '/drive' has no message; record it, or leave it out of the map" in one_line(half)
 
 
+def test_a_bag_whose_only_chunk_is_damaged_says_so(tmp_path: Path) -> None:
+    path = next(bag(tmp_path / "bag", "mcap").glob("*.mcap"))
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert "the bag is damaged at one place, at byte" in one_line(path)
+
+
 def test_a_file_of_another_program_is_named_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.ulg.gz").write_bytes(gzip.compress(b"ULog\x01\x12\x35\x01"))
     assert "is packed by gzip and no CSV file; unpack it: gunzip" in one_line(tmp_path / "a.ulg.gz")

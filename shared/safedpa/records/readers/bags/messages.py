@@ -87,7 +87,10 @@ class AbstractBag(AbstractLog):
                     entry[1] = at
                 elif at > entry[2]:
                     entry[2] = at
+        damage = [item.message for item in self.findings[found:]]
         del self.findings[found:]  # they are reported again when the series are read
+        if not counts and damage:
+            raise RunError(f"{self.path}: {'; '.join(damage)}; no message is left: copy it again, or name another file")
         if not counts:
             raise RunError(f"{self.path}: the bag contains no message; record again, or name another file")
         listed = self._topics_to_list()
