@@ -29,7 +29,16 @@ from safedpa.diagnosis.fit.data_checks import (
     prepare_runs,
 )
 from safedpa.diagnosis.fit.trial import values_of
-from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, FittedValue, Report, Unexplained, Verdict
+from safedpa.diagnosis.report_schema import (
+    Candidate,
+    Detectable,
+    Experiment,
+    FittedValue,
+    PossibleEffect,
+    Report,
+    Unexplained,
+    Verdict,
+)
 from safedpa.diagnosis.residuals.unmodelled import LibraryMatcher, alternative_formula, find_unexplained_structure
 from safedpa.diagnosis.search.conditional import conditions_of
 from safedpa.diagnosis.search.forward_selection import ReportProgress, run_search
@@ -102,8 +111,6 @@ def diagnose(
         sizes = with_manoeuvres(sizes, search.current, library)
     doubtful = doubtful_effects(search)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
-    possible, noise = [*doubtful, *likely], np.maximum(search.current.fit.scale, 1e-9)
-    possible_values = [values_of(item.trial, search.shooting) for item in possible]
     return Report(
         robot=model.system.name,
         horizon=horizon,
@@ -117,13 +124,22 @@ def diagnose(
         data_quality=tuple(usable.quality),
         parameters=final,
         models=tuple(reported.models),
-        closest=closest_effects(possible, search, possible_values, sizes, noise),
+        closest=_closest([*doubtful, *likely], search, sizes),
         detectable=tuple(sizes),
         naive=naive_errors(shown.windows),
         worse=reported.worse,
         conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *horizons),
         coverage=coverage_of(usable.runs),
+    )
+
+
+def _closest(
+    possible: Sequence[JudgedTrial], search: SearchState, sizes: Sequence[Detectable]
+) -> tuple[PossibleEffect, ...]:
+    noise = np.maximum(search.current.fit.scale, 1e-9)
+    return closest_effects(
+        possible, search, [values_of(item.trial, search.shooting) for item in possible], sizes, noise
     )
 
 
