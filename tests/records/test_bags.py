@@ -290,7 +290,7 @@ def test_an_empty_bag_and_an_empty_topic(tmp_path: Path) -> None:
 
 
 def test_a_bag_whose_only_chunk_is_damaged_says_so(tmp_path: Path) -> None:
-    path = next(bag(tmp_path / "bag", "mcap").glob("*.mcap"))
+    path = next(bag(tmp_path / "bag", "mcap-zstd").glob("*.mcap"))
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
