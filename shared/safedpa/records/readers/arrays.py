@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
-from collections.abc import Collection, Mapping, Sequence
+import zlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,11 @@ from safedpa.records.readers.table import Table, require_columns, require_file
 __all__ = ["arrays_in", "column_names", "read_array_table"]
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_MAX_ITEMS, _MAX_DEPTH = 50_000, 12
+"""Entries and nested groups of an HDF5 file; a data set of demonstrations has ten for each of some thousand."""
+_COMPRESSED = 15
+"""Type of a MATLAB variable that is compressed by zlib."""
+_PIECE_BYTES = 1 << 20
 
 
 def read_array_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -83,6 +90,7 @@ def _matlab_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     need("sim", what="reading MATLAB files")
     from scipy.io import loadmat
 
+    _check_matlab_size(path)
     try:
         variables = loadmat(path, squeeze_me=True, struct_as_record=False, verify_compressed_data_integrity=True)
     except Exception as error:  # scipy raises errors of many kinds for damaged files
@@ -93,6 +101,30 @@ def _matlab_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
         parts = {name: value} if fields is None else {f"{name}.{field}": getattr(value, field) for field in fields}
         found |= {key: part for key, part in parts.items() if isinstance(part, np.ndarray) and _is_column(part)}
     return found
+
+
+def _check_matlab_size(path: Path) -> None:
+    """Raises LimitError if the variables of a MATLAB file expand too much: scipy unpacks each as a whole."""
+    size = path.stat().st_size
+    most = left = max(limit("expansion_free_bytes"), size * limit("expansion"))
+    with path.open("rb") as file:
+        order = ">" if file.read(128)[126:] == b"MI" else "<"
+        while len(head := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", head)
+            end = file.tell() + length
+            unpacker = zlib.decompressobj()
+            packed = b""
+            while kind == _COMPRESSED and (packed or file.tell() < min(end, size)):
+                packed = packed or file.read(min(_PIECE_BYTES, end - file.tell()))
+                try:
+                    left -= len(unpacker.decompress(packed, _PIECE_BYTES))
+                except zlib.error:
+                    break  # scipy reports the damage
+                packed = unpacker.unconsumed_tail
+                if left < 0:
+                    raise too_much("expansion", "more", str(path))
+            file.seek(end)
+    allow_for(most - left)
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -109,37 +141,47 @@ def _hdf5_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray[An
 
     found: dict[str, np.ndarray[Any, Any]] = {}
     left = max(limit("expansion_free_bytes"), path.stat().st_size * limit("expansion"))
-
-    def visit(name: str, item: Any) -> None:
-        nonlocal left
-        # data outside of the file are never read
-        if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or name.startswith("#refs#"):
-            return
-        if len(found) > limit("columns"):
-            raise too_much("columns", len(found), str(path))
-        name = name.replace("/", ".") if matlab else name
-        if item.ndim not in (1, 2) or item.dtype.kind not in "fiub" or not item.size:
-            return
-        values = np.broadcast_to(np.empty((), item.dtype), item.shape)
-        if name in wanted:
-            left -= values.size * max(item.dtype.itemsize, 8)
-            if left < 0:
-                raise too_much("expansion", "more", str(path))
-            allow_for(item.nbytes)
-            values = item[()]
-        values = values.T if matlab else values
-        found[name] = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
-
     try:
         with h5py.File(path, "r") as file:
             matlab = file.userblock_size > 0
-            file.visititems(visit)
+            for name, item in _datasets(path, file):
+                values = np.broadcast_to(np.empty((), item.dtype), item.shape)
+                key = name.replace("/", ".") if matlab else name
+                if key in wanted:
+                    left -= values.size * max(item.dtype.itemsize, 8)
+                    if left < 0:
+                        raise too_much("expansion", "more", str(path))
+                    allow_for(item.nbytes)
+                    values = item[()]
+                values = values.T if matlab else values
+                found[key] = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{path}: cannot be read as HDF5 ({str(error)[:100]}); it may be cut off: copy it") from error
     return found
 
 
-def _is_column(array: np.ndarray[Any, Any]) -> bool:
+def _datasets(path: Path, file: Any) -> Iterator[tuple[str, Any]]:
+    """Name and dataset of each column in the file itself; links to other places, and their data, are left out."""
+    import h5py
+
+    groups, seen = [("", file, 0)], 0
+    while groups:
+        prefix, group, depth = groups.pop()
+        for name in group:
+            seen += 1
+            if seen > _MAX_ITEMS or depth > _MAX_DEPTH:
+                raise RunError(f"{path}: has more than {_MAX_ITEMS} entries, or more than {_MAX_DEPTH} nested groups")
+            if name == "#refs#" or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                groups.append((f"{prefix}{name}/", item, depth + 1))
+            elif isinstance(item, h5py.Dataset) and _is_column(item) and not item.external and not item.is_virtual:
+                yield f"{prefix}{name}", item
+
+
+def _is_column(array: Any) -> bool:
+    """Whether a NumPy array, or a dataset of HDF5, has columns of numbers."""
     return array.ndim in (1, 2) and array.dtype.kind in "fiubmM" and array.size > 0
 
 
