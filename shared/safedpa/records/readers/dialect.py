@@ -37,7 +37,7 @@ _PARTS, _PART_BYTES = 12, 2048
 _FIRST_LETTERS = 4
 """Letters at the beginning of a text in UTF-16 that have to be ASCII: binary data may begin like one."""
 _MIN_FITTING = 0.5
-"""Share of the rows that must have as many cells as the header."""
+"""Share of the rows that must have as many cells as the header, if both are split at blanks."""
 _MAX_UNIT = 16
 """Letters of the name of a unit."""
 _NUMBER = re.compile(r"[-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?")
@@ -226,8 +226,9 @@ def _candidate(lines: Sequence[str], rest: Sequence[str], delimiter: str, wanted
     rows = [_cells(row, delimiter) for row in (*lines[number + 1 :], *rest) if row.strip()]
     fitting = sum(len(row) in (len(header), len(header) + 1) for row in rows) / max(1, len(rows))
     width = len(header) if delimiter != _BLANKS else 1  # blanks only where nothing else separates
-    # First that most rows fit: "t [s],speed [m/s]" split at its blanks has a column t as well.
-    return _Candidate(delimiter, number, header, (fitting >= _MIN_FITTING, matched[number], round(fitting, 1), width))
+    # "t [s],speed [m/s]" split at its blanks has a column t as well, but its rows do not fit
+    fits = delimiter != _BLANKS or fitting >= _MIN_FITTING
+    return _Candidate(delimiter, number, header, (fits, matched[number], round(fitting, 1), width))
 
 
 def _probable_header(lines: Sequence[str], headers: Sequence[list[str]]) -> int:
