@@ -24,7 +24,7 @@ from safedpa.records.readers.cells import DATE, element_of, numbers_of_texts
 from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
 
-__all__ = ["COMMENTS", "GZIP", "CsvFile", "Layout", "decoded", "find_layout"]
+__all__ = ["COMMENTS", "GZIP", "CsvFile", "Layout", "decimal_comma_finding", "decoded", "find_layout"]
 
 GZIP = b"\x1f\x8b"
 COMMENTS = ("#", "%", "//")

@@ -36,6 +36,7 @@ __all__ = [
     "McapBag",
     "PackedBag",
     "SqliteBag",
+    "check_readable_mcap",
     "is_bag_folder",
     "is_recording_of_the_bus",
     "open_bag_file",
