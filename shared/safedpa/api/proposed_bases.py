@@ -36,8 +36,8 @@ _RANGE = 20.0
 """Bounds of a proposed parameter, as a multiple of its fitted value."""
 _LINE = 100
 """Longest line of a rate in the proposed file; longer ones have a line for each summand."""
-_FOLLOWS = (0.8, 1.25)
-"""Slope between a command and a state from which the state follows the command in the same unit."""
+_FOLLOWS = (0.3, 1.6)
+"""Slopes of a state over a command for which the state may follow the command in the same unit: 1 if it is quick."""
 
 _FILE: Final = '''\
 """{robot}: system, base and effects, proposed from {origin}; check names, units and bounds."""
@@ -228,18 +228,19 @@ def bases_of_chain(chain: Chain) -> list[ProposedBase]:
         following = _following(chain, name, "response", "1/s")
         damping = Term(f"{chain.prefix}damping", "1/s", f'state["{name}"]', -1, True)
         offset = Term(f"{chain.prefix}offset", f"{position.unit}/s", "")
-        rest = (following,) if following else (*pushed, damping, offset)
-        return [ProposedBase("integrator", {name: pushed}), ProposedBase("first_order", {name: rest})]
+        kinds = [("integrator", pushed), *([("first_order", (following,))] if following else [])]
+        kinds.append(("first_order", (*pushed, damping, offset)))
+        return [ProposedBase(kind, {name: terms}) for kind, terms in kinds]
     way = (Term("", "", f'state["{rate.name}"]'),)
     damping = Term(f"{chain.prefix}damping", "1/s", f'state["{rate.name}"]', -1, True)
-    kinds: dict[str, tuple[Term, ...]] = {"double_integrator": pushed}
+    kinds = [("double_integrator", pushed)]
     if position.unit == "rad":
         gravity = Term(f"{chain.prefix}gravity", "rad/s2", f'operations.sin(state["{position.name}"])', -1)
-        kinds["joint"] = (*pushed, gravity)
+        kinds.append(("joint", (*pushed, gravity)))
     following = _following(chain, position.name, "stiffness", "1/s2")
     if following:
-        kinds["position_loop"] = (following, damping)
-    return [ProposedBase(kind, {position.name: way, rate.name: terms}) for kind, terms in kinds.items()]
+        kinds.append(("position_loop", (following, damping)))
+    return [ProposedBase(kind, {position.name: way, rate.name: terms}) for kind, terms in kinds]
 
 
 def _following(chain: Chain, name: str, parameter: str, unit: str) -> Term | None:
@@ -257,12 +258,12 @@ def _gain(chain: Chain, command: Variable, state: Variable) -> Term:
 
 
 def follows(state: FloatArray, command: FloatArray) -> bool:
-    """Whether a state follows a command in the same unit: slope about 1 and little else."""
+    """Whether a state may follow a command in the same unit; a base of that kind still competes with others."""
     if np.std(command) <= 0.0 or np.std(state) <= 0.0:
         return False
     slope = float(np.cov(state, command)[0, 1] / np.var(command))
     near = abs(float(np.mean(state) - np.mean(command))) < float(np.std(command) + np.std(state))
-    return near and _FOLLOWS[0] < slope < _FOLLOWS[1] and float(np.corrcoef(state, command)[0, 1]) > 0.5
+    return near and _FOLLOWS[0] < slope < _FOLLOWS[1] and float(np.corrcoef(state, command)[0, 1]) > 0.3
 
 
 def whole_robot(system: System) -> list[ProposedBase]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -65,11 +66,12 @@ _LEAST_PERIOD = 0.01
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class StartedModel(AbstractResult):
-    """A first model of a robot, from a log.
+    """A first model of a robot, from the table ``log``.
 
-    ``kinds`` are the bases by state, ``error`` is that of the model on the last part of the log, as a share of the
-    usual change after ``horizon`` [s]; ``unused`` are columns of the log that are in no role. ``folder`` has the files
-    robot.py (system, base, effects), model.toml and columns.toml; ``command`` diagnoses the model with the log.
+    ``system`` has the states and actions, ``kinds`` are the bases by state. ``error`` is that of the model on the last
+    part of the log, as a share of the usual change after ``horizon`` [s]; ``unused`` are columns of the log that are in
+    no role. ``folder`` has the files robot.py (system, base, effects), model.toml and columns.toml; ``command``
+    diagnoses the model with the log.
 
     Example:
 
@@ -363,8 +365,10 @@ class _Proposal:
         source = self._source(system, replace(proposed, values=rounded))
         made = base_of(source)
         settings = {f"base.{item.name}": Setting(item.start, free=True) for item in made.parameters}
-        model = refit(PhysicsModel(made, (), settings, self.period), training, horizon=self.horizon).model
-        per_state = compare_model(model, [rest], self.horizon).error.per_state
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # predictions of an unsuitable base may diverge
+            model = refit(PhysicsModel(made, (), settings, self.period), training, horizon=self.horizon).model
+            per_state = compare_model(model, [rest], self.horizon).error.per_state
         later = (*self.derived, *self.pairs.values())
         heads = [at for at, state in enumerate(system.state_names) if state not in later]
         kinds = {system.state_names[heads[0]]: proposed.kind}

@@ -60,7 +60,7 @@ def logged_column(source: str, values: FloatArray, name: str = "") -> LoggedColu
     ending = {"deg", "degrees", "ms", "mm", "cm", "kmh", "mps", "rpm", "dps", unit} if unit else set()
     plain = [part for index, part in enumerate(parts) if not (index and part in ending)] or ["column"]
     own = re.sub(r"^(?=\d)", "c", name or "_".join(plain))
-    bare = {re.sub(r"\d+$", "", part) for part in plain}
+    bare = {re.sub(r"\d+$", "", part) for part in own.split("_")}
     guessed = next((si for si, known in _UNIT_PARTS.items() if bare & set(known.split())), "1")
     if not unit:
         return LoggedColumn(own, source, "", guessed, values)

@@ -1,0 +1,106 @@
+"""``safedpa init``: a log becomes a model that ``safedpa diagnose`` takes at once."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import safedpa
+from safedpa.errors import InputError
+from safedpa_lab.own_robots.plants import PLANTS, drive
+from safedpa_services.command_line.group import safedpa as command_line
+
+
+def write_log(path: Path, plant: str, header: str, hidden: dict[str, dict[str, float]], seed: int = 1) -> None:
+    """A log of one of the laboratory's robots; the columns in ``header`` are named in the order of the plant's."""
+    t, states, actions = drive(PLANTS[plant], hidden, seed)
+    table = np.column_stack([t, states, actions])
+    names = header.split(",")
+    kept = [at for at, name in enumerate(names) if name]
+    np.savetxt(path, table[:, kept], "%.6g", ",", header=",".join(names[at] for at in kept), comments="")
+
+
+@pytest.mark.parametrize(
+    ("plant", "header", "hidden", "kind", "found"),
+    [
+        ("own_servo", "t,angle,,target", {"target_delay": {"seconds": 0.12}}, None, "target_delay"),
+        ("own_joint", "t,q,dq,current", {"rate_friction": {"deceleration": 1.5}}, {"q": "joint"}, "dq_friction"),
+    ],
+)
+@pytest.mark.long
+def test_the_printed_command_diagnoses_the_proposed_model(
+    plant: str, header: str, hidden: dict[str, dict[str, float]], kind: dict[str, str] | None, found: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "log.csv", plant, header, hidden)
+    robot = f"started_{plant}"
+    assert command_line.run(["init", "log.csv", "--out", "started", "--robot", robot, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert kind in (None, answer["bases"])
+    program, *arguments = shlex.split(answer["next"])
+    assert program == "safedpa"
+    assert command_line.run([*arguments, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert found in {name for stage in report["stages"] for name in stage["effects"]}
+
+
+@pytest.mark.parametrize(
+    ("plant", "header", "states", "kinds"),
+    [
+        ("own_motor", "time_ms,speed,voltage", ("speed",), {"speed": "first_order"}),
+        ("own_conveyor", "t,v,v_target", ("v",), {"v": "first_order"}),
+        ("own_quadrotor", "t,vx,vy,vz,thrust,pitch,roll", ("vx", "vy", "vz"), {"vx": "multirotor"}),
+    ],
+)
+def test_commands_and_the_base_are_recognised(
+    plant: str, header: str, states: tuple[str, ...], kinds: dict[str, str], tmp_path: Path
+) -> None:
+    write_log(tmp_path / "log.csv", plant, header, {})
+    if "time_ms" in header:
+        table = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1) * ([1000.0] + [1.0] * header.count(","))
+        np.savetxt(tmp_path / "log.csv", table, "%.6g", ",", header=header, comments="")
+    started = safedpa.init(tmp_path / "log.csv", tmp_path / "out", robot=f"a_{plant}")
+    assert (started.system.state_names, started.kinds) == (states, kinds)
+    assert started.error < 0.1
+    assert started.unused == ()
+
+
+def test_named_columns_a_named_base_and_the_parameters_of_the_plant(tmp_path: Path) -> None:
+    write_log(tmp_path / "log.csv", "own_joint", "t,c1,c2,c3", {})
+    roles = {"states": {"angle": "c1", "omega": "c2"}, "actions": {"current": "c3"}}
+    started = safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles, base="joint", robot="named")
+    assert started.system.state_names == ("angle", "omega"), "the rate is recognised by its values"
+    model = safedpa.load_model(tmp_path / "out" / "model.toml") if _loads(tmp_path / "out" / "robot.py") else None
+    assert model is not None
+    values = [setting.value for setting in model.settings.values()]
+    assert values == pytest.approx([2.1, 6.2], rel=0.03)
+    with pytest.raises(InputError, match="exists"):
+        safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles, robot="named_again")
+
+
+def _loads(path: Path) -> bool:
+    return bool(safedpa.list_effects(effects=path))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"base": "jont"}, "joint"),
+        ({"states": {"angle": "c9"}}, "no column 'c9'"),
+        ({"robot": "car"}, "known already"),
+        ({}, "name one with --action"),
+        ({"actions": {"u": "c3"}, "base": "bicycle"}, "needs other states"),
+    ],
+)
+def test_a_proposal_that_cannot_be_made_says_what_is_wanted(
+    options: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    t = np.arange(0.0, 10.0, 0.05)
+    rows = np.column_stack([t, np.sin(t), np.cos(t), np.sin(0.7 * t)])
+    np.savetxt(tmp_path / "log.csv", rows, "%.6g", ",", header="t,c1,c2,c3", comments="")
+    with pytest.raises(InputError, match=message):
+        safedpa.init(tmp_path / "log.csv", tmp_path / "out", **options)  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
