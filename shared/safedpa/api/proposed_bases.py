@@ -19,8 +19,8 @@ from safedpa.records.column_map.recognise import changes
 from safedpa.systems import System, Variable
 
 __all__ = [
-    "KINDS", "WHOLE", "Chain", "ProposedBase", "Term", "base_of", "bases_of_chain", "fitted_start", "follows", "moving",
-    "whole_robot",
+    "KINDS", "WHOLE", "Chain", "ProposedBase", "RateTerm", "base_of", "bases_of_chain", "fitted_start", "follows",
+    "moving", "whole_robot",
 ]  # fmt: skip
 
 WHOLE: Final = {
@@ -81,7 +81,7 @@ EFFECTS = general_effects(SYSTEM, moving={{{sizes}}})  # usual sizes
 
 
 @dataclass(frozen=True)
-class Term:
+class RateTerm:
     """One summand of a rate: ``sign`` times a parameter (none if empty) times a Python expression."""
 
     parameter: str
@@ -103,7 +103,7 @@ class ProposedBase:
     """A kind of base for some states: the summands of each rate, and the usual size of what forces change."""
 
     kind: str
-    rates: Mapping[str, tuple[Term, ...]]
+    rates: Mapping[str, tuple[RateTerm, ...]]
     values: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -132,7 +132,7 @@ class ProposedBase:
             sizes=", ".join(f'"{name}": {size:.3g}' for name, size in sizes.items()),
         )
 
-    def _parameter(self, term: Term) -> str:
+    def _parameter(self, term: RateTerm) -> str:
         value = self.values.get(term.parameter, 1.0)
         low, high = sorted((0.0, _RANGE * value)) if self.values else (-1e12, 1e12)
         return (
@@ -140,12 +140,12 @@ class ProposedBase:
         )
 
 
-def _sum(terms: Sequence[Term]) -> str:
+def _sum(terms: Sequence[RateTerm]) -> str:
     text = "".join(f" {'+' if term.sign > 0 else '-'} {term.source}" for term in terms)
     return text.removeprefix(" + ").removeprefix(" ")
 
 
-def _rate_lines(name: str, terms: Sequence[Term]) -> list[str]:
+def _rate_lines(name: str, terms: Sequence[RateTerm]) -> list[str]:
     line = f'            "{name}": {_sum(terms)},'
     if len(line) <= _LINE:
         return [line]
@@ -226,16 +226,16 @@ def bases_of_chain(chain: Chain) -> list[ProposedBase]:
     if rate is None:
         name = position.name
         following = _following(chain, name, "response", "1/s")
-        damping = Term(f"{chain.prefix}damping", "1/s", f'state["{name}"]', -1, True)
-        offset = Term(f"{chain.prefix}offset", f"{position.unit}/s", "")
+        damping = RateTerm(f"{chain.prefix}damping", "1/s", f'state["{name}"]', -1, True)
+        offset = RateTerm(f"{chain.prefix}offset", f"{position.unit}/s", "")
         kinds = [("integrator", pushed), *([("first_order", (following,))] if following else [])]
         kinds.append(("first_order", (*pushed, damping, offset)))
         return [ProposedBase(kind, {name: terms}) for kind, terms in kinds]
-    way = (Term("", "", f'state["{rate.name}"]'),)
-    damping = Term(f"{chain.prefix}damping", "1/s", f'state["{rate.name}"]', -1, True)
+    way = (RateTerm("", "", f'state["{rate.name}"]'),)
+    damping = RateTerm(f"{chain.prefix}damping", "1/s", f'state["{rate.name}"]', -1, True)
     kinds = [("double_integrator", pushed)]
     if position.unit == "rad":
-        gravity = Term(f"{chain.prefix}gravity", "rad/s2", f'operations.sin(state["{position.name}"])', -1)
+        gravity = RateTerm(f"{chain.prefix}gravity", "rad/s2", f'operations.sin(state["{position.name}"])', -1)
         kinds.append(("joint", (*pushed, gravity)))
     following = _following(chain, position.name, "stiffness", "1/s2")
     if following:
@@ -243,18 +243,18 @@ def bases_of_chain(chain: Chain) -> list[ProposedBase]:
     return [ProposedBase(kind, {position.name: way, rate.name: terms}) for kind, terms in kinds]
 
 
-def _following(chain: Chain, name: str, parameter: str, unit: str) -> Term | None:
+def _following(chain: Chain, name: str, parameter: str, unit: str) -> RateTerm | None:
     if not chain.follows:
         return None
-    return Term(f"{chain.prefix}{parameter}", unit, f'(action["{chain.follows}"] - state["{name}"])', 1, True)
+    return RateTerm(f"{chain.prefix}{parameter}", unit, f'(action["{chain.follows}"] - state["{name}"])', 1, True)
 
 
-def _gain(chain: Chain, command: Variable, state: Variable) -> Term:
+def _gain(chain: Chain, command: Variable, state: Variable) -> RateTerm:
     own = f"{command.name}_" if len(chain.commands) > 1 else ""
     rate = f"{state.unit}2" if state.unit.endswith("/s") else f"{state.unit}/s"
     per = f"({command.unit})" if {" ", "/"} & set(command.unit) else command.unit
     unit = rate if per == "1" else f"{rate}/{per}"
-    return Term(f"{chain.prefix}{own}gain", unit, f'action["{command.name}"]')
+    return RateTerm(f"{chain.prefix}{own}gain", unit, f'action["{command.name}"]')
 
 
 def follows(state: FloatArray, command: FloatArray) -> bool:
@@ -274,28 +274,28 @@ def whole_robot(system: System) -> list[ProposedBase]:
     turn = next((name for name in actions if re.search(r"turn|yaw|omega|angular|\bw", name)), "")
     if {"x", "y", "yaw", "speed"} <= names and len(actions) == 2 and (steer or turn):
         drive = next(name for name in actions if name != (steer or turn))
-        pose = {axis: (Term("", "", f'state["speed"] * operations.{f}(state["yaw"])'),) for axis, f in _AXES}
+        pose = {axis: (RateTerm("", "", f'state["speed"] * operations.{f}(state["yaw"])'),) for axis, f in _AXES}
         speed = (
-            Term("drive_gain", "m/s2", f'action["{drive}"]'),
-            Term("speed_damping", "1/s", 'state["speed"]', -1, True),
+            RateTerm("drive_gain", "m/s2", f'action["{drive}"]'),
+            RateTerm("speed_damping", "1/s", 'state["speed"]', -1, True),
         )
         if steer:
             tangent = f'operations.sin(action["{steer}"]) / operations.cos(action["{steer}"])'
-            yaw = (Term("turn_gain", "1/m", f'state["speed"] * {tangent}'),)
+            yaw = (RateTerm("turn_gain", "1/m", f'state["speed"] * {tangent}'),)
             found.append(ProposedBase("bicycle", {**pose, "yaw": yaw, "speed": speed}))
         elif "turn_rate" in names:
-            answer = Term("turn_response", "1/s", f'(action["{turn}"] - state["turn_rate"])', 1, True)
-            rest = {"yaw": (Term("", "", 'state["turn_rate"]'),), "speed": speed, "turn_rate": (answer,)}
+            answer = RateTerm("turn_response", "1/s", f'(action["{turn}"] - state["turn_rate"])', 1, True)
+            rest = {"yaw": (RateTerm("", "", 'state["turn_rate"]'),), "speed": speed, "turn_rate": (answer,)}
             found.append(ProposedBase("differential_drive", {**pose, **rest}))
     if {"vx", "vy", "vz"} <= names and {"thrust", "pitch", "roll"} <= set(actions):
         thrust, pitch, roll = 'action["thrust"]', 'action["pitch"]', 'action["roll"]'
         gain = "thrust_gain"
         rates = {
-            "vx": (Term(gain, "1", f"{thrust} * operations.sin({pitch}) * operations.cos({roll})"),),
-            "vy": (Term(gain, "1", f"{thrust} * operations.sin({roll})", -1),),
+            "vx": (RateTerm(gain, "1", f"{thrust} * operations.sin({pitch}) * operations.cos({roll})"),),
+            "vy": (RateTerm(gain, "1", f"{thrust} * operations.sin({roll})", -1),),
             "vz": (
-                Term(gain, "1", f"{thrust} * operations.cos({pitch}) * operations.cos({roll})"),
-                Term("gravity", "m/s2", "", -1),
+                RateTerm(gain, "1", f"{thrust} * operations.cos({pitch}) * operations.cos({roll})"),
+                RateTerm("gravity", "m/s2", "", -1),
             ),
         }
         found.append(ProposedBase("multirotor", rates))

@@ -37,6 +37,7 @@ from safedpa.limits import printable
 from safedpa.progress import progress
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.column_map.form import QuantityForm, map_text
+from safedpa.records.column_map.propose import COMMANDED
 from safedpa.records.column_map.recognise import (
     LoggedColumn,
     changes,
@@ -323,7 +324,8 @@ class _Proposal:
         if not commands:
             return []
         position, values = self._variable(name), self.quantities[name].values
-        copied = [item.name for item in commands if follows(values, self.quantities[item.name].values)]
+        given = [self.quantities[item.name] for item in commands]
+        copied = [item.name for item in given if COMMANDED.search(item.source) or follows(values, item.values)]
         for command in copied[:1]:
             self.quantities[command] = self.quantities[command].with_si(position.unit)
         self.actions = tuple(self._variable(item.name, command=True) for item in self.columns.actions)
