@@ -44,7 +44,7 @@ _MEMORY_PER_BYTE = 30
 _WAIT_PER_SECOND, _MIN_WAIT = 20.0, 300.0
 """Time [s] for which a caller waits, for each second of processor time, and at least."""
 _HEADER = struct.Struct("<Q")
-"""Length of the pickled content that follows."""
+"""A number of parts, or the length of one."""
 _TABLE = ("pandas", "pyarrow.parquet", "pyarrow.csv", "pyarrow.compute")
 _ROS = ("rosbags.typesys", "rosbags.serde", "mcap.records", "mcap.data_stream", "lz4.frame", "zstandard", "sqlite3")
 _LIBRARIES = {
@@ -83,7 +83,7 @@ def in_own_process(
             return read(path, *arguments, **options)
         request = (read.__module__, read.__qualname__, (path, *arguments), options)
         place = (Path.cwd(), dict(os.environ), [os.path.abspath(folder) for folder in sys.path if folder])
-        kind, content = _answer(path, _libraries(path), pickle.dumps((place, pickle.dumps(request))))
+        kind, content = _answer(path, _libraries(path), (place, pickle.dumps(request)))
         if kind == "result":
             result: _Result = content
             return result
@@ -128,17 +128,17 @@ def _libraries(path: Path) -> str:
     return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), _TABLE))
 
 
-def _answer(path: Path, libraries: str, request: bytes) -> tuple[str, Any]:
+def _answer(path: Path, libraries: str, request: object) -> tuple[str, Any]:
     ours, theirs = socket.socketpair()
     with ours:
         try:
             with theirs:
                 _submit(libraries, theirs)
-            ours.sendall(_HEADER.pack(len(request)) + request)
+            _send(ours, request)
             found = _receive(ours)
         except OSError as error:
             raise RunError(f"{path}: no process can be started to read it ({error}); try again") from error
-    answer: tuple[str, Any] = ("stopped", -signal.SIGKILL) if found is None else pickle.loads(found)
+    answer: tuple[str, Any] = found or ("stopped", -signal.SIGKILL)
     return answer
 
 
@@ -178,10 +178,24 @@ def _stop() -> None:
 atexit.register(_stop)
 
 
-def _receive(connection: socket.socket) -> bytearray | None:
-    """The next pickled content; None if the other side ended before or within it."""
-    header = _exactly(connection, _HEADER.size)
-    return None if header is None else _exactly(connection, _HEADER.unpack(header)[0])
+def _send(connection: socket.socket, item: object) -> None:
+    """Sends a pickled object, and its arrays without a copy."""
+    buffers: list[pickle.PickleBuffer] = []
+    content = pickle.dumps(item, protocol=5, buffer_callback=buffers.append)
+    parts: list[Any] = [content, *(buffer.raw() for buffer in buffers)]
+    connection.sendall(b"".join(_HEADER.pack(number) for number in (len(parts), *map(len, parts))))
+    for part in parts:
+        connection.sendall(part)
+
+
+def _receive(connection: socket.socket) -> Any:
+    """The next object; None if the other side ended before or within it."""
+    count = _exactly(connection, _HEADER.size)
+    sizes = None if count is None else _exactly(connection, _HEADER.size * _HEADER.unpack(count)[0])
+    if sizes is None:
+        return None
+    parts = [_exactly(connection, size) for (size,) in _HEADER.iter_unpack(sizes)]
+    return None if None in parts else pickle.loads(parts[0], buffers=parts[1:])  # type: ignore[arg-type]
 
 
 def _exactly(connection: socket.socket, size: int) -> bytearray | None:
@@ -252,7 +266,7 @@ def _work(connection: socket.socket, folder: str) -> NoReturn:
     request = _receive(connection)
     if request is None:
         os._exit(0)
-    (current, environment, search_path), called = pickle.loads(request)
+    (current, environment, search_path), called = request
     os.chdir(current)
     sys.path[:] = search_path
     os.environ.clear()
@@ -297,9 +311,3 @@ def _set_limits(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (written, written))
     signal.setitimer(signal.ITIMER_PROF, limit("reader_milliseconds") / 1e3)
     allow_for(size)
-
-
-def _send(connection: socket.socket, answer: tuple[str, Any]) -> None:
-    content = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
-    connection.sendall(_HEADER.pack(len(content)))
-    connection.sendall(content)
