@@ -71,18 +71,16 @@ def test_commands_and_the_base_are_recognised(
 def test_named_columns_a_named_base_and_the_parameters_of_the_plant(tmp_path: Path) -> None:
     write_log(tmp_path / "log.csv", "own_joint", "t,c1,c2,c3", {})
     roles = {"states": {"angle": "c1", "omega": "c2"}, "actions": {"current": "c3"}}
-    started = safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles, base="joint", robot="named")
+    write_log(tmp_path / "other.csv", "own_joint", "t,c1,c2,c3", {}, seed=2)
+    logs = [tmp_path / "log.csv", tmp_path / "other.csv"]
+    started = safedpa.init(logs, tmp_path / "out", **roles, base="joint", robot="named")
     assert started.system.state_names == ("angle", "omega"), "the rate is recognised by its values"
-    model = safedpa.load_model(tmp_path / "out" / "model.toml") if _loads(tmp_path / "out" / "robot.py") else None
-    assert model is not None
+    safedpa.list_effects(effects=tmp_path / "out" / "robot.py")  # loads the file
+    model = safedpa.load_model(tmp_path / "out" / "model.toml")
     values = [setting.value for setting in model.settings.values()]
     assert values == pytest.approx([2.1, 6.2], rel=0.03)
     with pytest.raises(InputError, match="exists"):
         safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles, robot="named_again")
-
-
-def _loads(path: Path) -> bool:
-    return bool(safedpa.list_effects(effects=path))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def _by_name(option: str, pairs: Sequence[str]) -> dict[str, str]:
 
 
 @click.command(name="init")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the files.")
 @click.option("--state", "states", multiple=True, metavar="NAME=COLUMN", help="A state; then only those named.")
 @click.option("--action", "actions", multiple=True, metavar="NAME=COLUMN", help="A command; then only those named.")
@@ -33,7 +33,7 @@ def _by_name(option: str, pairs: Sequence[str]) -> dict[str, str]:
 @as_json_option
 @needs("diagnosis")
 def command(
-    log: Path,
+    logs: tuple[Path, ...],
     out: Path,
     states: tuple[str, ...],
     actions: tuple[str, ...],
@@ -45,13 +45,14 @@ def command(
 ) -> None:
     """Write a first model of a robot from LOG.
 
-    LOG is a table: CSV, Parquet or arrays. Recognises time, commands, states, and pairs of position and rate; compares
-    bases on the last part of the log: integrator, first_order, double_integrator, joint, position_loop, bicycle,
-    differential_drive, multirotor. DIR gets robot.py (system, base, effects), model.toml and columns.toml. It is a
-    proposal: check names, units and bounds. The last line printed is the command that diagnoses the model.
+    LOG is a table, or several with the same columns: CSV, Parquet or arrays. Recognises time, commands, states, and
+    pairs of position and rate; compares bases on the last part of each log: integrator, first_order, double_integrator,
+    joint, position_loop, bicycle, differential_drive, multirotor. DIR gets robot.py (system, base, effects), model.toml
+    and columns.toml. It is a proposal: check names, units and bounds. The last line printed is the command that
+    diagnoses the model.
     """
     from safedpa.api.starting import init
 
     given = {"states": _by_name("--state", states), "actions": _by_name("--action", actions)}
-    found = init(log, out, **given, base=base, robot=robot, horizon=horizon, force=force)
+    found = init(logs, out, **given, base=base, robot=robot, horizon=horizon, force=force)
     click.echo(json.dumps(found.to_dict()) if as_json else str(found))

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -173,37 +173,50 @@ def base_of(source: str) -> AbstractBase:
     return made
 
 
-def fitted_start(base: AbstractBase, t: FloatArray, states: FloatArray, actions: FloatArray) -> dict[str, float]:
+Part: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Times (rows,) [s], states (rows, states) and actions (rows, actions) of a stretch of a run."""
+
+
+def fitted_start(base: AbstractBase, parts: Sequence[Part]) -> dict[str, float]:
     """Least-squares parameters of rates that are linear in them, from changes over several rows; {} without a fit."""
-    state = dict(zip(base.system.state_names, states.T, strict=True))
-    action = dict(zip(base.system.action_names, actions.T, strict=True))
     names = [item.name for item in base.parameters]
-
-    def rates(on: str) -> dict[str, FloatArray]:
-        values = {name: float(name == on) for name in names}
-        found = base.rates(state, action, values, NUMPY)
-        return {name: np.broadcast_to(np.asarray(rate, dtype=np.float64), t.shape) for name, rate in found.items()}
-
-    known, regressors = rates(""), {name: rates(name) for name in names}
     best, found = np.inf, {}
     for span in _SPANS:
-        left, right = [], []
-        for entry, values in state.items():
-            change = changes(t, values, span)[0] - changes(t, known[entry], span)[1]
-            columns = [changes(t, regressors[name][entry] - known[entry], span)[1] for name in names]
-            scale = float(np.std(changes(t, values, span)[0]))
-            if scale > 0.0 and any(np.any(column) for column in columns):
-                left.append(np.stack(columns, axis=1) / scale)
-                right.append(change / scale)
-        if not left:
-            return {}
-        matrix, target = np.concatenate(left), np.concatenate(right)
+        equations = [_equations(base, names, part, span) for part in parts if len(part[0]) > 2 * span]
+        if not equations:
+            continue
+        matrix = np.concatenate([left for left, _ in equations])
+        target = np.concatenate([right for _, right in equations])
         size = np.linalg.norm(matrix, axis=0)
-        solution = np.linalg.lstsq(matrix / np.where(size > 0.0, size, 1.0), target, rcond=1e-6)[0]
-        rest = float(np.mean((target - matrix / np.where(size > 0.0, size, 1.0) @ solution) ** 2))
-        if rest < best and np.all(size > 0.0):
+        if not np.all(size > 0.0):
+            continue
+        solution = np.linalg.lstsq(matrix / size, target, rcond=1e-6)[0]
+        rest = float(np.mean((target - matrix / size @ solution) ** 2))
+        if rest < best:
             best, found = rest, dict(zip(names, (solution / size).tolist(), strict=True))
     return found
+
+
+def _equations(base: AbstractBase, names: Sequence[str], part: Part, span: int) -> tuple[FloatArray, FloatArray]:
+    """Matrix and right side of matrix @ parameters = changes over ``span`` rows, each state in its usual change."""
+    t, states, actions = part
+    state = dict(zip(base.system.state_names, states.T, strict=True))
+    action = dict(zip(base.system.action_names, actions.T, strict=True))
+
+    def rates(on: str) -> dict[str, FloatArray]:
+        found = base.rates(state, action, {name: float(name == on) for name in names}, NUMPY)
+        return {name: np.broadcast_to(np.asarray(rate, dtype=np.float64), t.shape) for name, rate in found.items()}
+
+    known, single = rates(""), [rates(name) for name in names]
+    left, right = [np.empty((0, len(names)))], [np.empty(0)]
+    for entry, values in state.items():
+        change = changes(t, values, span)[0]
+        columns = [changes(t, one[entry] - known[entry], span)[1] for one in single]
+        scale = float(np.std(change))
+        if scale > 0.0 and any(np.any(column) for column in columns):
+            left.append(np.stack(columns, axis=1) / scale)
+            right.append((change - changes(t, known[entry], span)[1]) / scale)
+    return np.concatenate(left), np.concatenate(right)
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ _LEAST_PERIOD = 0.01
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class StartedModel(AbstractResult):
-    """A first model of a robot, from the table ``log``.
+    """A first model of a robot, from the tables ``logs``.
 
     ``system`` has the states and actions, ``kinds`` are the bases by state. ``error`` is that of the model on the last
     part of the log, as a share of the usual change after ``horizon`` [s]; ``unused`` are columns of the log that are in
@@ -82,7 +82,7 @@ class StartedModel(AbstractResult):
     """
 
     folder: Path
-    log: Path
+    logs: tuple[Path, ...]
     system: System
     kinds: dict[str, str]
     error: float
@@ -93,7 +93,7 @@ class StartedModel(AbstractResult):
     def command(self) -> str:
         """The shell command that diagnoses the model."""
         files = {"--columns": self.folder / "columns.toml", "--effects": self.folder / "robot.py"}
-        given = ["safedpa", "diagnose", str(self.folder / "model.toml"), str(self.log)]
+        given = ["safedpa", "diagnose", str(self.folder / "model.toml"), *map(str, self.logs)]
         options = [text for option, path in files.items() for text in (option, str(path))]
         return shlex.join([*given, *options, "--horizon", f"{self.horizon:g}"])
 
@@ -132,7 +132,7 @@ class StartedModel(AbstractResult):
 
 
 def init(
-    log: str | Path,
+    log: str | Path | Sequence[str | Path],
     out: str | Path,
     *,
     states: Mapping[str, str] | None = None,
@@ -142,14 +142,14 @@ def init(
     horizon: float | None = None,
     force: bool = False,
 ) -> StartedModel:
-    """Writes a first model of a robot from a log of it: robot.py, model.toml and columns.toml in the folder ``out``.
+    """Writes a first model of a robot from logs of it: robot.py, model.toml and columns.toml in the folder ``out``.
 
-    The log is a table (CSV, Parquet, arrays). Without ``states`` and ``actions`` (columns by name) the columns are
-    recognised: a rate is the slope of another column; a command has the name of one or is constant between jumps. The
-    base is the one with the smallest error on the last part of the log among those that the columns allow, or that of
-    the kind ``base``. ``robot`` is the name of the robot, by default that of the folder; ``horizon`` [s] how far ahead
-    the error is. The proposal has to be checked. Raises InputError for unknown columns or kinds and if no state or no
-    command is found, RunError for an unusable log.
+    The logs are one or several tables (CSV, Parquet, arrays) with the same columns. Without ``states`` and ``actions``
+    (columns by name) the columns are recognised: a rate is the slope of another column; a command has the name of one
+    or is constant between jumps. The base is the one with the smallest error on the last part of each log among those
+    that the columns allow, or that of the kind ``base``. ``robot`` is the name of the robot, by default that of the
+    folder; ``horizon`` [s] how far ahead the error is. The proposal has to be checked. Raises InputError for unknown
+    columns or kinds and if no state or no command is found, RunError for an unusable log.
 
     Example:
 
@@ -157,19 +157,22 @@ def init(
         ('torque',)
     """
     need("diagnosis", what="init()")
-    path, folder = Path(log), Path(out)
+    paths = [Path(log)] if isinstance(log, (str, Path)) else [Path(item) for item in log]
+    folder = Path(out)
+    if not paths:
+        raise InputError("log: got none; wanted a log of a robot")
     if base is not None and base not in KINDS:
         raise InputError(f"base: got '{base}'; {did_you_mean(base, KINDS)}")
     name = _identifier(robot or folder.resolve().name)
     if name in systems():
         raise InputError(f"robot: '{name}' is known already; choose another name with --robot")
     files = [folder / file for file in ("robot.py", "model.toml", "columns.toml")]
-    refuse_inputs(files, [path], False)
+    refuse_inputs(files, paths, False)
     existing = [str(file) for file in files if file.exists()]
     if existing and not force:
         raise InputError(f"{existing[0]}: exists and may have your changes; choose another folder, or use --force")
-    table = _Columns.of(path, states or {}, actions or {})
-    started = _Proposal(path, name, table, horizon)
+    table = _Columns.of(paths, states or {}, actions or {})
+    started = _Proposal(paths, name, table, horizon)
     with progress("comparing bases") as report_progress:
         report_progress(0, 1)
         found = started.chosen(base)
@@ -184,7 +187,7 @@ def init(
         if item.name in (*system.state_names, *system.action_names)
     }
     unused = tuple(column for column in table.names if column not in used | {table.time})
-    return StartedModel(folder, path, system, found.kinds, found.error, started.horizon, unused)
+    return StartedModel(folder, tuple(paths), system, found.kinds, found.error, started.horizon, unused)
 
 
 def _identifier(name: str) -> str:
@@ -204,15 +207,15 @@ class _Columns:
     actions: tuple[LoggedColumn, ...]
 
     @classmethod
-    def of(cls, log: Path, states: Mapping[str, str], actions: Mapping[str, str]) -> _Columns:
-        """Reads a log and recognises the columns that ``states`` and ``actions`` do not name."""
-        preview = raw_rows(log, 20)
+    def of(cls, logs: Sequence[Path], states: Mapping[str, str], actions: Mapping[str, str]) -> _Columns:
+        """Reads logs, one after the other, and recognises the columns that ``states`` and ``actions`` do not name."""
+        log, preview = logs[0], raw_rows(logs[0], 20)
         for column in (*states.values(), *actions.values()):
             if column not in preview.names:
                 raise InputError(f"{log}: no column '{column}'; {did_you_mean(column, preview.names)}")
         cells = list(zip(*preview.rows, strict=False)) if preview.rows else [()] * len(preview.names)
         numeric = [name for name, column in zip(preview.names, cells, strict=False) if all(map(_is_number, column))]
-        table = read_columns(log, numeric).columns
+        table = _one_after_the_other([read_columns(path, numeric).columns for path in logs])
         rows = np.all([np.isfinite(values) for values in table.values()], axis=0) if table else np.empty(0, bool)
         varied = {name: values[rows] for name, values in table.items() if rows.any() and np.ptp(values[rows]) > 0.0}
         time = time_column(varied)
@@ -232,6 +235,20 @@ class _Columns:
         unit = clock.unit if clock.si == "s" else ""
         t = clock.values - clock.values[0]
         return cls(preview.names, time, unit, t, tuple(measured), tuple(commands))
+
+
+def _one_after_the_other(tables: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
+    """The rows of all tables, each with times that follow those of the table before it."""
+    whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    time = time_column(tables[0])
+    if len(tables) > 1 and time:
+        ends, shifted = 0.0, []
+        for table in tables:
+            t = table[time] - table[time][0] + ends
+            shifted.append(t)
+            ends = float(t[-1] + np.median(np.diff(t)))
+        whole[time] = np.concatenate(shifted)
+    return whole
 
 
 def _is_number(cell: str) -> bool:
@@ -255,8 +272,8 @@ class _Fit:
 class _Proposal:
     """Compares bases for the columns of a log."""
 
-    def __init__(self, log: Path, robot: str, columns: _Columns, horizon: float | None) -> None:
-        self.log, self.robot, self.columns = log, robot, columns
+    def __init__(self, logs: Sequence[Path], robot: str, columns: _Columns, horizon: float | None) -> None:
+        self.logs, self.robot, self.columns = logs, robot, columns
         measured = float(np.median(np.diff(columns.t)))
         self.period = float(f"{max(measured, _LEAST_PERIOD):.4g}")
         self.thinned = measured < 0.7 * _LEAST_PERIOD
@@ -288,7 +305,7 @@ class _Proposal:
             best = replace(best, kinds={head: kind for one in chains for head, kind in one.kinds.items()})
             return best if whole is None or best.error < whole.error else whole
         if whole is None:
-            raise InputError(f"{self.log}: no base fits the columns; name them with --state and --action")
+            raise InputError(f"{self.logs[0]}: no base fits the columns; name them with --state and --action")
         return whole
 
     def _whole(self, base: str | None) -> _Fit | None:
@@ -357,12 +374,14 @@ class _Proposal:
     def _fitted(self, proposed: ProposedBase) -> _Fit:
         """The base, fitted to the first part of the log, and its error on the rest: of positions, if there are any."""
         system = System(self.robot, tuple(map(self._variable, proposed.rates)), self._driving(proposed))
-        training, rest = _parts(read_log(self.log, system, parse_column_map(self.map_text(system), self.log.stem)))
-        t, states, actions = max(training.parts(), key=lambda part: len(part[0]))
-        values = fitted_start(base_of(self._source(system, proposed)), t, states, actions)
+        mapping = parse_column_map(self.map_text(system), self.logs[0].stem)
+        parts = [_parts(read_log(log, system, mapping)) for log in self.logs]
+        training, rest = ([run for run in runs if run.stretches] for runs in zip(*parts, strict=True))
+        stretches = list(chain.from_iterable(run.parts() for run in training))
+        values = fitted_start(base_of(self._source(system, proposed)), stretches)
         terms = [term for rate in proposed.rates.values() for term in rate]
         if not values or any(values[term.parameter] <= 0.0 for term in terms if term.positive):
-            raise RunError(f"{self.log}: {proposed.kind} does not fit")
+            raise RunError(f"{self.logs[0]}: {proposed.kind} does not fit")
         rounded = {name: float(f"{value:.4g}") for name, value in values.items()}
         source = self._source(system, replace(proposed, values=rounded))
         made = base_of(source)
@@ -370,10 +389,12 @@ class _Proposal:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # predictions of an unsuitable base may diverge
             model = refit(PhysicsModel(made, (), settings, self.period), training, horizon=self.horizon).model
-            per_state = compare_model(model, [rest], self.horizon).error.per_state
+            per_state = compare_model(model, rest, self.horizon).error.per_state
         later = (*self.derived, *self.pairs.values())
         heads = [at for at, state in enumerate(system.state_names) if state not in later]
         kinds = {system.state_names[heads[0]]: proposed.kind}
+        if not np.isfinite(per_state[heads]).any():
+            raise RunError(f"{self.logs[0]}: {proposed.kind} diverges")
         return _Fit(proposed, model, float(np.nanmean(per_state[heads])), source, kinds)
 
     def _driving(self, proposed: ProposedBase) -> tuple[Variable, ...]:
@@ -382,7 +403,7 @@ class _Proposal:
 
     def _source(self, system: System, proposed: ProposedBase) -> str:
         sizes = {name: self._size(name) for name in moving(proposed)}
-        return proposed.source(system, sizes, printable(self.log.name, but='"\\'))
+        return proposed.source(system, sizes, printable(self.logs[0].name, but='"\\'))
 
     def _size(self, name: str) -> float:
         return float(np.quantile(np.abs(self._values(name)), 0.9)) or 1.0
