@@ -32,7 +32,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 from safedpa.errors import InputError, RunError
 from safedpa.limits import limit, too_much
 
-__all__ = ["allow_for", "in_own_process", "in_this_process"]
+__all__ = ["allow_for", "in_own_process", "in_this_process", "serve"]
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
