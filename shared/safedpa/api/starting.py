@@ -333,7 +333,9 @@ class _Proposal:
         for head in heads:
             options = chain.from_iterable(bases_of_chain(one) for one in self._chain(head, len(heads) > 1))
             found.append(self._best([one for one in options if base in (None, one.kind)]))
-        return [one for one in found if one is not None]
+        fitted = [one for one in found if one is not None]
+        # a state predicted worse than by no change is not driven by these commands, such as x by a steering angle alone
+        return [one for one in fitted if one.error < 1.0] or fitted
 
     def _chain(self, name: str, several: bool) -> list[Chain]:
         """The state with its measured rate; without one alone, and with its slope."""
