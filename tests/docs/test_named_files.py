@@ -10,7 +10,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 """Records of what was measured (``docs/results``) name what was there then."""
 FILE = re.compile(r"(?<![\w/.*-])(?:\.\./)*((?:[\w.-]+/)*\w+\.py)\b")
 DOTTED = re.compile(r"(?<![\w/.-])safedpa(?:_services|_sim|_lab)?(?:\.[A-Za-z_]\w*)+")
-OF_A_READER = re.compile(r"(my_\w+|[A-Z]+)\.py")
+OF_A_READER = re.compile(r"(my_\w+/\w+|my_\w+|[A-Z]+)\.py")
 OTHERS = {"safedpa.commands", "safedpa.facts", "safedpa.target", "safedpa.fish", "safedpa.robots.NAME"}
 """Entry points, a unit of systemd, a completion, whichever robot: no modules."""
 

@@ -17,7 +17,7 @@ from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.car.loads import footprint
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.training import stages
+from safedpa_sim.training import pipeline
 from safedpa_sim.training.configuration import Configuration, PracticeSettings, load_configuration, parse_configuration
 from safedpa_sim.training.configuration import configurations as shipped
 from safedpa_sim.training.environments import car_task
@@ -201,9 +201,9 @@ def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(tmp_path, monke
     assert [stage.name for stage in stages_of("car")["ablations"]] == ["fix", "mix", "rma_p"]
     scores = {"rma_p_1": 2.0, "rma_p_10": 3.5}
     record = {name: {"score": score, "file": f"car_{name}.safetensors"} for name, score in scores.items()}
-    monkeypatch.setattr(stages, "read_record", lambda _: record)
-    monkeypatch.setattr(stages, "load_weights", lambda path: path)
-    monkeypatch.setattr(stages, "phase_function", lambda *_: lambda _configuration, given, *_rest: (given, {}))
+    monkeypatch.setattr(pipeline, "read_record", lambda _: record)
+    monkeypatch.setattr(pipeline, "load_weights", lambda path: path)
+    monkeypatch.setattr(pipeline, "phase_function", lambda *_: lambda _configuration, given, *_rest: (given, {}))
     best = stages_of("car", (1.0, 10.0))["ablations"][-1]
     made, reported = best.train(None, None, tmp_path, None, "cpu")  # type: ignore[arg-type]
     assert (made, reported) == (tmp_path / "car_rma_p_10.safetensors", {"chosen": "rma_p_10", "scores": scores})

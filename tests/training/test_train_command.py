@@ -12,7 +12,7 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.networks import Weights, load_weights
 from safedpa.systems.robots import forget_robot
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.training import stages
+from safedpa_sim.training import pipeline
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.networks.modules import HistoryNetwork, tensors_of
 from safedpa_sim.training.pipeline import run_pipeline
@@ -115,7 +115,7 @@ def adding(name: str, calls: list[str]) -> Any:
 def test_later_phases_start_from_the_results_of_earlier_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     known = {"train_policy": "policy", "train_history_encoder": "phi", "tune": "phi"}
-    monkeypatch.setattr(stages, "phase_function", lambda _module, name: adding(known[name], calls))
+    monkeypatch.setattr(pipeline, "phase_function", lambda _module, name: adding(known[name], calls))
     configuration = load_configuration("car_small")
     torch.set_num_threads(1)
     records = run_pipeline(configuration, tmp_path, ("3", "2", "1b", "1a"))

@@ -93,7 +93,7 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     known = Options(_absolute(model), columns, options["horizon"], own)
     written = "fleet.html", "fleet.json"
     with (
-        results_folder(given or new_folder("fleet", model), written, read, options["force"]) as out,
+        results_folder(given or new_folder("fleet", model), written, read, options["force"], resumes=True) as out,
         progress(f"diagnosing {len(found.robots)} robots") as report_progress,
     ):
         fleet = Fleet(found, known, out.resolve())

@@ -28,7 +28,7 @@ effects_option = click.option(
 recordings_option = click.option(
     "--out", type=PATH, default=Path("runs"), show_default=True, help="folder for recordings"
 )
-force_option = click.option("--force", is_flag=True, help="Allow overwriting an input file.")
+force_option = click.option("--force", is_flag=True, help="Allow replacing an input file or an earlier result.")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 
 

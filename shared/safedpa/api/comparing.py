@@ -143,8 +143,8 @@ def compare(
 
     ``columns`` is as in ``read_log``. ``effects`` is a Python file with the user's own effects, systems and robots.
     With ``before``, an earlier model, the result also says which states got worse. With ``out``, a folder, it writes
-    compare.html and compare.json, and replaces an input only with ``force``. Raises InputError for an unusable horizon
-    or a model of another robot, RunError for unusable recordings.
+    compare.html and compare.json, and replaces an input or an earlier result only with ``force``. Raises InputError for
+    an unusable horizon or a model of another robot, RunError for unusable recordings.
 
     Example:
 

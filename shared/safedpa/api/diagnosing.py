@@ -201,8 +201,9 @@ def diagnose(
     if nothing is missing, if the data cannot distinguish effects, or if no effect explains the error. The data
     determine the horizon of the search; ``horizon`` [s] is that of the displayed errors. ``columns`` is as in
     ``read_log``, ``effects`` a Python file with the user's own effects. With ``out``, a folder, it writes report.json,
-    report.html, diagnosis.rrd, model.toml and margin.toml, and replaces an input only with ``force``. Takes seconds to
-    minutes. Raises InputError for an unusable horizon or a model of another robot, RunError for unusable recordings.
+    report.html, diagnosis.rrd, model.toml and margin.toml, and replaces an input or an earlier result only with
+    ``force``. Takes seconds to minutes. Raises InputError for an unusable horizon or a model of another robot, RunError
+    for unusable recordings.
 
     Example:
 

@@ -48,14 +48,21 @@ def require_writable_file(path: Path) -> Path:
 
 
 @contextmanager
-def results_folder(folder: Path, names: Iterable[str], inputs: Iterable[str | Path], force: bool) -> Iterator[Path]:
+def results_folder(
+    folder: Path, names: Iterable[str], inputs: Iterable[str | Path], force: bool, *, resumes: bool = False
+) -> Iterator[Path]:
     """Yields the folder, created at once, so that no other command takes it.
 
     Folders that it created are removed if the command fails before it writes anything. ``names`` are the files to be
-    written there. Raises InputError if the folder is not writable, or if one of the files is an input, unless
-    ``force``.
+    written there. Raises InputError if the folder is not writable, or if one of the files is an input or, unless the
+    command ``resumes`` it, an earlier result; ``force`` permits both.
     """
-    refuse_inputs([folder / name for name in names], inputs, force)
+    written = [folder / name for name in names]
+    refuse_inputs(written, inputs, force)
+    earlier = next((path for path in written if path.exists()), None)
+    # The report of another day or model may be the only record of it.
+    if earlier is not None and not (force or resumes):
+        raise InputError(f"{earlier}: is an earlier result; choose another folder with --out, or use --force")
     created = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
         yield require_writable_folder(folder, create=True)

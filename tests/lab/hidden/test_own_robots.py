@@ -10,22 +10,27 @@ import pytest
 from safedpa.comparison.rollout_error import rollout_error
 from safedpa.comparison.windows import windows_of
 from safedpa.dynamics import Setting, load_model
-from safedpa.dynamics.user_files import load_user_file_everywhere
-from safedpa.effects import effect, effects_of
+from safedpa.dynamics.user_files import load_user_file
+from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa_lab.experiments.diagnosis.own_robots import run_case
 from safedpa_lab.own_robots import models, plants
 from safedpa_lab.own_robots.cases import STRENGTHS, SUITES, OwnCase, cases_of, truth_of, write_case
 
 pytestmark = pytest.mark.slow
-load_user_file_everywhere(Path(models.__file__))
+LIBRARY = {(item.robot, item.name): item for item in models.EFFECTS}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def loaded() -> None:
+    """The robots and their effects, in this process alone."""
+    load_user_file(Path(models.__file__))
 
 
 def is_known(robot: str, name: str) -> bool:
     """Whether the library has an effect of that name whose bounds hold what is hidden."""
-    if name not in effects_of(robot):
-        return False
-    return all(item.low <= STRENGTHS[robot][name][item.name] <= item.high for item in effect(robot, name).parameters)
+    known, hidden = LIBRARY.get((robot, name)), STRENGTHS[robot][name]
+    return known is not None and all(item.low <= hidden[item.name] <= item.high for item in known.parameters)
 
 
 KNOWN = [(robot, name) for robot, table in STRENGTHS.items() for name in table if is_known(robot, name)]
@@ -90,7 +95,8 @@ def test_commands_change_between_the_rows_and_the_log_has_the_one_in_force() -> 
 
 
 @pytest.mark.long
-def test_a_case_is_diagnosed_and_judged() -> None:
+def test_a_case_is_diagnosed_and_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SAFEDPA_EFFECTS", "")  # what the case adds to it is gone afterwards
     outcome = run_case(OwnCase("own_one", "own_conveyor", 2, {"target_dead_zone": {"width": 0.25}}, 1))
     assert outcome.hidden == ("target_dead_zone",)
     assert outcome.verdict

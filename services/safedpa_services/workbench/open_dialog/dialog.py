@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nicegui import background_tasks, events, ui
+from nicegui import events, ui
 
 from safedpa.disk import why_not_written
 from safedpa.dynamics import PhysicsModel, load_model, shipped_models
@@ -95,6 +95,7 @@ class OpenDialog:
         self._uploads = out / "uploads"
         self._upload_messages: list[str] = []
         self._checks = 0
+        self._tasks: set[asyncio.Task[None]] = set()
         ui.add_head_html(_DROP_SCRIPT)
         ui.on("recordings_dropped", self._on_dropped)
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
@@ -150,7 +151,14 @@ class OpenDialog:
         if isinstance(choice.columns, str):
             self._map.value = choice.columns
         self._dialog.open()
-        return background_tasks.create(self._refresh())
+        return self._start(self._refresh())
+
+    def _start(self, story: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Starts a task and keeps it until it ends, since the event loop has only weak references to tasks."""
+        task = asyncio.get_running_loop().create_task(story)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
 
     def _on_rejected(self) -> None:
         """Reports that the browser refused to send a file."""
@@ -275,7 +283,7 @@ class OpenDialog:
         edited = self._edited_map(model)
         columns = None if edited is None else edited.columns
         self._checks += 1
-        background_tasks.create(self._check_recording(paths, model, columns, self._checks))
+        self._start(self._check_recording(paths, model, columns, self._checks))
 
     async def _check_recording(
         self, paths: list[str], model: PhysicsModel, columns: ColumnMap | None, number: int

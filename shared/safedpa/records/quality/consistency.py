@@ -170,7 +170,7 @@ def _partial_correlation(slopes: FloatArray, action: FloatArray, covariates: NDA
     residual = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
     if float(residual[:, 1].std()) < _FOLLOWS * float(command[good].std()):
         # The state follows its command so closely that nothing is left to correlate; its direction says the same.
-        return float(np.corrcoef(columns[good][:, 0], command[good])[0, 1])
+        return _correlation(columns[:, 0], command)
     size = float(np.sqrt((residual[:, 0] ** 2).sum() * (residual[:, 1] ** 2).sum()))
     return float(residual[:, 0] @ residual[:, 1]) / size if size > 1e-12 else 0.0
 

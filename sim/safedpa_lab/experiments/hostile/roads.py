@@ -95,6 +95,7 @@ ROADS: tuple[Road, ...] = tuple(
         _run("predict", "car", "{file}", "--horizon", "1", "--out", "{folder}/p.csv"),
         _run("rehearse", "car", "{file}"),
         (*_run("columns", "{file}", "--robot", "car"), True),
+        ("init: recording", (".csv", ".parquet"), ("init", "{file}", "--out", "{folder}/robot")),
         ("calibrate: recording", (".mcap",), ("calibrate", "{file}", "--out", "{folder}/m.toml")),
         ("replay: recording", (".mcap", ".csv"), ("replay", "{file}", "--out", "{folder}/r.csv")),
         ("export: recording", (".mcap",), ("export", "{file}", "--format", "csv", "--out", "{folder}/r.csv")),
