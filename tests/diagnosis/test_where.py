@@ -522,7 +522,7 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
     received = " ".join(capsys.readouterr().out.split())
     assert "; worse: " in received
     assert "Error by run and state" in received
-    assert safedpa.run([*arguments, "--json"]) == 0
+    assert safedpa.run([*arguments, "--json", "--force"]) == 0
     assert "; worse: " in json.loads(capsys.readouterr().out)["change"]
 
 

@@ -107,9 +107,8 @@ def small() -> Small:
     with pytest.MonkeyPatch.context() as patch, Workers(1) as workers:
         patch.setattr("safedpa_lab.experiments.pendulum.experiment.measured_margins", margins)
         account = each_once(workers)
-        for module in ("experiment", "sweeps"):
-            patch.setattr(f"safedpa_lab.experiments.pendulum.{module}.accounts", lambda work, _: map(account, work))
-            patch.setattr(f"safedpa_lab.experiments.pendulum.{module}.best_penalty", penalty)
+        patch.setattr("safedpa_lab.experiments.pendulum.experiment.accounts", lambda work, _: map(account, work))
+        patch.setattr("safedpa_lab.experiments.pendulum.experiment.best_penalty", penalty)
         found.result = pendulum_experiment(asked, lambda done, every: found.reported.append((done, every)))
     return found
 
