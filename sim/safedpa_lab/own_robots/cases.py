@@ -40,7 +40,7 @@ STRENGTHS: Final[dict[str, dict[str, dict[str, float]]]] = {
     },
     "own_joint": {
         "rate_friction": {"deceleration": 1.6}, "rate_drag": {"coefficient": 0.6}, "current_dead_zone": {"width": 0.6},
-        "current_lag": {"time_constant": 0.08}, "current_delay": {"seconds": 0.06}, "current_limit": {"limit": 2.4},
+        "current_lag": {"time_constant": 0.08}, "current_delay": {"seconds": 0.06}, "current_limit": {"limit": 1.4},
         "rate_quadratic_drag": {"coefficient": 0.25}, "rate_spring": {"stiffness": 1.5},
     },
     "own_tank": {

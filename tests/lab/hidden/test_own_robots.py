@@ -53,7 +53,7 @@ def error(case: OwnCase, folder: Path, *, with_effect: bool) -> float:
     model = load_model(path)
     for name, parameters in case.effects.items() if with_effect else ():
         model = model.with_effect(effect(case.robot, name), {key: Setting(value) for key, value in parameters.items()})
-    horizon = 10 * model.period
+    horizon = 25 * model.period  # long enough for the effect to exceed the noise of the first row
     return rollout_error(model, windows_of([load_run(runs[0], model.system)], horizon, every=horizon)).value
 
 
