@@ -52,7 +52,10 @@ def test_the_printed_command_diagnoses_the_proposed_model(
     [
         ("own_motor", "time_ms,speed,voltage", ("speed",), {"speed": "first_order"}),
         ("own_conveyor", "t,v,v_target", ("v",), {"v": "first_order"}),
-        ("own_quadrotor", "t,vx,vy,vz,thrust,pitch,roll", ("vx", "vy", "vz"), {"vx": "multirotor"}),
+        pytest.param(
+            *("own_quadrotor", "t,vx,vy,vz,thrust,pitch,roll", ("vx", "vy", "vz"), {"vx": "multirotor"}),
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_commands_and_the_base_are_recognised(

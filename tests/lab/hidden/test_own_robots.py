@@ -77,7 +77,7 @@ def test_the_same_seed_gives_the_same_cases_and_every_robot_its_turn(tmp_path: P
         assert {case.robot for case in cases} == set(plants.PLANTS)
         assert {case.runs for case in cases} == {1, 3}
         assert len({case.name for case in cases}) == 20
-    case = cases_of("own_two", 1, 5)[0]
+    case = OwnCase("own_one", "own_conveyor", 5, {"target_gain": {"gain": 0.9}}, 1)
     first, second = (write_case(case, tmp_path / name)[1][0].read_text() for name in "ab")
     assert first == second
     assert truth_of(case)["effects"].keys() == case.effects.keys()
