@@ -204,8 +204,9 @@ def test_safedpa_is_compared_pair_by_pair_and_corrected_for_every_comparison() -
 def test_the_command_writes_tables_picture_and_every_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the first and last value of two sweeps, with two methods without networks and as few drives as make one."""
     for name in ("friction", "noise"):
-        ends = {key: (getattr(SWEEPS[name], key)[0], getattr(SWEEPS[name], key)[-1]) for key in ("values", "shown")}
-        monkeypatch.setitem(SWEEPS, name, replace(SWEEPS[name], **ends))
+        values, shown = SWEEPS[name].values, SWEEPS[name].shown
+        ends = replace(SWEEPS[name], values=(values[0], values[-1]), names=(shown[0], shown[-1]))
+        monkeypatch.setitem(SWEEPS, name, ends)
     monkeypatch.setattr("safedpa_lab.experiments.car.drives.EARNEST", 1)
     phrase, out = ["experiment", "car-curves", "--models", str(NOWHERE)], tmp_path / "new" / "folder"
     phrase += ["--sweep", "friction", "--sweep", "noise", "--method", "physics", "--method", "goal_seeker"]
