@@ -78,7 +78,9 @@ def test_dropouts_of_the_logger_are_reported_in_seconds(tmp_path: Path) -> None:
         ),
         pytest.param([message("Z", b"x"), *HEAD, *ROWS], "is a damaged PX4 flight log", id="unknown first"),
         pytest.param([HEAD[0][:-3]], "is a damaged PX4 flight log; fetch it", id="cut off in a description"),
-        pytest.param([*HEAD, *ROWS, *[message("z", b"")] * 200_001], "is a damaged PX4", id="more than 200,000 unknown"),
+        pytest.param(
+            [*HEAD, *ROWS, *[message("z", b"")] * 200_001], "is a damaged PX4", id="more than 200,000 unknown"
+        ),
         pytest.param([*HEAD, *ROWS, *[message("z", b"")] * 200_000], "", id="unknown within bounds"),
     ],
 )

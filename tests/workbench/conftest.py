@@ -247,7 +247,8 @@ def _live_server(free_port, folder, seconds=0.01):
     """A tick every so many ``seconds``, once there are enough to be drawn."""
     source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef history")
-    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
+    messages = (Path(__file__).parents[1] / "messages.py").read_text(encoding="utf-8")
+    header = f"{messages}\nfrom safedpa.bus import ModelMessage\n\n"
     (folder / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
     command = [sys.executable, "-c", SERVER, str(folder), str(free_port), str(seconds)]

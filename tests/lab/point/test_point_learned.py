@@ -27,14 +27,19 @@ from safedpa_lab.point.methods import METHODS
 from safedpa_lab.point.shield import Shield, sensed_weights, shield_of
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.body import POINT_BODY
-from safedpa_sim.point.simulation import after_one_period, centre_state, put_state
-from safedpa_sim.point.filtering import PointFilter, minimum_barrier
+from safedpa_sim.point.filtering import ACTION_SCALE, PointFilter, SimulatedPointModel, minimum_barrier, to_task_action
 from safedpa_sim.point.latent_policy import LatentPolicy
-from safedpa_sim.point.observation import entries_seen
-from safedpa_sim.point.filtering import ACTION_SCALE, SimulatedPointModel, to_task_action
+from safedpa_sim.point.observation import (
+    ENTRIES,
+    GROUPS,
+    decode_state,
+    decoding_jacobian,
+    entries_seen,
+    sensed,
+    without_goal,
+)
 from safedpa_sim.point.policy_task import PointEnvironment
-from safedpa_sim.point.observation import ENTRIES, GROUPS, decode_state, decoding_jacobian, sensed, without_goal
-from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.point.simulation import PointSimulation, after_one_period, centre_state, put_state
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator

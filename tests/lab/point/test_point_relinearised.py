@@ -33,8 +33,8 @@ from safedpa_lab.point.relinearised import (
     model_of,
 )
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.simulation import centre_state
 from safedpa_sim.point.filtering import to_task_action
+from safedpa_sim.point.simulation import centre_state
 from safedpa_sim.training.data.transitions import Transitions, draw_transitions
 from safedpa_sim.training.environments.batched_simulator import BatchedSimulator
 
