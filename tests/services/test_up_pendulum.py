@@ -25,7 +25,7 @@ def test_the_pendulum_is_safe_and_its_recording_compares_and_is_diagnosed(tmp_pa
     model, blown = load_model("pendulum"), tmp_path / "blown.toml"
     blowing = {"wind.speed": Setting(-(8**0.5)), "wind.upward": Setting(8**0.5)}
     save_model(model.with_settings({**model.settings, **blowing}), blown)
-    reported = run("compare", str(blown), recording, "--horizon", "0.2", "--out", str(report))
+    reported = run("compare", str(blown), recording, "--horizon", "0.2", "--out", str(report), "--force")
     assert still["runs"][0]["windows"] == reported["runs"][0]["windows"] > 40
     assert reported["runs"][0]["error"] < 0.01
     assert still["runs"][0]["error"] > 0.5
