@@ -103,6 +103,12 @@ def test_a_delayed_observation_is_refused_unless_the_user_accounts_for_it() -> N
     GymnasiumSafetyFilter(late, make_filter(), lambda seen: seen, accounted_for=(wrappers.DelayObservation,))
 
 
+def test_an_exception_for_one_part_of_a_vector_environment_does_not_hide_another_part() -> None:
+    env = SyncVectorEnv([lambda: wrappers.DelayObservation(Cart(), 5), lambda: Whim(Cart())])
+    with pytest.raises(InputError, match="Whim below the filter"):
+        GymnasiumSafetyFilter(env, make_filter(), lambda seen: seen, accounted_for=(wrappers.DelayObservation,))
+
+
 @pytest.mark.parametrize("reach", [1.0, 0.4])
 def test_wrappers_that_change_nothing_are_accepted_where_the_actuators_reach(reach: float) -> None:
     env = wrappers.RecordEpisodeStatistics(wrappers.ClipAction(wrappers.TimeLimit(Lamp(Cart(reach)), 400)))

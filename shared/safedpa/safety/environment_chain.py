@@ -54,33 +54,35 @@ def _environment_spaces(env: Any, has_state_of: bool, accounted_for: Sequence[ty
     Raises InputError naming the first wrapper that changes actions or observations and is not ``accounted_for``.
     """
     spaces = []
-    for layer in _layers(env):
+    accepted = tuple(accounted_for)
+    for layer in _layers(env, accepted):
         spaces.append(getattr(layer, "single_action_space", layer.action_space))
-        if not _is_wrapper(layer):
-            continue
-        if isinstance(layer, tuple(accounted_for)):
-            # Inside this wrapper actions may have another unit. The user stated that the model accounts for it, so the
-            # action spaces there need not contain the filter's bounds.
-            break
-        _check_wrapper(layer, has_state_of)
+        if _is_wrapper(layer) and not isinstance(layer, accepted):
+            _check_wrapper(layer, has_state_of)
     return spaces
 
 
-def _layers(env: Any) -> Iterator[Any]:
-    """``env`` and everything that it wraps, the outermost first; of a vector environment every part."""
+def _layers(env: Any, accepted: tuple[type, ...]) -> Iterator[Any]:
+    """``env`` and everything that it wraps, the outermost first; of a vector environment every part.
+
+    What a wrapper of the ``accepted`` classes wraps is left out: actions may have another unit there, and the user
+    stated that the model accounts for it. The other parts of a vector environment are still inspected.
+    """
     yield env
+    if isinstance(env, accepted):
+        return
     if isinstance(env, (gymnasium.Wrapper, VectorWrapper)):
-        yield from _layers(env.env)
+        yield from _layers(env.env, accepted)
     elif _is_wrapper(env):
-        yield from _layers(env.venv)
+        yield from _layers(env.venv, accepted)
     elif isinstance(env, AsyncVectorEnv):
         # Its environments live in other processes, so a copy of each is constructed here, inspected and closed.
         for part in (make() for make in env.env_fns):
-            yield from _layers(part)
+            yield from _layers(part, accepted)
             part.close()
     else:
         for part in getattr(env, "envs", ()):
-            yield from _layers(part)
+            yield from _layers(part, accepted)
 
 
 def _is_wrapper(layer: Any) -> bool:
