@@ -64,12 +64,16 @@ _Unmodelled = tuple[Unexplained | None, list[JudgedTrial]]
 _MIN_DETECTABLE = 0.5
 
 
-def library_for(model: PhysicsModel) -> list[AbstractEffect]:
-    """Returns the robot's effects that the model's actions allow and that the model does not have."""
+def library_for(model: PhysicsModel, *, rare: bool = False) -> list[AbstractEffect]:
+    """Returns the robot's effects that the model's actions allow and that the model does not have.
+
+    Those that are ``rare`` only if asked for. Bounds are those for logs of the model's period.
+    """
     have = {item.name for item in model.effects}
     actions = set(model.system.action_names)
     every = effects_of(model.system.name).values()
-    return [item for item in every if item.name not in have and set(item.needs) <= actions]
+    chosen = [item for item in every if item.name not in have and set(item.needs) <= actions]
+    return [item.at_period(model.period) for item in chosen if rare or not item.rare]
 
 
 def diagnose(

@@ -75,7 +75,7 @@ class PhysicsModel(AbstractDynamics):
         holds: bool = False,
     ) -> None:
         self.base, self.holds = base, holds
-        self.effects = tuple(effects)
+        self.effects = tuple(item.at_period(period) for item in effects)
         self.system = base.system
         self.period = period
         self.clock = RunClock()  # the one part that callers change

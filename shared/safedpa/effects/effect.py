@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
@@ -96,6 +96,9 @@ class AbstractEffect(ABC):
 
     At the neutral values of all parameters the model equals the model without the effect. A parameter whose neutral
     value is None only shapes the effect: it may have any value while the others are neutral.
+
+    A search over many effects reads four more members, all of them optional: ``family``, ``partners``, ``rare`` and
+    ``at_period``.
     """
 
     name: ClassVar[str]
@@ -111,6 +114,23 @@ class AbstractEffect(ABC):
     """Actions that the system must have (``throttle`` for a dead zone of the throttle)."""
     mirrored: ClassVar[tuple[str, ...]] = ()
     """Parameters whose sign changes when left and right are swapped (an offset of the steering)."""
+    family: ClassVar[str] = ""
+    """What it is, whatever it acts on: ``friction`` for the friction of every state; empty if it is one of a kind."""
+    partners: ClassVar[tuple[str, ...]] = ()
+    """Names of effects of the same robot that textbooks combine with it (friction and drag, lag and gain). A search
+    tries each pair jointly, also if neither effect helps alone. One side names the other; names that the robot lacks
+    are ignored."""
+    rare: ClassVar[bool] = False
+    """Whether a search tries it only where the other effects leave something unexplained. A rare effect needs special
+    hardware, or looks like a common one to first order (backlash like a delay)."""
+
+    def at_period(self, period: float) -> Self:
+        """Returns the effect with bounds and typical values for logs of this period [s]; itself if they do not depend.
+
+        A model calls it for each of its effects with its own period. A search calls it before it starts a fit.
+        """
+        del period
+        return self
 
     def __repr__(self) -> str:
         names = ", ".join(parameter.name for parameter in self.parameters)
