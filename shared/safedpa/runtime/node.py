@@ -253,7 +253,7 @@ def _same_margin(before: RobotSession, now: RobotSession) -> bool:
     return alike and before.model.period >= now.model.period
 
 
-def _rehearse(session: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:
+def _rehearse(session: RobotSession, decided: LastDecision[StateMessage], barriers: AbstractBarrierSet) -> None:
     """Warms up the fallback path of a decision before the robot drives; changes no verdict.
 
     The first decision for which no action satisfies every condition takes 5 ms, the following ones 0.5 ms, because
