@@ -150,6 +150,7 @@ PARTS: Final = (
 ELSEWHERE: Final = {
     "all": "this one",
     "bad-data": "spoils a log of one's own",
+    "data-faults": "reads spoiled logs; a test requires its counts",
     "diagnosis-pictures": "draws pictures",
     "log-faults": "reads spoiled logs; tests require its counts",
     "long-logs": "times one size of logs; docs/diagnosis-speed.md has the sizes",

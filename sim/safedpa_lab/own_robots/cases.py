@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from safedpa_lab.own_robots.plants import OUTSIDE, PLANTS, Hidden, drive
+from safedpa_lab.own_robots.plants import OUTSIDE, PLANTS, Hidden, Values, drive
 
 __all__ = ["SUITES", "OwnCase", "cases_of", "truth_of", "write_case"]
 
@@ -181,13 +181,18 @@ def truth_of(case: OwnCase) -> dict[str, Any]:
     }
 
 
-def write_case(case: OwnCase, folder: Path) -> tuple[Path, list[Path], Path]:
-    """Writes one case; returns the model file, the logs, and the file with the truth."""
+def write_case(
+    case: OwnCase, folder: Path, logs: Sequence[tuple[Values, Values, Values]] | None = None
+) -> tuple[Path, list[Path], Path]:
+    """Writes one case; returns the model file, the logs, and the file with the truth.
+
+    ``logs`` (times, states, actions) replace those that the case would drive.
+    """
     plant, given = PLANTS[case.robot], folder / "given"
     given.mkdir(parents=True, exist_ok=True)
     runs = []
-    for number in range(case.runs):
-        times, states, actions = drive(plant, case.effects, case.seed + number, case.outside)
+    driven = (drive(plant, case.effects, case.seed + number, case.outside) for number in range(case.runs))
+    for number, (times, states, actions) in enumerate(driven if logs is None else logs):
         path = given / f"run_{number + 1}.csv"
         table, header = np.column_stack([times, states, actions]), ",".join(("t", *plant.states, *plant.actions))
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")

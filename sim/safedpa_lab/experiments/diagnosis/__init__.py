@@ -12,6 +12,7 @@ import click
 
 from safedpa_lab.experiments.record import (
     FILE_OUT,
+    PAGE_OUT,
     PROCESSES,
     Experiment,
     Parameter,
@@ -46,6 +47,29 @@ EXPERIMENTS = (
         ),
         report=f"{__name__}.bad_data:report",
         extras=("diagnosis",),
+    ),
+    Experiment(
+        name="data-faults",
+        help="""Which of sixteen faults of the data of robots that do not ship are noticed.
+
+    Signs, clocks, offsets, units, frozen and stale channels are planted into logs of five robots. Counts which are
+    noticed with channel, time and size, which are diagnosed as physics, and the findings in good logs of ten robots:
+    plain, with effects, braked, at an end stop, with an overflowing tank.""",
+        run=f"{__name__}.data_faults:run",
+        parameters=(
+            integer("--seeds", 1, "logs per fault and robot", positive=True),
+            integer("--good", 2, "logs per robot and kind of good log", least=0),
+            integer("--first-seed", 0, least=0),
+            repeated("--fault", "faults", "repeatable; default: all", known=f"{__name__}.data_faults:FAULTS"),
+            repeated("--robot", "robots", "repeatable; default: five", known=f"{__name__}.data_faults:PLANTS"),
+            switch("--diagnose", "also diagnose the faulty logs"),
+            PROCESSES,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.data_faults:report",
+        extras=("sim", "diagnosis"),
+        small=("--fault", "pose_frozen", "--robot", "own_conveyor", "--good", "0"),
     ),
     Experiment(
         name="demo",
