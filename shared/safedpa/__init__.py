@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         CorridorBarrier,
         DistanceFieldBarrier,
         FilterReport,
+        FilterSession,
         FilterSettings,
         FunctionBarrier,
         HigherOrderBarrier,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
         RolloutBarrier,
         SafetyFilter,
         SpeedBarrier,
+        StateLimits,
         Status,
         Verdict,
         check_filter,
@@ -66,6 +68,7 @@ __all__ = [
     "EffectTable",
     "ExportedFiles",
     "FilterReport",
+    "FilterSession",
     "FilterSettings",
     "FittedModel",
     "FunctionBarrier",
@@ -87,6 +90,7 @@ __all__ = [
     "SavedDiagnosis",
     "SpeedBarrier",
     "StartedModel",
+    "StateLimits",
     "Status",
     "System",
     "Variable",
@@ -132,8 +136,8 @@ _HOMES = {
     "records.run": "Run",
     "result": "Plot Rows",
     "safety": "AbstractBarrier AbstractEquationBarrier CorridorBarrier DistanceFieldBarrier FilterReport "
-    "FilterSettings FunctionBarrier HigherOrderBarrier LipschitzBarrier LookAheadBarrier RolloutBarrier SafetyFilter "
-    "SpeedBarrier Status Verdict check_filter distance_to_occupied",
+    "FilterSession FilterSettings FunctionBarrier HigherOrderBarrier LipschitzBarrier LookAheadBarrier RolloutBarrier "
+    "SafetyFilter SpeedBarrier StateLimits Status Verdict check_filter distance_to_occupied",
     "safety.defaults": "settings_named",
     "systems": "System Variable",
 }

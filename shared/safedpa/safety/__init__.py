@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from safedpa.safety.margins.conformal import OnlineMargin, smallest_sample, split_conformal_margin
     from safedpa.safety.prediction.delayed_model import PendingActions
     from safedpa.safety.prediction.predictor import Prediction
+    from safedpa.safety.session.filter_session import FilterSession
+    from safedpa.safety.session.state_limits import Evidence, StateLimits, limits_from_evidence
     from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
     from safedpa.safety.solver.qp import QuadraticProgram, Solution
     from safedpa.safety.validation import Plausible
@@ -38,8 +40,10 @@ __all__ = [
     "Barriers",
     "CorridorBarrier",
     "DistanceFieldBarrier",
+    "Evidence",
     "FilterIssue",
     "FilterReport",
+    "FilterSession",
     "FilterSettings",
     "FunctionBarrier",
     "GymnasiumSafetyFilter",
@@ -57,11 +61,13 @@ __all__ = [
     "SafetyFilter",
     "Solution",
     "SpeedBarrier",
+    "StateLimits",
     "Status",
     "Verdict",
     "calibrate_margin",
     "check_filter",
     "distance_to_occupied",
+    "limits_from_evidence",
     "load_settings",
     "one_step_errors",
     "parse_settings",
@@ -90,6 +96,8 @@ _HOMES = {
     "margins.conformal": "OnlineMargin smallest_sample split_conformal_margin",
     "prediction.delayed_model": "PendingActions",
     "prediction.predictor": "Prediction",
+    "session.filter_session": "FilterSession",
+    "session.state_limits": "Evidence StateLimits limits_from_evidence",
     "settings": "FilterSettings load_settings parse_settings save_settings write_settings",
     "solver.qp": "QuadraticProgram Solution",
     "validation": "Plausible",

@@ -93,6 +93,8 @@ class DeadlockDetector:
     entries: tuple[int, ...]
     seconds: float = 0.0
     """Time [s] for which it has been stationary although a motion was requested."""
+    reported_after: float = REPORTED_SECONDS
+    """Time [s] after which ``reason`` reports it."""
     failed_displacement: float = 0.0
     """Largest displacement expected in one tick that did not happen since the robot is stationary; 0: none."""
     _start: tuple[float, ...] = ()
@@ -148,8 +150,8 @@ class DeadlockDetector:
         return self.failed_displacement > 0.0 and displacement <= self.failed_displacement
 
     def reason(self, status: str, active: Sequence[str], margin_binds: bool) -> str:
-        """Why the robot is stationary; empty for the first 5 s."""
-        if self.seconds <= REPORTED_SECONDS:
+        """Why the robot is stationary; empty for the first ``reported_after`` seconds."""
+        if self.seconds <= self.reported_after:
             return ""
         driven = self._driven_motion > _MIN_DRIVEN_SHARE * self._nominal_motion
         violated = status in ("relaxed", "violated")

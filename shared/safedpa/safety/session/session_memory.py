@@ -135,10 +135,11 @@ class SessionMemory(Generic[StateT]):
 
     def _watch_delay(self, state: StateT, latent: FloatArray | None) -> None:
         passed = self.history.last_transition(MAX_DELAY) if state.applied_by == "filter" else None
-        if passed is None or (state.sources and passed.is_stationary(self.speeds)):
+        if passed is None:
             return
+        stationary, known = passed.is_stationary(self.speeds), None if latent is None else tuple(latent.tolist())
         with suppress(InputError, ValueError, ArithmeticError):  # no prediction for these values: nothing to learn
-            self.delay.observe(passed, None if latent is None else tuple(latent.tolist()))
+            self.delay.observe(passed, known, stationary=stationary)
 
     def sync_actuators(self, state: StateT) -> None:
         """Updates the actuators' internal state: as predicted if the robot applied the action, else reconstructed."""
@@ -161,8 +162,10 @@ class SessionMemory(Generic[StateT]):
         self.former = None
         self.history.add(state.tick, state.values, state.applied, self.memory)
         self.until_action = min(self.delay.delay_to_compensate(state.until_action), LONGEST_AGE)
-        late = (self.memory or self.until_action > 0.0) and not is_too_old(state)
-        self.pending = self.history.pending(self.until_action) if late else ()
+        # A robot that cannot stop could not keep its promise under every possible delay.
+        others = self.delay.possible_delays(state.until_action) if self.speeds else ()
+        late = (self.memory or self.until_action > 0.0 or others) and not is_too_old(state)
+        self.pending = self.history.pending(self.until_action, others) if late else ()
 
     def predicted(self, state: StateT, verdict: Verdict, latent: FloatArray | None) -> tuple[Rows, Any]:
         """Predicts the next states (steps, states) with the action held, and the actuators' state after one step.

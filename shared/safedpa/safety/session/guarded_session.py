@@ -1,0 +1,210 @@
+"""Which state a session decides with: the measured one if it can be believed, else the one that the model predicts.
+
+A lost state (missing, or not a number) is predicted from the last believed one along the actions that were applied. The
+margins grow with every lost period, since each prediction may err by one margin. After ``GRACE`` the robot brakes by
+its backup at the predicted state. A state that cannot be believed is not used at all: the robot brakes at once, and
+stays stopped until ``confirm``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from math import isfinite, isnan
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from safedpa.arrays import FloatArray
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError
+from safedpa.safety.filter import SafetyFilter
+from safedpa.safety.margins.online import OnlineMarginMonitor
+from safedpa.safety.session.plausibility import ClockMonitor, StateMonitor
+from safedpa.safety.session.session_memory import SessionMemory, StateT
+from safedpa.safety.session.state_limits import Evidence, StateLimits
+from safedpa.safety.validation import InvalidInput, checked_input
+from safedpa.safety.verdict import Status, Verdict
+
+__all__ = ["GRACE", "GuardedSession"]
+
+Plain = tuple[float, ...]
+
+GRACE: Final = 0.2
+"""Time [s] for which a robot without a state follows its nominal action, with a margin that grows."""
+_LONGEST_LOSS: Final = 10.0
+"""Time [s] after which a prediction says nothing any more; the robot is at rest by then, or cannot stop."""
+_AT_REST: Final = 0.01
+"""Share of the fastest motion since the state was lost below which the robot counts as stationary."""
+
+
+class _Believed(NamedTuple):
+    """The last state that was decided with, measured or predicted."""
+
+    epoch: int
+    tick: int
+    values: Plain
+
+
+class GuardedSession(SessionMemory[StateT]):
+    """A session that decides only with states that it can believe; see ``accept``."""
+
+    def __init__(
+        self, model: PhysicsModel, safe: SafetyFilter, margin: OnlineMarginMonitor, limits: StateLimits | None
+    ) -> None:
+        super().__init__(model, safe, margin)
+        self.limits = limits
+        """Thresholds of the plausibility; None: any state within the bounds of the system is believed."""
+        self.latched = ""
+        """Why the robot stays stopped until ``confirm``; empty if it does not."""
+        self.problem = ""
+        """Why the newest state is not used; empty if it is."""
+        self.evidence: Evidence | None = None
+        """What the newest state showed; None if it could not be compared."""
+        self.lost = 0
+        """Periods since the last believed state."""
+        self._monitor = StateMonitor(model.system, limits or StateLimits(), model.period)
+        self._clock = ClockMonitor()
+        self._believed: _Believed | None = None
+        self._free_memory: Any = None
+        self._fastest = 0.0
+        self._accepted: StateT | None = None
+
+    @property
+    def epsilon(self) -> dict[str, float]:
+        """The margins in force: the calibrated ones times the number of periods that are predicted."""
+        return {kind: (1 + self.lost) * value for kind, value in self.margin.epsilon.items()}
+
+    @property
+    def braking(self) -> str:
+        """Why the backup acts instead of a decision about the nominal action; empty if it does not."""
+        if self.latched:
+            return f"the state is implausible, {self.latched}; confirm where the robot is to let it drive"
+        if self.problem and (self.lost * self.model.period > GRACE or self.problem != _LOST):
+            return f"{self.problem}; predicted for {self.lost * self.model.period:.2g} s"
+        return ""
+
+    def confirm(self) -> None:
+        """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
+        self.latched, self.lost, self._believed = "", 0, None
+        self._monitor.restart()
+
+    def continue_from(self, former: GuardedSession[StateT]) -> None:
+        """Takes over what is known of the robot's state, which does not depend on the model."""
+        self.latched, self.problem, self.lost = former.latched, former.problem, former.lost
+        self._believed, self._clock = former._believed, former._clock
+        self._accepted = former._accepted
+
+    def accept(self, state: StateT, arrived: float | None = None) -> StateT:
+        """Returns the state to decide with: ``state``, or one with predicted values.
+
+        ``arrived`` [s]: when it arrived by a clock other than its source's; None if that is not known.
+        """
+        before = self._accepted
+        if before is not None and (before.epoch, before.tick) == (state.epoch, state.tick):
+            return before
+        late = "" if arrived is None else self._clock.observe(state.robot_time, arrived)
+        self.problem = _problem_of(state.values, len(self.model.system.state)) or self._out_of_range(state.values)
+        usable, known = not self.problem, self._believed
+        self.evidence = None
+        predicted = self._predicted(state) if known is not None else None
+        if usable and not self.latched and self.limits is not None:
+            self.latched = late or self._implausible(state, predicted)
+        if usable and not self.latched:
+            if self._monitor.accept(state.values, self.evidence):
+                self._free_memory = None
+            self.lost, self._fastest = 0, 0.0
+            self._believed = _Believed(state.epoch, state.tick, state.values)
+        elif predicted is not None and known is not None:
+            self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+            self._believed = _Believed(state.epoch, state.tick, predicted)
+            # The fields of a state message are checked; only its values change.
+            state = replace(state, values=predicted)  # type: ignore[type-var]
+        self._accepted = state
+        return state
+
+    def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
+        """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""
+        verdict = self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
+        if self.can_stop and self.lost and self._is_at_rest(state, verdict.action, latent):
+            verdict = replace(verdict, action=self.filter.settings.resting_action)
+        return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
+
+    def _implausible(self, state: StateT, predicted: Plain | None) -> str:
+        """Why the state contradicts the ones before; empty if it does not, or if there are none."""
+        known = self._believed
+        if predicted is None or known is None or len(predicted) != len(state.values):
+            return ""
+        self.evidence = self._monitor.observe(state.values, known.values, predicted, self._free(state))
+        gap = max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
+        why = self._monitor.problem(self.evidence, self.lost + gap)
+        again = ", after its source restarted" if why and state.epoch != known.epoch else ""
+        return why + again
+
+    def _predicted(self, state: StateT) -> Plain | None:
+        """The believed state predicted to the time of ``state``; None if there is none, or it is too long ago."""
+        known = self._believed
+        assert known is not None
+        ticks = state.tick - known.tick if state.epoch == known.epoch else 1
+        if (self.lost + ticks) * self.model.period > _LONGEST_LOSS:
+            return None
+        values, memory = known.values, self.memory
+        for _ in range(max(1, ticks)):
+            following = self._advanced(values, state, memory)
+            if following is None:
+                return None
+            values, memory = following
+        return values
+
+    def _free(self, state: StateT) -> Plain:
+        """The prediction since the position last changed, one period further; empty if there is none."""
+        free = self._monitor.free
+        # A prediction that begins at the last state begins with its actuators.
+        start = self.memory if self._free_memory is None else self._free_memory
+        following = self._advanced(free, state, start) if free else None
+        if following is None:
+            return ()
+        self._free_memory = following[1]
+        return following[0]
+
+    def _advanced(self, values: Plain, state: StateT, memory: Any) -> tuple[Plain, Any] | None:
+        """The state (states,) and actuators one period later under the action that was applied; None without one."""
+        model, action = self.model, state.applied
+        if len(action) != len(model.system.action) or not all(map(isfinite, action)):
+            return None
+        latent = None if self.decision is None else self.decision.latent
+        with suppress(InputError, ValueError, ArithmeticError):  # values without a prediction
+            step = model.scalar_step(model.period)
+            if step is not None:
+                found = step(values, action, (model.latent if latent is None else latent).tolist(), state.robot_time)
+                return (tuple(found), memory) if all(map(isfinite, found)) else None
+            held = np.array(action)
+            start = model.initial_memory(held) if memory is None else memory
+            after, memory = model.advance(np.array(values), held, start, latent)
+            return (tuple(after.tolist()), memory) if np.isfinite(after).all() else None
+        return None
+
+    def _is_at_rest(self, state: StateT, action: FloatArray, latent: FloatArray | None) -> bool:
+        following = self._next(state, action, latent)
+        if not following:
+            return False
+        motion = self.deadlock_detector.displacement(state.values, following[0])
+        self._fastest = max(self._fastest, motion)
+        return motion <= _AT_REST * self._fastest
+
+    def _out_of_range(self, values: Plain) -> str:
+        checked = checked_input("state", np.array(values), self.filter.tools.state_range)
+        return checked.reason if isinstance(checked, InvalidInput) else ""
+
+
+_LOST: Final = "the state is lost"
+
+
+def _problem_of(values: Sequence[float], states: int) -> str:
+    """Why the values are no measurement; empty if they are one."""
+    if not len(values) or any(map(isnan, values)):
+        return _LOST
+    if len(values) != states:
+        return f"the state has {len(values)} entries, wanted {states}"
+    return ""

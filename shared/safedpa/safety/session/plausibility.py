@@ -1,0 +1,207 @@
+"""Whether a measured state can be believed: compared with the prediction from the one before.
+
+With x the measured state, x^ the model's prediction from the last believed state along the action that was applied, and
+e = x - x^ (angles wrapped), four things are checked for the entries of each unit together:
+
+    jump:        |e| over one period; after lost states it may be up to four times as large
+    drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates
+    unanswered:  the motion that the commands should have caused since the position last changed, within a second
+    clock:       the stamps advance at another rate than the states arrive
+
+The thresholds are ``StateLimits``. For the first two the level of noise that the state usually has counts as well.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import hypot, pi
+from typing import Final, final
+
+from safedpa.safety.session.state_limits import Evidence, StateLimits
+from safedpa.systems import System
+
+__all__ = ["ClockMonitor", "StateMonitor"]
+
+Plain = tuple[float, ...]
+
+_DRIFT_SECONDS: Final = 2.0
+_ANSWER_SECONDS: Final = 1.0
+_ANSWERED: Final = 0.1
+"""Share of the predicted motion from which the robot counts as moving."""
+_LOST_GROWTH: Final = 0.5
+_MOST_GROWTH: Final = 4.0
+"""Each lost period adds this share to the limit of a jump, up to this factor: the prediction becomes less certain."""
+_NOISE_FACTOR: Final = 6.5
+"""Medians of |e| that count as noise: one state in 10 million of a normal distribution in the plane is beyond it."""
+_MOST_NOISE: Final = 5.0
+"""Factor by which noise may raise a limit: a state that keeps jumping must not become usual."""
+_NOISE_STEP: Final = 0.02
+"""Share by which the estimated median changes per state."""
+
+
+@final
+class StateMonitor:
+    """Judges the states of one robot. Call ``observe`` with each one, and ``accept`` with those that are believed."""
+
+    def __init__(self, system: System, limits: StateLimits, period: float) -> None:
+        self._system, self._limits, self._period = system, limits, period
+        self._angles = frozenset(system.angles)
+        units = dict.fromkeys(each.unit for each in system.state)
+        self._groups = {
+            unit: tuple(index for index, each in enumerate(system.state) if each.unit == unit) for unit in units
+        }
+        self._positions = [unit for unit in units if "/s" not in unit]
+        self._noise = {unit: limits.jump.get(unit, 0.0) / _NOISE_FACTOR for unit in units}
+        """Running median of |e| by unit."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Forgets the motion so far; the noise is still known."""
+        self._errors: deque[Plain] = deque(maxlen=max(2, round(_DRIFT_SECONDS / self._period)))
+        self._ways: deque[dict[str, float]] = deque(maxlen=self._errors.maxlen)
+        self._anchor: Plain = ()
+        self._free: Plain = ()
+        self._anchored = 0
+
+    @property
+    def free(self) -> Plain:
+        """(states,) prediction since the position last changed, to be advanced by each action; empty: none."""
+        return self._free
+
+    def observe(self, values: Plain, before: Plain, predicted: Plain, free: Plain = ()) -> Evidence:
+        """What the state (states,) shows after ``before``, the last believed one, from which it was ``predicted``.
+
+        ``free`` is the property of that name, one period later.
+        """
+        error = self._difference(values, predicted)
+        way = self._difference(predicted, before)
+        jump = {unit: _norm(error, own) for unit, own in self._groups.items()}
+        drift = {}
+        for unit in self._positions:
+            own = self._groups[unit]
+            total = [error[index] + sum(row[index] for row in self._errors) for index in own]
+            drift[unit] = hypot(*total), _norm(way, own) + sum(ways[unit] for ways in self._ways)
+        self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
+        self._free = free
+        return Evidence(jump, drift, self._unanswered(values))
+
+    def accept(self, values: Plain, evidence: Evidence | None) -> bool:
+        """Takes in a believed state and what ``observe`` returned for it; None for the first one.
+
+        Returns whether ``free`` begins at this state again.
+        """
+        if evidence is not None:
+            error, ways = self._newest
+            self._errors.append(error)
+            self._ways.append(ways)
+            for unit, size in evidence.jump.items():
+                step = _NOISE_STEP * self._noise[unit]
+                self._noise[unit] += step if size > self._noise[unit] else -step
+        moved = any(
+            _norm(self._difference(values, self._anchor), own)
+            > _ANSWERED * _norm(self._difference(self._free, self._anchor), own)
+            for unit in self._positions
+            if self._anchor and self._free and (own := self._groups[unit])
+        )
+        self._anchored += 1
+        again = moved or not self._anchor or not self._free or self._anchored * self._period > _ANSWER_SECONDS
+        if again:
+            self._anchor = self._free = values
+            self._anchored = 0
+        return again
+
+    def problem(self, evidence: Evidence, lost: int = 0) -> str:
+        """Why the state cannot be believed, with the numbers; empty if it can. ``lost``: states lost before it."""
+        growth = min(1.0 + _LOST_GROWTH * lost, _MOST_GROWTH)
+        for unit, size in evidence.jump.items():
+            limit = self._with_noise(self._limits.jump.get(unit), unit)
+            if limit is not None and not size <= growth * limit:
+                return f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
+        for unit, (size, way) in evidence.drift.items():
+            limit = self._with_noise(self._limits.drift.get(unit), unit)
+            if limit is not None:
+                limit += self._limits.drift_share.get(unit, 0.0) * way
+                if not size <= growth * limit:
+                    return (
+                        f"its position and its rates differ by {size:.2g} {unit} within {_DRIFT_SECONDS:g} s "
+                        f"(at most {growth * limit:.2g} {unit})"
+                    )
+        for unit, size in evidence.unanswered.items():
+            limit = self._limits.unanswered.get(unit)
+            if limit is not None and size > limit:
+                return f"it does not change although the commands should have moved it by {size:.2g} {unit}"
+        return ""
+
+    def _with_noise(self, limit: float | None, unit: str) -> float | None:
+        if limit is None:
+            return None
+        return max(limit, min(_NOISE_FACTOR * self._noise[unit], _MOST_NOISE * limit))
+
+    def _unanswered(self, values: Plain) -> dict[str, float]:
+        found = {}
+        for unit in self._positions:
+            own, size = self._groups[unit], 0.0
+            if self._anchor and self._free:
+                commanded = _norm(self._difference(self._free, self._anchor), own)
+                moved = _norm(self._difference(values, self._anchor), own)
+                size = commanded if moved <= _ANSWERED * commanded else 0.0
+            found[unit] = size
+        return found
+
+    def _difference(self, one: Sequence[float], other: Sequence[float]) -> Plain:
+        return tuple(
+            [
+                (a - b + pi) % (2.0 * pi) - pi if index in self._angles else a - b
+                for index, (a, b) in enumerate(zip(one, other, strict=True))
+            ]
+        )
+
+
+_CLOCK_INTERVALS: Final = 6
+_FAST: Final = 1.5
+"""Ratio of stamps to arrivals in each of the last intervals that is no jitter: a delayed message is followed by an
+early one."""
+_SLOW: Final = 0.5
+_SLOW_SECONDS: Final = 1.0
+"""A busy machine may run slowly for a moment, so a slow clock must last for this long."""
+
+
+@final
+class ClockMonitor:
+    """Compares the stamps of the states with their arrivals."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float] | None = None
+        self._intervals: deque[tuple[float, float]] = deque(maxlen=64)
+
+    def observe(self, stamp: float, arrived: float) -> str:
+        """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
+        last, self._last = self._last, (stamp, arrived)
+        if last is None:
+            return ""
+        interval = stamp - last[0], arrived - last[1]
+        # A clock that was set, or that has not advanced, shows no rate.
+        if not (0.0 < interval[0] < _SLOW_SECONDS and 0.0 < interval[1] < 2.0 * _SLOW_SECONDS):
+            self._intervals.clear()
+            return ""
+        self._intervals.append(interval)
+        newest = list(self._intervals)[-_CLOCK_INTERVALS:]
+        if len(newest) == _CLOCK_INTERVALS and all(stamps > _FAST * seconds for stamps, seconds in newest):
+            return self._sentence(newest)
+        slow = list[tuple[float, float]]()
+        for stamps, seconds in reversed(self._intervals):
+            if not stamps < _SLOW * seconds:
+                break
+            slow.append((stamps, seconds))
+            if len(slow) >= _CLOCK_INTERVALS - 3 and sum(seconds for _, seconds in slow) >= _SLOW_SECONDS:
+                return self._sentence(slow)
+        return ""
+
+    def _sentence(self, intervals: list[tuple[float, float]]) -> str:
+        ratio = sum(stamps for stamps, _ in intervals) / sum(seconds for _, seconds in intervals)
+        return f"its stamps advance {ratio:.2g} times as fast as the states arrive"
+
+
+def _norm(values: Sequence[float], indices: Sequence[int]) -> float:
+    return hypot(*[values[index] for index in indices])
