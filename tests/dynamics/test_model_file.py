@@ -106,7 +106,7 @@ MISTAKES = [
     ("format = 1", "", "format: missing, wanted 1; this program reads no other"),
     ('robot = "car"', 'robot = "boat"', "robot: got 'boat', wanted one of car, differential_drive, pendulum, point"),
     ("period = 0.05", "periode = 0.05", "periode: unknown key; did you mean 'period'?"),
-    ("period = 0.05", "period = 0", "period: got 0, wanted 0.0001 to 1 s"),
+    ("period = 0.05", "period = 0", "period: got 0, wanted 0.0001 to 3600 s"),
     ("period = 0.05", 'period = "20 Hz"', "period: got '20 Hz', wanted a finite number in s"),
     ("[base]", "[bse]", "bse: unknown key; did you mean 'base'?"),
     ("kinematic_bicycle", "dynamic_bicycle", "base.kind: got 'dynamic_bicycle', wanted 'kinematic_bicycle'"),

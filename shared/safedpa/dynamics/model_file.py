@@ -263,8 +263,8 @@ def _setting(path: str, parameter: Parameter, entry: Any) -> Setting:
 
 def _period(table: Mapping[str, Any]) -> float:
     period = _number("period", "s", table.get("period", 0.05))
-    if not 1e-4 <= period <= 1.0:
-        raise ModelFileError(f"period: got {period:g}, wanted 0.0001 to 1 s")
+    if not 1e-4 <= period <= 3600.0:
+        raise ModelFileError(f"period: got {period:g}, wanted 0.0001 to 3600 s")
     return period
 
 

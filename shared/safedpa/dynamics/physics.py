@@ -132,6 +132,7 @@ class PhysicsModel(AbstractDynamics):
 
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """Returns the model with one more effect; parameters missing in ``settings`` start at ``Parameter.start``."""
+        item = item.at_period(self.period)
         unknown = set(settings) - {parameter.name for parameter in item.parameters}
         if unknown:
             raise ModelFileError(f"{item.name}.{min(unknown)}: unknown parameter; leave it out")

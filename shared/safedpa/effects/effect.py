@@ -14,8 +14,10 @@ Within one kind, effects apply in the order of their ``stage``.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import copy
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 from safedpa.effects.parameter import Parameter
@@ -38,6 +40,8 @@ class Stage(IntEnum):
     """Pure delay of the command."""
     COMMAND_LAG = 30
     """Inertia of the actuator."""
+    COMMAND_SLEW = 32
+    """Largest speed of the actuator."""
     COMMAND_OFFSET = 40
     """Position of the linkage at command 0: trim."""
     COMMAND_LINKAGE = 42
@@ -63,7 +67,11 @@ class Stage(IntEnum):
     DRIFT = 74
     """Motion of the medium or the ground."""
     SENSOR = 80
-    """From the true state to the measured one."""
+    """From the true state to the measured one: what is next to the reading, such as its offset."""
+    SENSOR_SCALE = 82
+    """Scale of a sensor."""
+    SENSOR_DELAY = 84
+    """Lag and delay of a sensor, which see the true rates."""
 
 
 class Context(NamedTuple):
@@ -124,17 +132,30 @@ class AbstractEffect(ABC):
     """Whether a search tries it only where the other effects leave something unexplained. A rare effect needs special
     hardware, or looks like a common one to first order (backlash like a delay)."""
 
+    by_period: Callable[[float], tuple[Parameter, ...]] | None = None
+    """The parameters for logs of a period [s], as a function that can be pickled; None if they do not depend on it."""
+
     def at_period(self, period: float) -> Self:
         """Returns the effect with bounds and typical values for logs of this period [s]; itself if they do not depend.
 
         A model calls it for each of its effects with its own period. A search calls it before it starts a fit.
         """
-        del period
-        return self
+        return self if self.by_period is None else _at_period(self, period)  # type: ignore[return-value]
 
     def __repr__(self) -> str:
         names = ", ".join(parameter.name for parameter in self.parameters)
         return one_line(type(self).__name__, {"robot": self.robot, "name": self.name, "parameters": names})
+
+
+@lru_cache(maxsize=1024)  # one object per period: recorded steps are found by their effects
+def _at_period(item: AbstractEffect, period: float) -> AbstractEffect:
+    assert item.by_period is not None
+    parameters = item.by_period(period)
+    if parameters == item.parameters:
+        return item
+    again = copy(item)
+    again.parameters = parameters  # type: ignore[misc]
+    return again
 
 
 class CommandEffect(AbstractEffect):

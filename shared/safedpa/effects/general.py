@@ -1,137 +1,226 @@
-"""General effects for a user's own system: on each action, and on the rates of the states that forces change."""
+"""General effects for a user's own system: on each command, each state that forces change, and each sensor.
+
+``general_table`` says what their residuals look like, where they are described, and what a search combines them with.
+``general_effects`` chooses by what the system declares: no spring without a position, no coupling with one axis.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from math import isfinite
-from typing import final
+from typing import Final
 
 from safedpa.effects.channel_effects import ChannelEffect
-from safedpa.effects.effect import AbstractEffect, Context, Named, RateEffect, Stage
-from safedpa.effects.friction import direction_of
+from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.general_parameters import channel_parameters, sensor_delay_parameters, state_parameters
+from safedpa.effects.general_table import TABLE
 from safedpa.effects.parameter import Parameter
+from safedpa.effects.state_effects import Mixed, StateEffect, StateSensor, TorqueSpeed, VectorDrag
 from safedpa.errors import InputError, did_you_mean
-from safedpa.operations import Scalar
 from safedpa.systems import System, Variable
 
-_REST = 0.02
-"""Share of the usual size of a state below which its friction is smoothed."""
+_PERIOD: Final = 0.05
+"""s; the period for which effects are declared until a model or a search asks for another."""
 
 
-_LOSSES: Mapping[str, tuple[str, Callable[[Scalar, Scalar, float, Context], Scalar]]] = {
-    "drag": ("-= coefficient v", lambda v, coefficient, _size, _context: coefficient * v),
-    "quadratic_drag": (
-        "-= coefficient |v| v",
-        lambda v, coefficient, _size, context: coefficient * context.operations.absolute(v) * v,
-    ),
-    "friction": (
-        "-= deceleration sign(v)",
-        lambda v, deceleration, size, context: deceleration * direction_of(v, deceleration, _REST * size, context),
-    ),
-    "push": ("+= push", lambda _v, push, _size, _context: -push),
-}
-"""Equation of dv/dt and (v, parameter, usual size of v, context) -> what is subtracted from it, by kind."""
+def general_effects(
+    system: System,
+    moving: Mapping[str, float] | None = None,
+    *,
+    positions: Mapping[str, str] | None = None,
+    vectors: Mapping[str, Sequence[str]] | None = None,
+    heading: str = "",
+    supply: Mapping[str, float] | None = None,
+) -> tuple[AbstractEffect, ...]:
+    """Returns the effects that commands, states and sensors of any robot may have, by what the system declares.
 
+    ``moving``: the states that forces change (speeds, rates), each with its usual size in its unit. ``positions``: by
+    rate, the state that it is the rate of; by default found by names and units. ``vectors``: groups of speeds with
+    common drag, by name; by default all speeds in m/s, if there are several. ``heading``: the angle of the body, if
+    the first two speeds of each vector are in the world's frame. ``supply``: measured inputs among the actions, with
+    their nominal values, such as {"battery": 12.0}. Actions without finite bounds are taken to reach 1 of their unit.
 
-@final
-class StateEffect(RateEffect):
-    """An effect on d(``state``)/dt, called ``{state}_{kind}``; ``size`` is the usual size of the state, in its unit."""
+    Raises InputError for a name that the system lacks, or a size that is not above 0.
 
-    def __init__(self, robot: str, state: str, kind: str, parameter: Parameter, size: float) -> None:
-        self.kind, self.state, self.size = kind, state, size  # the kind by its name: functions cannot be pickled
-        self.robot: str = robot  # type: ignore[misc]
-        self.name: str = f"{state}_{kind}"  # type: ignore[misc]
-        self.stage: Stage = Stage.WEIGHT if kind == "friction" else Stage.RESISTANCE  # type: ignore[misc]
-        # equations are written over v, the state
-        self.equation: str = f"d({state})/dt {_LOSSES[kind][0].replace('v', state)}"  # type: ignore[misc]
-        self.parameters: tuple[Parameter, ...] = (parameter,)  # type: ignore[misc]
-        self.signature: str = _SIGNATURES[kind]  # type: ignore[misc]
-        self.source: str = _SOURCES[kind]  # type: ignore[misc]
+    Example:
 
-    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        loss = _LOSSES[self.kind][1](context.state[self.state], parameters[self.parameters[0].name], self.size, context)
-        return {**rates, self.state: rates[self.state] - loss}
-
-
-def general_effects(system: System, moving: Mapping[str, float] | None = None) -> tuple[AbstractEffect, ...]:
-    """Returns gain, offset, dead zone, limit, lag and delay of each action; drags, friction and push of states.
-
-    ``moving``: the states that forces change (speeds, rates), each with its usual size in its unit. Actions without
-    finite bounds are taken to reach 1 of their unit. Raises InputError for a state that the system lacks.
+        >>> cart = System("cart", (Variable("speed", "m/s", -9.0, 9.0),), (Variable("drive", "N", -1.0, 1.0),))
+        >>> [item.name for item in general_effects(cart, moving={"speed": 1.0}) if item.family == "speed_limit"]
+        ['speed_speed_limit']
     """
-    found: list[AbstractEffect] = []
-    for action in system.action:
-        found += _of_action(system.name, action)
-    for name, size in (moving or {}).items():
-        if name not in system.state_names:
-            raise InputError(f"moving: got '{name}'; {did_you_mean(name, system.state_names)}")
+    sizes, measured = dict(moving or {}), dict(supply or {})
+    found_pairs = position_of_rate(system) if positions is None else dict(positions)
+    pairs = {rate: position for rate, position in found_pairs.items() if positions is not None or rate in sizes}
+    groups = _vectors(system, sizes) if vectors is None else {name: tuple(axes) for name, axes in vectors.items()}
+    _check(system, sizes, "moving")
+    _check(system, [*pairs, *pairs.values()], "positions")
+    _check(system, [*(axis for axes in groups.values() for axis in axes), *([heading] if heading else [])], "vectors")
+    for name, size in (*sizes.items(), *measured.items()):
         if not (isfinite(size) and size > 0.0):
             raise InputError(f"moving: {name}: got {size!r}, wanted its usual size, above 0")
-        found += _of_state(system.name, system.state[system.state_names.index(name)], size)
+    commands = [action for action in system.action if action.name not in measured]
+    found: list[AbstractEffect] = []
+    for action in commands:
+        found += _of_command(system, action, measured)
+    found += _between(system.name, commands)
+    for name, size in sizes.items():
+        found += _of_state(system, _variable(system, name), size, pairs.get(name, ""))
+    found += _of_several(system, sizes, groups, heading)
+    if len(sizes) == 1 or len(commands) == 1:  # else it is unknown which command drives which state
+        drives = [(commands[index], name) for index in range(len(commands)) for name in sizes][: len(commands)]
+        found += [_torque_speed(system.name, action, name, sizes[name]) for action, name in drives]
+    for rate, position in pairs.items():
+        found += _of_sensors(system, rate, position, sizes.get(rate, 1.0))
     return tuple(found)
 
 
-_SIGNATURES = {
-    "drag": "a residual against the motion, in proportion to it",
-    "quadratic_drag": "a residual against the motion that grows with its square",
-    "friction": "a residual of one size against the motion, which changes sign with it",
-    "push": "a residual of one size and sign, whatever the state and the action",
-    "gain": "the answer to the action differs by the same share at every size",
-    "offset": "a residual of one size and sign, whatever the action",
-    "lag": "a residual after each change of the action, of opposite sign to the change, dying out",
-    "delay": "a residual after each change of the action, as if it had not been sent yet, then none",
-    "limit": "a residual beyond one size of the action only, growing with the excess",
-    "dead_zone": "a residual against the action that grows with it up to a width, then of one size",
-}
-_SOURCES = {
-    "drag": "linear damping; Khalil, Nonlinear Systems, 3rd ed., section 1.2",
-    "quadratic_drag": "Hoerner, Fluid-Dynamic Drag, 1965, ch. 1",
-    "friction": "Armstrong-Helouvry et al., A survey of models with friction, Automatica 30, 1994, section 2",
-    "push": "a constant disturbance; Astrom and Murray, Feedback Systems, 2nd ed., ch. 7",
-    "gain": "static gain of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
-    "offset": "trim of an actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
-    "lag": "first-order actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
-    "delay": "dead time; Astrom and Murray, Feedback Systems, 2nd ed., ch. 9",
-    "limit": "saturation; Tao and Kokotovic, Adaptive Control of Systems, 1996, ch. 1",
-    "dead_zone": "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2",
-}
+def position_of_rate(system: System) -> dict[str, str]:
+    """Returns the position of each rate, as far as names and units show it.
+
+    A rate of a state in unit U has the unit U/s. It is called ``{position}_rate``, ``v{position}``, or it is the only
+    state of its unit, with one position only. The plane coordinates of a robot with a heading are none: its speeds are
+    those of its body.
+    """
+    names = system.state_names
+    plane = (
+        {"x", "y"}
+        if {"x", "y"} <= set(names) and any(item.angle or item.unit == "rad" for item in system.state)
+        else set()
+    )
+    found = {}
+    for rate in system.state:
+        near = [item.name for item in system.state if rate.unit == f"{item.unit}/s" and item.name not in plane]
+        called = [name for name in near if rate.name in (f"{name}_rate", f"{name}_dot", f"v{name}", f"d{name}")]
+        alone = len(near) == 1 and sum(item.unit == rate.unit for item in system.state) == 1
+        if called or alone:
+            found[rate.name] = (called or near)[0]
+    return found
 
 
-def _of_state(robot: str, state: Variable, size: float) -> list[AbstractEffect]:
-    per_length = "1/m" if state.unit == "m/s" else f"1/s/({state.unit})"
-    rate = f"{state.unit}2" if state.unit in ("m/s", "rad/s") else f"({state.unit})/s"
-    parameters = {
-        "drag": Parameter("coefficient", "1/s", 0.0, 50.0, 0.3),
-        # over the usual size, so that it decelerates as the linear drag with coefficient 0.3 1/s does there
-        "quadratic_drag": Parameter("coefficient", per_length, 0.0, 50.0 / size, 0.3 / size),
-        "friction": Parameter("deceleration", rate, 0.0, 20.0 * size, 0.3 * size),
-        "push": Parameter("push", rate, -20.0 * size, 20.0 * size, 0.2 * size),
-    }
-    return [StateEffect(robot, state.name, kind, parameter, size) for kind, parameter in parameters.items()]
+def _check(system: System, names: Sequence[str] | Mapping[str, float], what: str) -> None:
+    for name in names:
+        if name not in system.state_names:
+            raise InputError(f"{what}: got '{name}'; {did_you_mean(name, system.state_names)}")
 
 
-def _of_action(robot: str, action: Variable) -> list[AbstractEffect]:
-    size = max(abs(action.low), abs(action.high))
-    size = size if isfinite(size) else 1.0  # the scale of offsets, limits and dead zones
-    parameters = {
-        "gain": Parameter("gain", "1", 0.05, 5.0, 0.85, neutral=1.0),
-        "offset": Parameter("offset", action.unit, -size, size, 0.05 * size),
-        "lag": Parameter("time_constant", "s", 0.0, 2.0, 0.15),
-        "delay": Parameter("seconds", "s", 0.0, 1.0, 0.1),
-        "limit": Parameter("limit", action.unit, 0.02 * size, size, 0.6 * size, neutral=size),
-    }
-    if action.low < 0.0:  # an action that cannot be negative starts at its own dead zone: an offset says the same
-        parameters["dead_zone"] = Parameter("width", action.unit, 0.0, 0.9 * size, 0.1 * size)
-    return [
-        ChannelEffect(
-            robot,
+def _variable(system: System, name: str) -> Variable:
+    return system.state[system.state_names.index(name)]
+
+
+def _vectors(system: System, sizes: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
+    axes = tuple(name for name in sizes if _variable(system, name).unit == "m/s")
+    return {"velocity": axes} if len(axes) > 1 else {}
+
+
+def _of_command(system: System, action: Variable, supply: Mapping[str, float]) -> Iterator[AbstractEffect]:
+    largest = max(abs(action.low), abs(action.high))
+    size = largest if isfinite(largest) else 1.0
+    kinds = [name for name in _CHANNEL if name not in ("dead_zone", "limit_up_down") or action.low < 0.0]
+    for kind in kinds:  # an action that cannot be negative starts at its own dead zone: an offset says the same
+        declare, about = partial(channel_parameters, kind, action.unit, size), TABLE[kind]
+        yield ChannelEffect(
+            system.name,
             f"{action.name}_{kind}",
             action.name,
             kind,
-            parameter,
-            signature=_SIGNATURES[kind],
-            source=_SOURCES[kind],
+            declare(_PERIOD),
+            signature=about.signature,
+            source=about.source,
             needs=(action.name,),
+            partners=tuple(f"{action.name}_{other}" for other in about.partners),
+            rare=about.rare,
+            by_period=declare if kind in _BY_PERIOD else None,
         )
-        for kind, parameter in parameters.items()
+    for other, nominal in supply.items():
+        share = Parameter("share", "1", -2.0, 2.0, 1.0)
+        mixed = Mixed(system.name, action.name, other, (share,), nominal)
+        mixed.described(TABLE["supply"].signature, TABLE["supply"].source, (f"{action.name}_gain",))
+        yield mixed
+
+
+_CHANNEL: Final = (
+    "gain", "offset", "lag", "delay", "limit", "dead_zone", "curve", "limit_up_down", "backlash", "slew_limit",
+    "slew_limit_up_down", "second_order", "lag_up_down",
+)  # fmt: skip
+_BY_PERIOD: Final = ("lag", "lag_up_down", "delay", "slew_limit", "slew_limit_up_down", "second_order")
+
+
+def _between(robot: str, commands: Sequence[Variable]) -> Iterator[AbstractEffect]:
+    for one in commands:
+        for other in commands:
+            if one is not other and one.unit == other.unit:
+                mixed = Mixed(robot, one.name, other.name, (Parameter("share", "1", -2.0, 2.0, 0.1),))
+                mixed.described(TABLE["coupling"].signature, TABLE["coupling"].source, rare=True)
+                yield mixed
+
+
+def _of_state(system: System, state: Variable, size: float, position: str) -> Iterator[AbstractEffect]:
+    where = _variable(system, position) if position else None
+    heading = {"x", "y"} <= set(system.state_names)  # an angle in the plane: neither gravity nor a spring acts on it
+    for kind, parameters in state_parameters(state, size, where).items():
+        if kind in ("spring", "gravity", "end_stop") and heading:
+            continue
+        item = StateEffect(system.name, state.name, kind, parameters, size, position if kind in _PLACED else "")
+        about = TABLE[kind]
+        partners = tuple(f"{state.name}_{other}" for other in about.partners)
+        item.described(about.signature, about.source, partners, rare=about.rare)
+        yield item
+
+
+_PLACED: Final = ("spring", "gravity", "end_stop")
+
+
+def _of_several(
+    system: System, sizes: Mapping[str, float], groups: Mapping[str, tuple[str, ...]], heading: str
+) -> Iterator[AbstractEffect]:
+    for one in sizes:
+        for other in sizes:
+            if one != other and _variable(system, one).unit == _variable(system, other).unit:
+                shared = (Parameter("coefficient", "1/s", -50.0, 50.0, 0.3),)
+                item = StateEffect(system.name, one, "coupling", shared, sizes[one], other)
+                item.described(TABLE["coupling"].signature, TABLE["coupling"].source, rare=True)
+                yield item
+    for name, axes in groups.items():
+        size = max(sizes.get(axis, 1.0) for axis in axes)
+        linear = (Parameter("coefficient", "1/s", 0.0, 50.0, 0.3),)
+        drags = [
+            VectorDrag(system.name, name, axes, linear),
+            VectorDrag(
+                system.name,
+                name,
+                axes,
+                (Parameter("coefficient", "1/m", 0.0, 50.0 / size, 0.3 / size),),
+                quadratic=True,
+            ),
+        ]
+        if heading:
+            own = tuple(Parameter(side, "1/s", 0.0, 50.0, 0.3) for side in ("along", "across"))
+            drags.append(VectorDrag(system.name, name, axes, own, heading=heading))
+        for drag in drags:
+            about = TABLE[drag.family]
+            drag.described(about.signature, about.source, rare=about.rare)
+            yield drag
+
+
+def _torque_speed(robot: str, action: Variable, state: str, size: float) -> AbstractEffect:
+    item = TorqueSpeed(robot, action.name, state, (Parameter("slope", "1", 0.0, 5.0 / size, 0.3 / size),))
+    about = TABLE["torque_speed"]
+    item.described(about.signature, about.source, (f"{action.name}_gain",), rare=about.rare)
+    return item
+
+
+def _of_sensors(system: System, rate: str, position: str, size: float) -> Iterator[AbstractEffect]:
+    unit, place = _variable(system, rate).unit, _variable(system, position)
+    bias = Parameter("bias", unit, -5.0 * size, 5.0 * size, 0.05 * size)
+    declared = [
+        (rate, "bias", (bias,), None),
+        (rate, "scale", (Parameter("scale", "1", 0.1, 10.0, 1.1, neutral=1.0),), None),
+        (position, "bias", (Parameter("bias", place.unit, -10.0, 10.0, 0.03),), None),
+        (position, "sensor_delay", sensor_delay_parameters(_PERIOD), sensor_delay_parameters),
     ]
+    for state, kind, parameters, by_period in declared:
+        item = StateSensor(system.name, state, kind, parameters, rate)
+        about = TABLE[kind]
+        item.described(about.signature, about.source, rare=about.rare, by_period=by_period)
+        yield item

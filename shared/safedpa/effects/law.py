@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, final
+from typing import Any, ClassVar, Final, Self, final
 
 from safedpa.effects.effect import (
     AbstractEffect,
@@ -238,7 +238,12 @@ class Conditioned(AbstractEffect):
         self.source: str = inner.source  # type: ignore[misc]
         self.timed: bool = inner.timed or TIME in law.variables  # type: ignore[misc]
         self.needs = inner.needs  # type: ignore[misc]
+        self.family, self.partners, self.rare = inner.family, inner.partners, inner.rare  # type: ignore[misc]
         self.mirrored = inner.mirrored  # type: ignore[misc]
+
+    def at_period(self, period: float) -> Self:  # noqa: D102
+        inner = self.inner.at_period(period)
+        return self if inner is self.inner else type(self)(inner, self.law, self.known)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Conditioned) and self._key() == other._key()

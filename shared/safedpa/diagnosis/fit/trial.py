@@ -64,10 +64,14 @@ def _grid(parameter: Parameter, alongside: int) -> list[float]:
     elif neutral is None:
         found = [0.4 * typical, typical, 2.5 * typical]
     elif neutral == 0.0:
-        parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if alongside == 1 else (0.4, 1.5)
+        parts: tuple[float, ...] = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if alongside == 1 else (0.4, 1.5)
         found = [part * typical for part in parts] if typical else [0.0]
         if parameter.low < 0.0:
             found = [sign * value for value in found[: 3 if alongside == 1 else 1] for sign in (-1.0, 1.0)]
+    elif neutral >= 3.0 * typical > 0.0:
+        # A limit that is far away does nothing and has no gradient: a grid over two decades finds where it acts.
+        parts = (0.1, 0.3, 0.6, 1.0, 1.6, 2.5, 6.0) if alongside == 1 else (0.3, 1.0, 2.5)
+        found = [part * typical for part in parts]
     elif abs(neutral - typical) < 0.5 * neutral:
         found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
     else:
@@ -175,6 +179,23 @@ def block_gain(one: EffectTrial, other: EffectTrial, shooting: Shooting, *, loca
     return standardized_gain(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
 
 
+def ratio_gain(one: EffectTrial, other: EffectTrial, shooting: Shooting) -> float:
+    """Returns how much better ``other`` predicts unseen blocks than ``one``, from the ratios of their squares.
+
+    The mean over the blocks of log(squares of one / squares of other), in its standard errors. While most of the
+    physics is missing, a few blocks hold most squares, and differences of squares vary as much as they are large.
+    Ratios do not: an effect that is really missing reduces the squares of every block by about the same share.
+    """
+    first = shooting.first_of_block
+    if len(first) < _MIN_BLOCKS:
+        return 0.0
+    scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
+    squares = np.stack([(trial.heldout / scale).sum(axis=1)[shooting.by_block] for trial in (one, other)])
+    # One unit of the noise keeps blocks with nothing to predict from deciding by the ratio of two roundings.
+    sums = np.log(np.add.reduceat(squares, first, axis=1) + 1.0)
+    return float(_normal_deviates((sums[0] - sums[1])[None], 1e-3)[0])
+
+
 def standardized_gain(difference: FloatArray, shooting: Shooting, *, local: bool = False) -> float:
     """Returns the gain of differences (windows,) of squares in units of the noise, as in ``block_gain``."""
     return float(standardized_gains(difference[None], shooting, local=local)[0])
@@ -191,9 +212,15 @@ def standardized_gains(differences: FloatArray, shooting: Shooting, *, local: bo
     if local:
         most = np.maximum(most, np.quantile(sizes, 0.9, axis=1, keepdims=True))
     sums = np.add.reduceat(np.clip(differences, -most, most)[:, shooting.by_block], first, axis=1)
-    spread = sums.std(axis=1, ddof=1) * np.sqrt(len(first))
     # The floor of one unit of the noise: a smaller gain is rounding, however steady it is from block to block.
-    ratio, freedom = sums.sum(axis=1) / np.hypot(spread, 1.0), len(first) - 1
+    return _normal_deviates(sums, 1.0)
+
+
+def _normal_deviates(sums: FloatArray, rounding: float) -> FloatArray:
+    """Returns the normal deviates (many,) of the t ratios of block sums (many, blocks); see ``block_gain``."""
+    count = sums.shape[1]
+    spread = sums.std(axis=1, ddof=1) * np.sqrt(count)
+    ratio, freedom = sums.sum(axis=1) / np.hypot(spread, rounding), count - 1
     normal = (8 * freedom + 1) / (8 * freedom + 3) * np.sqrt(freedom * np.log1p(ratio**2 / freedom))
     return np.asarray(np.copysign(normal, ratio))
 
