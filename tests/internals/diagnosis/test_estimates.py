@@ -15,7 +15,7 @@ from safedpa.diagnosis.fit.multiple_shooting import _row_weights, _trimmed_scale
 from safedpa.diagnosis.fit.trial import fit_trial
 from safedpa.diagnosis.residuals.dependence import Dependences
 from safedpa.diagnosis.residuals.unmodelled import _block_statistic
-from safedpa.diagnosis.residuals.weak_sindy import _sizes
+from safedpa.diagnosis.residuals.weak_sindy import usual_sizes
 from safedpa.diagnosis.search.conditional import _fit_law
 from safedpa.diagnosis.search.conditional_screen import ConditionalCandidate, _NormalEquations
 from safedpa.diagnosis.search.initial_model import initial_search
@@ -44,7 +44,7 @@ def test_states_and_actions_are_scaled_by_their_root_mean_square() -> None:
         states=np.array([[3.0, 0.0], [-4.0, 0.0], [0.0, 0.0], [0.0, 6.0]]),
         actions=np.array([[2.0], [2.0], [-2.0], [2.0]]),
     )
-    assert _sizes(SimpleNamespace(windows=windows)) == {"x": 2.5, "v": 3.0, "u": 2.0}  # type: ignore[arg-type]
+    assert usual_sizes(SimpleNamespace(windows=windows)) == {"x": 2.5, "v": 3.0, "u": 2.0}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("level", [0.01, 0.2])

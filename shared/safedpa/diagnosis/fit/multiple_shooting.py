@@ -27,6 +27,8 @@ from safedpa.records.run import Run
 
 # Compared rows of a window at most: more rows of a smooth residual add cost, but hardly any information.
 _MAX_ROWS = 24
+# Below three rows the first part of a window contains no rate.
+_MIN_FIRST_ROWS = 3
 # Difference of a start's entry, in its unit: large enough for double precision, small enough to stay linear.
 _DIFFERENCE = 1e-4
 # Number of blocks wanted. The spread of 40 block sums is known well enough for a test of 3 standard errors.
@@ -37,6 +39,8 @@ _BLOCK_SECONDS = (3.0, 10.0)
 _MIN_BLOCKS = 10
 # Robust deviations from the median of the neighbouring rows beyond which a row is a glitch: far outside Gaussian noise.
 _GLITCH = 8.0
+# Share of the rows that may be glitches: what is rough more often is the motion, as where dry friction reverses.
+_MOST_GLITCHES = 0.1
 # Bound on a residual, in its unit: predictions of an unstable model may grow without bound.
 _MAX_RESIDUAL = 1e3
 # Slope of a prediction beyond which residuals are differenced instead, with angles wrapped and entries bounded by
@@ -127,6 +131,17 @@ class Shooting:
     def first_of_block(self) -> IndexArray:
         """Index of the first window of each block in that order, (blocks,)."""
         return np.asarray(np.unique(self.block[self.by_block], return_index=True)[1], dtype=np.int64)
+
+    def first_part(self) -> Shooting:
+        """Returns the first fifth of each window, at least three compared rows."""
+        count = max(_MIN_FIRST_ROWS, len(self.rows) // 5)
+        return replace(
+            self,
+            rows=self.rows[:count],
+            measured=self.measured[:, :count],
+            counts=self.counts[:, :count],
+            tangent=self.tangent[:, :count],
+        )
 
     def with_weights_by_rate(self, model: PhysicsModel) -> Shooting | None:
         """Returns the windows with glitches detected separately for each sampling rate.
@@ -264,7 +279,9 @@ def _row_weights(shooting: Shooting, residual: FloatArray, *, by_rate: bool = Fa
             usual = np.median(roughness.reshape(-1, roughness.shape[-1]), axis=0)
         # 1.4826 times the median deviation estimates the standard deviation of Gaussian noise.
         typical = 1.4826 * usual + 1e-6
-        retained = inside & (roughness <= _GLITCH * typical).all(axis=-1, keepdims=True)
+        worst = np.where(inside, (roughness / typical).max(axis=-1, keepdims=True), 0.0)
+        often = float(np.quantile(worst[inside], 1.0 - _MOST_GLITCHES)) if inside.any() else 0.0
+        retained = inside & (worst <= max(_GLITCH, often))
     else:
         retained = np.broadcast_to(inside, residual.shape)
     scale = _trimmed_scale(residual, retained * np.ones_like(residual))

@@ -14,8 +14,9 @@ from safedpa.diagnosis.fit.trial import EffectTrial
 from safedpa.diagnosis.report_schema import Dependence, Profile, RateMap
 from safedpa.diagnosis.residuals.weak_sindy import TIME, Regression, regression_of
 from safedpa.diagnosis.search.regions import clip_outliers, residual_inputs
+from safedpa.dynamics import PhysicsModel
 from safedpa.effects.effect import Named
-from safedpa.operations import Operations, Scalar
+from safedpa.operations import FLOATS, Operations, Scalar
 from safedpa.systems import System
 
 # Cells along each side of a map: finer ones would hold too few windows for a mean.
@@ -27,6 +28,19 @@ _MIN_WINDOWS = 3
 def rate_states(system: System) -> tuple[str, ...]:
     """Returns the states whose rates may be incomplete: the last two that are not positions (velocities come last)."""
     return tuple(name for name in system.state_names if name not in POSITION)[-2:]
+
+
+def forced_states(model: PhysicsModel) -> tuple[str, ...]:
+    """Returns the states whose rates forces change: not positions, nor states whose rate is another state."""
+    system, random = model.system, np.random.default_rng(1)
+    low, high = (np.array([getattr(item, end) for item in system.state]) for end in ("low", "high"))
+    middle = np.clip(random.uniform(0.1, 0.9, len(low)), low, high)
+    state = dict(zip(system.state_names, middle.tolist(), strict=True))
+    action = {item.name: float(np.clip(0.37, item.low, item.high)) for item in system.action}
+    values = {item.name: model.settings[f"base.{item.name}"].value for item in model.base.parameters}
+    rates = model.base.rates(state, action, values, FLOATS)
+    others = set(state.values())
+    return tuple(name for name in system.state_names if name not in POSITION and rates[name] not in others)
 
 
 def remaining_rates(trial: EffectTrial, shooting: Shooting) -> FloatArray:

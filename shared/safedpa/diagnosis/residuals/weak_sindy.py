@@ -168,6 +168,24 @@ class HasValues(Protocol):
 
 
 @dataclass(frozen=True)
+class PastAction:
+    """An effective action some rows before, as a term: what an actuator with memory depends on."""
+
+    action: str
+    rows: int
+
+    def value(self, named: Named, operations: Operations) -> Scalar:
+        """Returns the action ``rows`` rows ago."""
+        del operations
+        return named[self.key]
+
+    @property
+    def key(self) -> str:
+        """Its name among the values."""
+        return f"{self.action} {self.rows} rows ago"
+
+
+@dataclass(frozen=True)
 class SelectedTerms:
     """(state, term) pairs, their coefficients, and alternatives that are as good as the first term."""
 
@@ -264,7 +282,7 @@ def selected_terms(
 ) -> SelectedTerms | None:
     """Returns at most ``most`` terms that unseen blocks confirm on top of a fitted model; None if there is none."""
     system = shooting.windows.system
-    terms = terms_of(system, _sizes(shooting))
+    terms = terms_of(system, usual_sizes(shooting))
     pairs = [(state, term) for state in states for term in terms]
     problem = regression_of(trial, shooting, states, terms)
     chosen, alternatives = _forward(problem, most)
@@ -325,7 +343,7 @@ def _backward(problem: Regression, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _sizes(shooting: Shooting) -> dict[str, float]:
+def usual_sizes(shooting: Shooting) -> dict[str, float]:
     """Returns the root mean square of states and actions by name."""
     windows = shooting.windows
     names = (*windows.system.state_names, *windows.system.action_names)
@@ -372,7 +390,9 @@ def _integrands(
     # Rows without weight (glitches) are replaced by the prediction.
     states = np.where(shooting.counts > 0, shooting.measured, predicted)
     at = np.minimum(windows.start[:, None] + shooting.rows, windows.end[:, None])
-    sums = np.concatenate([np.zeros((1, len(system.action))), np.cumsum(effective_actions(model, windows), axis=0)])
+    effective = effective_actions(model, windows)
+    sums = np.concatenate([np.zeros((1, len(system.action))), np.cumsum(effective, axis=0)])
+    past = [term for term in terms if isinstance(term, PastAction)]
     rows = np.maximum(at[:, 1:] - at[:, :-1], 1)
     # Actions change within an interval, so their mean over its rows is used; states are smooth.
     means = (sums[np.minimum(at[:, :-1] + rows, len(sums) - 1)] - sums[at[:, :-1]]) / rows[..., None]
@@ -381,6 +401,10 @@ def _integrands(
         named = {name: part[..., index] for index, name in enumerate(system.state_names)}
         named |= {name: means[..., index] for index, name in enumerate(system.action_names)}
         named[TIME] = windows.time[time]
+        for term in past:
+            # Before the first row of a stretch its first action held.
+            before = np.maximum(time - term.rows, windows.begin[:, None])
+            named[term.key] = effective[before, system.action_names.index(term.action)]
         values = [np.broadcast_to(term.value(named, NUMPY), time.shape) for term in terms]
         ends.append(np.stack(values, axis=-1))
     seconds = np.diff(windows.clock[at], axis=1)

@@ -38,6 +38,7 @@ from safedpa.diagnosis.fit.trial import (
     fit_trial,
     fit_trials,
     initial_values,
+    ratio_gain,
     trial_of,
     with_effect_at,
 )
@@ -76,6 +77,7 @@ from safedpa.diagnosis.search.conditional import accept_law, add_conditions, reg
 from safedpa.diagnosis.search.final_parameters import with_final_values, with_model_uncertainty
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
+from safedpa.diagnosis.search.restarts import try_other_beginnings
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial, known_effects
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
@@ -108,6 +110,12 @@ def run_search(
     report_progress(0, 3, f"revising the effects that were added; {_so_far(search)}")
     # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
     _revise(search)
+
+    def complete(other: SearchState) -> None:
+        _add_effects(other, report_progress, other_horizons)
+        _revise(other)
+
+    try_other_beginnings(search, _promising_pairs, complete)
     report_progress(1, 3, f"where and when they act; {_so_far(search)}")
     if library and add_conditions(search):
         # A law explains part of the residual, which may reveal an effect that was hidden before.
@@ -149,6 +157,7 @@ def _add_one_by_one(search: SearchState, report_progress: ReportProgress, other_
         before = {trial.effects[0]: trial for trial in trials}
         if not add_best_trial(search, stage, trials, other_horizons):
             break
+        search.note_error()
 
 
 def _revise(search: SearchState) -> None:
@@ -232,6 +241,12 @@ def add_best_trial(
 def _stage(search: SearchState, number: int, trials: list[EffectTrial], at_most: int = 6) -> SearchStage:
     """Computes the gains of all trials, and the held-out errors of the ``at_most`` best with a gain above 1."""
     gains = {trial.effects: block_gain(search.current, trial, search.shooting) for trial in trials}
+    if search.error.value > MUCH:
+        # Most squares then lie in a few blocks, so that their differences show little.
+        gains = {
+            trial.effects: max(gains[trial.effects], ratio_gain(search.current, trial, search.shooting))
+            for trial in trials
+        }
     gaining = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
     errors: dict[tuple[str, ...], HeldoutError] = {}
     for trial in gaining:
@@ -314,6 +329,14 @@ def fit_pairs(
         if trial.loss < min(singles[available[one].name].loss, singles[available[other].name].loss):
             found.append(trial)
     return found
+
+
+def _promising_pairs(search: SearchState) -> list[tuple[AbstractEffect, ...]]:
+    """Returns the pairs of effects that promise most to first order about the current model of a search."""
+    available = search.available
+    columns, owners = _displacements(search.current, available, search.shooting)
+    order = _ranked_pairs(search.current, columns, owners)[:_FITTED_PAIRS]
+    return [(available[one], available[other]) for one, other in order]
 
 
 def _displacements(

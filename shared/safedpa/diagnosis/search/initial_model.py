@@ -36,22 +36,20 @@ _FACTOR = 8.0
 _MIN_DECREASE = 0.02
 # Relative error of a given value from which weights computed with it are useless.
 _BAD_GUESS = 0.5
-# Below three rows the first part of a window contains no rate.
-_MIN_ROWS = 3
 # Fixed, so that a diagnosis of the same recordings gives the same report.
 _SEED = 3
 
 
 def initial_search(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
     """Returns the search with the given model, its free parameters refitted from the given values or a better start."""
-    given = _search_from(model, shooting, heldout)
+    search = _search_from(model, shooting, heldout)
     other = _best_start(model, list(model.latent_names), shooting)
-    if other is model:
-        return given
-    found = _search_from(other, shooting, heldout)
-    stuck = given.error.value > _NAIVE_SHARE * min(naive_errors(heldout.windows).values())
-    reduction = _REDUCTION_IF_STUCK if stuck else _REDUCTION
-    return found if found.error.value < (1.0 - reduction) * given.error.value else given
+    if other is not model:
+        found = _search_from(other, shooting, heldout)
+        stuck = search.error.value > _NAIVE_SHARE * min(naive_errors(heldout.windows).values())
+        reduction = _REDUCTION_IF_STUCK if stuck else _REDUCTION
+        search = found if found.error.value < (1.0 - reduction) * search.error.value else search
+    return replace(search, given=model, raw=shooting, first_shooting=search.shooting)
 
 
 def _search_from(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
@@ -87,7 +85,7 @@ def _best_start(model: PhysicsModel, free: Sequence[str], shooting: Shooting) ->
     """
     if not free:
         return model
-    short = _first_part(shooting)
+    short = shooting.first_part()
     scale = np.maximum(short.residuals([model])[0].std(axis=(0, 1)), 1e-6)
     drawn = _random_starts(model, free).tolist()
     starts = [model, *(with_values(model, dict(zip(free, row, strict=True))) for row in drawn)]
@@ -103,18 +101,6 @@ def _best_start(model: PhysicsModel, free: Sequence[str], shooting: Shooting) ->
     before = np.array([model.settings[path].value for path in free])
     far = (np.abs(given.values - before) > _BAD_GUESS * np.abs(before)).any()
     return given.model if far else model
-
-
-def _first_part(shooting: Shooting) -> Shooting:
-    """Returns the first fifth of each window, at least three compared rows."""
-    count = max(_MIN_ROWS, len(shooting.rows) // 5)
-    return replace(
-        shooting,
-        rows=shooting.rows[:count],
-        measured=shooting.measured[:, :count],
-        counts=shooting.counts[:, :count],
-        tangent=shooting.tangent[:, :count],
-    )
 
 
 def _random_starts(model: PhysicsModel, free: Sequence[str]) -> FloatArray:

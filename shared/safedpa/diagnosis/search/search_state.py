@@ -10,6 +10,7 @@ from safedpa.diagnosis.fit.least_squares import Fit, relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, trial_of
 from safedpa.diagnosis.search.regions import RegionFit
+from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
 
@@ -47,6 +48,14 @@ class SearchState:
     """Windows whose held-out error decides."""
     library: Sequence[AbstractEffect] = ()
     """Effects that the search may add."""
+    given: PhysicsModel | None = None
+    """The model as the user gave it, before its free parameters were refitted."""
+    first_shooting: Shooting | None = None
+    """The windows about the first model."""
+    raw: Shooting | None = None
+    """The windows with measured starts and uniform weights, about no model."""
+    least_errors: dict[int, float] = field(default_factory=dict)
+    """By number of accepted effects, the lowest held-out error of a model on the way."""
     candidates: list[JudgedTrial] = field(default_factory=list)
     added: list[str] = field(default_factory=list)
     region: RegionFit | None = None
@@ -59,6 +68,11 @@ class SearchState:
     """Cache of models with other effects, fitted from the values of the current model."""
     refits_of: EffectTrial | None = field(default=None, init=False)
     """The current model when the cache was filled; another one makes it stale."""
+
+    @property
+    def measured(self) -> Shooting:
+        """The windows about no model; those about the first model if the former are unknown."""
+        return self.shooting if self.raw is None else self.raw
 
     @property
     def available(self) -> list[AbstractEffect]:
@@ -83,12 +97,26 @@ class SearchState:
             added=list(self.added),
             rivals=dict(self.rivals),
             without=dict(self.without),
+            least_errors=dict(self.least_errors),
         )
+
+    def restarted(self) -> SearchState:
+        """Returns a search that begins with the first model again."""
+        windows, error = self.first_shooting or self.shooting, self.first_error
+        start = SearchState(windows, self.first, error, self.first, error, self.heldout, self.library)
+        return replace(start, given=self.given, raw=self.raw, first_shooting=windows)
+
+    def note_error(self) -> None:
+        """Remembers the error of the current model by its number of accepted effects."""
+        count = len(self.added)
+        self.least_errors[count] = min(self.error.value, self.least_errors.get(count, float("inf")))
 
     def continue_from(self, other: SearchState) -> None:
         """Continues from the state of another search."""
         # ``first`` is not copied: both searches began with the same model. ``refits`` belongs to the old current model.
-        for name in ("shooting", "current", "error", "candidates", "added", "region", "rivals", "without"):
+        for name in (
+            "shooting", "current", "error", "candidates", "added", "region", "rivals", "without", "least_errors",
+        ):  # fmt: skip
             setattr(self, name, getattr(other, name))
 
 

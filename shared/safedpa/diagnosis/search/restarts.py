@@ -1,0 +1,134 @@
+"""Restarts: the search begins again with several effects that explain more together than the greedy ones did.
+
+Greedy selection ends in a local optimum if the first effect only resembles the sum of two others. So combinations are
+fitted jointly (``joint_trials``). One with a lower held-out error than the greedy search had with as many effects is a
+new beginning: the rest of the search is repeated from there, and the better of both results stays.
+
+Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (local optima of forward selection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, ratio_gain, trial_of
+from safedpa.diagnosis.residuals.adequacy import adequacy_of
+from safedpa.diagnosis.residuals.dependence import forced_states
+from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, passes
+from safedpa.diagnosis.search.joint_trials import JointTrial, fit_jointly, textbook_combinations
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
+from safedpa.effects import AbstractEffect
+
+# Share of the squares that depends on what was driven, from which other beginnings are tried.
+_STRUCTURE = 0.1
+# Reduction of the held-out error, relative to the greedy search with as many effects, that makes a new beginning.
+_BETTER = 0.05
+# Beginnings from which the search is repeated at most.
+_BEGINNINGS = 2
+# Relative difference of held-out errors within which the result with fewer parameters is preferred.
+_AS_GOOD = 0.01
+
+
+def is_open(search: SearchState) -> bool:
+    """Returns whether a result asks for other beginnings: much is missing, or the residual depends on the drive."""
+    if search.error.value > MUCH or base_at_bound(search):
+        return True
+    found = adequacy_of(search.current, search.shooting, forced_states(search.current.fit.model))
+    return found is not None and found.share > _STRUCTURE
+
+
+def base_at_bound(search: SearchState) -> tuple[str, ...]:
+    """Returns the free parameters of the base that the first fit left at a bound."""
+    fitted = search.first.fit
+    return tuple(path for path, free in zip(fitted.paths, fitted.free, strict=True) if not free)
+
+
+def try_other_beginnings(
+    search: SearchState,
+    pairs: Callable[[SearchState], Sequence[tuple[AbstractEffect, ...]]],
+    complete: Callable[[SearchState], None],
+) -> None:
+    """Repeats the search from combinations that explain more than its own effects; keeps the better result.
+
+    ``pairs`` proposes combinations for the first model; ``complete`` continues a search to its end.
+    """
+    if len(search.library) < 2 or search.region is not None or not is_open(search):
+        return
+    joint = [fit_jointly(search, items) for items in _combinations(search, pairs)]
+    for begin in _beginnings(search, joint):
+        other = search.restarted()
+        _accept(other, begin, joint, search)
+        complete(other)
+        if is_better(other, search):
+            search.continue_from(other)
+
+
+def _combinations(
+    search: SearchState, pairs: Callable[[SearchState], Sequence[tuple[AbstractEffect, ...]]]
+) -> Iterator[tuple[AbstractEffect, ...]]:
+    tried: set[frozenset[str]] = {frozenset(search.added)}
+    # The order by first derivatives is reliable about a sound base only.
+    textbook = textbook_combinations(search.library) if search.first_error.value > MUCH else []
+    for items in (*textbook, *pairs(search.restarted())):
+        names = frozenset(item.name for item in items)
+        if names not in tried:
+            tried.add(names)
+            yield items
+
+
+def _beginnings(search: SearchState, joint: Sequence[JointTrial]) -> list[JointTrial]:
+    """Returns the combinations that are better than the greedy search was with as many effects, best first."""
+    errors = {0: search.first_error.value, **search.least_errors, len(search.added): search.error.value}
+
+    def better(item: JointTrial) -> bool:
+        greedy = min(error for count, error in errors.items() if count <= len(item.trial.effects))
+        inside = bool(item.trial.fit.free[len(search.first.fit.paths) :].all())
+        return inside and item.error.value < (1.0 - _BETTER) * greedy
+
+    return sorted(filter(better, joint), key=lambda item: item.error.value)[:_BEGINNINGS]
+
+
+def _accept(other: SearchState, begin: JointTrial, joint: Sequence[JointTrial], search: SearchState) -> None:
+    """Begins a search with a combination; its candidates are those of the greedy first stage and the combinations."""
+    known = [item for item in search.candidates if item.stage == 0 and len(item.trial.effects) == 1]
+    why = f"{begin.trial.name}, fitted together, predict unseen data better"
+    other.candidates = [
+        JudgedTrial(0, item.trial, item.gain, item.error, "rejected", f"{item.reason}; {why}", item.equals, item.before)
+        if item.decision == "accepted"
+        else item
+        for item in known
+    ]
+    for item in joint:
+        gain = gain_over(other.first, item.trial, item.shooting)
+        decision, reason = "rejected", f"fitted together: gain on unseen blocks {gain:.1f} standard errors"
+        if item is begin:
+            decision = "accepted"
+        judged = JudgedTrial(0, item.trial, gain, item.error, decision, reason, (), search.first_error.value)
+        other.candidates.append(judged)
+    singles = [item.trial.effects[0] for item in known]
+    for name in begin.trial.effects:
+        other.rivals[name] = [rival for rival in singles if rival not in begin.trial.effects][:12]
+    other.added = list(begin.trial.effects)
+    other.shooting, other.current, other.error = begin.shooting, begin.trial, begin.error
+    other.note_error()
+
+
+def gain_over(null: EffectTrial, trial: EffectTrial, shooting: Shooting) -> float:
+    """Returns the gain of a trial over a model that is fitted again in the windows about the trial."""
+    fitted = fit(null.fit.model, null.fit.paths, shooting, trial.fit.scale)
+    again = trial_of(fitted, shooting, (), None)
+    return max(block_gain(again, trial, shooting), ratio_gain(again, trial, shooting))
+
+
+def is_better(other: SearchState, search: SearchState) -> bool:
+    """Returns whether another result predicts unseen data clearly better, or as well with fewer parameters."""
+    before, after = search.error, other.error
+    if after.value <= (1.0 + _AS_GOOD) * before.value and len(other.current.fit.paths) < len(search.current.fit.paths):
+        return True
+    if not after.value < (1.0 - FALL) * before.value:
+        return False
+    gain = gain_over(search.current, other.current, other.shooting)
+    more = len(other.current.fit.paths) > len(search.current.fit.paths)
+    return passes(gain, after, before) if more else gain > SIMPLER
