@@ -163,9 +163,16 @@ def _of_state(system: System, state: Variable, size: float, position: str) -> It
             continue
         item = StateEffect(system.name, state.name, kind, parameters, size, position if kind in _PLACED else "")
         about = TABLE[kind]
-        partners = tuple(f"{state.name}_{other}" for other in about.partners)
+        partners = tuple(name for other in about.partners for name in _named(other, state.name, system))
         item.described(about.signature, about.source, partners, rare=about.rare)
         yield item
+
+
+def _named(kind: str, state: str, system: System) -> list[str]:
+    """Returns the names of the effects of one kind that a state's effect is combined with."""
+    if kind.startswith("@"):
+        return [f"{name}_{kind[1:]}" for name in system.action_names]
+    return [f"{state}_{kind}"]
 
 
 _PLACED: Final = ("spring", "gravity", "end_stop")

@@ -15,7 +15,7 @@ class Kind:
     signature: str
     source: str
     partners: tuple[str, ...] = ()
-    """Kinds of the same command or state."""
+    """Kinds of the same command or state; with a leading ``@`` of every command."""
     rare: bool = False
 
 
@@ -59,8 +59,7 @@ TABLE: Mapping[str, Kind] = {
     "slew_limit": Kind(
         "a residual after large changes of the action, which dies out linearly, later for larger changes",
         "rate limit; Astrom and Murray, Feedback Systems, 2nd ed., ch. 10",
-        ("lag",),
-        rare=True,
+        ("delay",),
     ),
     "slew_limit_up_down": Kind(
         "a residual after large changes of the action, longer to one side than to the other",
@@ -153,6 +152,7 @@ TABLE: Mapping[str, Kind] = {
     "speed_limit": Kind(
         "the state stays at one value, of either sign, while the model goes beyond it",
         "speed at which the supply saturates; Hughes and Drury, Electric Motors and Drives, 5th ed., ch. 3",
+        ("@delay", "@gain"),
     ),
     "speed_limit_up_down": Kind(
         "the state stays at one value while the model goes beyond it, another one for each sign",
@@ -162,6 +162,7 @@ TABLE: Mapping[str, Kind] = {
     "acceleration_limit": Kind(
         "a residual of large accelerations only, growing with the excess",
         "current limit of a drive; Hughes and Drury, Electric Motors and Drives, 5th ed., ch. 4",
+        ("@delay", "@gain"),
     ),
     "acceleration_limit_up_down": Kind(
         "a residual of large accelerations only, from another size on for each sign",
