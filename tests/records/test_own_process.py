@@ -5,6 +5,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -41,6 +42,11 @@ def large(path: Path) -> None:
 def unpacked(path: Path) -> int:
     allow_for(1 << 25)
     return len(bytearray(1 << 29))
+
+@in_own_process
+def arrays(path: Path):
+    import numpy
+    return numpy.arange(1e5), numpy.array([True, False, True])
 
 @in_own_process
 def crashing(path: Path) -> None:
@@ -93,6 +99,44 @@ def test_ctrl_c_ends_the_reader_too(readers, tmp_path: Path) -> None:
     while worker.exists() and time.monotonic() < until:
         time.sleep(0.05)
     assert not worker.exists()
+
+
+def test_an_array_arrives_whole_and_as_one_of_its_own(readers, tmp_path: Path) -> None:
+    numbers, flags = readers.arrays(tmp_path)
+    numbers += 1.0
+    assert numbers.tolist() == list(range(1, 100_001))
+    assert flags.tolist() == [True, False, True]
+
+
+def test_a_table_is_read_without_pandas() -> None:
+    code = """
+import sys; from pathlib import Path
+from safedpa.records.readers.own_process import in_this_process
+from safedpa.records.load import read_columns
+Path("a.csv").write_text("t,x\\n0,NA\\n1, 2\\n")
+with in_this_process(): print(read_columns(Path("a.csv"), ["t", "x"]).columns["x"], "pandas" in sys.modules)
+"""
+    assert printed(code) == "[nan  2.] False\n"
+
+
+def test_where_limits_cannot_be_set_files_are_read_with_a_remark() -> None:
+    code = """
+import sys; from pathlib import Path
+sys.modules["resource"] = None
+from safedpa.records.load import read_columns
+Path("a.csv").write_text("t,x\\n0,1\\n")
+sys.platform = "darwin"; sys.stderr = sys.stdout
+print(read_columns(Path("a.csv"), ["x"]).columns["x"])
+"""
+    shown = printed(code)
+    assert "log files are read without limits" in shown
+    assert "[1.]" in shown
+
+
+def printed(code: str) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.parametrize("table", ["topics", "messages", "message_definitions"])

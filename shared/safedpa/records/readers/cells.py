@@ -25,6 +25,7 @@ __all__ = [
     "NULLS",
     "Cells",
     "element_of",
+    "floats_of",
     "has_decimal_commas",
     "missing_value_findings",
     "numbers_of_column",
@@ -192,11 +193,30 @@ def numbers_of_column(column: pyarrow.ChunkedArray) -> Cells | None:
     if types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
         whole = column.cast(pyarrow.int32() if types.is_time32(kind) else pyarrow.int64())
         # one rounding: gives the float nearest to the exact time
-        seconds = np.asarray(whole.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64) / ticks[kind.unit]
+        seconds = floats_of(whole) / ticks[kind.unit]
         if types.is_time(kind):
             seconds += _DAY * np.cumsum(np.append(False, np.diff(seconds) < -_DAY / 2.0))[: len(seconds)]
         return Cells(seconds, is_time=True)
     if not (types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind)):
         return None
+    return Cells(floats_of(column))
+
+
+def floats_of(column: pyarrow.ChunkedArray) -> FloatArray:
+    """Converts a column of Arrow to float64, shape (rows,); null is NaN.
+
+    Unlike ``to_numpy`` it does not import pandas, which takes longer than reading an hour.
+    """
+    import pyarrow
+
     # safe=False: ns since 1970 exceed the 53 bits of a float64, so times are rounded to 256 ns, as in all logs
-    return Cells(np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64))
+    column = column.cast(pyarrow.float64(), safe=False)
+    found, at = np.empty(len(column)), 0
+    for chunk in column.chunks:
+        part = found[at : at + len(chunk)]
+        if len(chunk):
+            part[:] = np.frombuffer(chunk.buffers()[1], np.float64, len(chunk), chunk.offset * part.itemsize)
+        if chunk.null_count:
+            part[np.from_dlpack(chunk.is_null().cast(pyarrow.uint8())) == 1] = np.nan
+        at += len(chunk)
+    return found

@@ -22,6 +22,7 @@ from safedpa.records.readers.cells import (
     NULLS,
     Cells,
     element_of,
+    floats_of,
     has_decimal_commas,
     missing_value_findings,
     numbers_of_texts,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["read_csv_table"]
 
 _READ_BYTES = 1 << 16
+_NULL = f"^({'|'.join(map(re.escape, NULLS))})$"
 
 
 def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -62,7 +64,7 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
         return _with_elements(reader, wanted, elements, sources)
     try:
         texts = reader.parse(sources, pyarrow.float64())
-        columns, findings = {name: _as_numbers(texts.column(name)) for name in sources}, layout.findings
+        columns, findings = {name: floats_of(texts.column(name)) for name in sources}, layout.findings
         timed = frozenset[str]()
     except pyarrow.ArrowInvalid:
         reader.malformed.clear()
@@ -71,10 +73,6 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
     numbers = {name: columns[name.strip()] for name in wanted}
     times = frozenset(name for name in wanted if name.strip() in timed)
     return Table(numbers, (*findings, *reader.malformed_finding()), timed=times)
-
-
-def _as_numbers(column: pyarrow.ChunkedArray) -> NDArray[np.float64]:
-    return np.asarray(column.to_numpy(), dtype=np.float64)
 
 
 def _with_elements(
@@ -263,10 +261,9 @@ def _column(column: pyarrow.ChunkedArray, point: str) -> Cells:
 
     if point == ".":
         trimmed = compute.utf8_trim_whitespace(column)
-        missing = compute.is_in(trimmed, value_set=pyarrow.array(NULLS))
+        numbers = compute.replace_substring_regex(trimmed, pattern=_NULL, replacement="nan")
         with contextlib.suppress(pyarrow.ArrowInvalid):
-            numbers = compute.if_else(missing, pyarrow.scalar(None, pyarrow.string()), trimmed)
-            return Cells(_as_numbers(numbers.cast(pyarrow.float64())))
+            return Cells(floats_of(numbers.cast(pyarrow.float64())))
     return numbers_of_texts(column.to_pylist(), point)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
@@ -69,7 +70,6 @@ def _csv(path: Path, count: int) -> RowPreview:
 
 
 def _parquet(path: Path, count: int) -> RowPreview:
-    import pyarrow
     from pyarrow import types
 
     with open_parquet(path) as table:
@@ -77,7 +77,7 @@ def _parquet(path: Path, count: int) -> RowPreview:
         lists = [name for name, kind in kinds.items() if types.is_list(kind) or types.is_fixed_size_list(kind)]
         plain = [name for name, kind in kinds.items() if types.is_primitive(kind)]
         batch = next(table.iter_batches(batch_size=count, columns=[*plain, *lists]), None)
-    rows = pyarrow.table({}).to_pylist() if batch is None else batch.to_pylist()
+    rows: list[dict[str, Any]] = [] if batch is None else batch.to_pylist()
     columns: dict[str, list[str]] = {}
     for name in kinds:
         values = [row.get(name) for row in rows]
