@@ -122,7 +122,6 @@ with in_this_process(): print(read_columns(Path("a.csv"), ["t", "x"]).columns["x
 def test_where_limits_cannot_be_set_files_are_read_with_a_remark() -> None:
     code = """
 import sys; from pathlib import Path
-sys.modules["resource"] = None
 from safedpa.records.load import read_columns
 Path("a.csv").write_text("t,x\\n0,1\\n")
 sys.platform = "darwin"; sys.stderr = sys.stdout
