@@ -124,6 +124,7 @@ def test_where_limits_cannot_be_set_files_are_read_with_a_remark() -> None:
 import sys; from pathlib import Path
 from safedpa.records.load import read_columns
 Path("a.csv").write_text("t,x\\n0,1\\n")
+import pyarrow.csv, pyarrow.compute
 sys.platform = "darwin"; sys.stderr = sys.stdout
 print(read_columns(Path("a.csv"), ["x"]).columns["x"])
 """
