@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
+from safedpa.native.tracing import with_numpy
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.validation import checked_output
 
@@ -39,6 +40,7 @@ def prediction_of(model: Model) -> Prediction:
         return Prediction.of_model(model)
     if not callable(model):
         raise InputError(f"model: got {model!r}, wanted a model, a Prediction, affine(x) or step(x, a)")
+    model = with_numpy(model)
     return Prediction(_no_tangent, model) if _arguments(model) >= 2 else Prediction(model)
 
 
@@ -64,7 +66,7 @@ class BackupRollout:
         self._free = None if latent is None else _flat("latent", latent)
         self.latent = None if self._free is None else tuple(self._free.tolist())
         self._ours = self.prediction.is_project_model
-        self._backup = backup if callable(backup) else None
+        self._backup = with_numpy(backup) if callable(backup) else None
         self._held = np.empty(0) if callable(backup) else _flat("backup", backup)
 
     def action(self, state: FloatArray) -> FloatArray:
@@ -121,6 +123,11 @@ class BackupRollout:
         except (ValueError, ArithmeticError):  # values that Python's math functions refuse
             return None
         return found
+
+    @property
+    def held(self) -> FloatArray:
+        """The constant backup (actions,); empty for a function."""
+        return self._held
 
     @property
     def constant(self) -> bool:

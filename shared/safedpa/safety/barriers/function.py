@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
+from safedpa.native.tracing import with_numpy
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.validation import checked_output, read_only
 
@@ -37,8 +38,9 @@ class FunctionBarrier(AbstractBarrier):
 
     Without a gradient central differences are used, with step 6e-6 max(1, |x_j|): the error is about 1e-10 for smooth h
     of size 1. ``names`` has one name for each value of h (default: one); ``reads`` are the states that h is written
-    for. The functions get arrays that they cannot write into. Raises InputError for an object that is no function, and
-    at evaluation for a wrong shape or a result that is not real.
+    for. An h with a parameter ``operations`` gets the elementwise functions to compute with, and ``RolloutBarrier``
+    compiles it. The functions get arrays that they cannot write into. Raises InputError for an object that is no
+    function, and at evaluation for a wrong shape or a result that is not real.
 
     Example: the distance from a disc of 0.5 m at the origin.
 
@@ -66,7 +68,9 @@ class FunctionBarrier(AbstractBarrier):
         if isinstance(reads, str):
             raise InputError(f"reads: got {reads!r}, wanted a sequence with the names of the states")
         self.names, self.kind, self.reads = tuple(names), kind, tuple(reads)
-        self._h, self._gradient = h, gradient
+        self.function = h
+        """The function as given."""
+        self._h, self._gradient = with_numpy(h), gradient
 
     def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
         return self._with_shape("h", self._h(read_only(state)), (len(self.names),))

@@ -25,10 +25,12 @@ from numpy.typing import ArrayLike
 
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
+from safedpa.native.rollout import FoundMinimum
 from safedpa.safety.barriers.backup_rollout import BackupRollout, Model, fixed
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.function import FunctionBarrier, central_differences
 from safedpa.safety.barriers.path_minimum import PathMinimum, PathPoint, chord_point, minimum_along
+from safedpa.safety.barriers.rollout_kernel import CompiledRollout
 from safedpa.safety.checks.compatibility import check_reads
 from safedpa.safety.validation import checked_output
 
@@ -94,22 +96,29 @@ class RolloutBarrier(AbstractBarrier):
         if system is not None:
             check_reads([own], system.state_names)
         self.reads = own.reads if system is None else system.state_names
+        self._compiled = CompiledRollout(model, backup, own, self.loop, self.horizon)
         # A FunctionBarrier may have to difference its own h: differencing the whole path once is then more accurate.
         self._knows_gradient = not isinstance(own, FunctionBarrier)
 
+    @property
+    def not_compiled(self) -> str:
+        """Why rollouts run in NumPy instead of compiled C, in one line; empty if they are compiled."""
+        return self._compiled.reason
+
     def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return self.minimum_at(None, state).minimum.values
+        return self._checked_minimum(state).minimum.values
 
     def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
-        rollout = self.minimum_at(None, state)
+        rollout = self._checked_minimum(state)
         return rollout.minimum.values, self.gradient_at(rollout)
 
     def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
         """As in every barrier; without recorded equations, differences along the directions."""
-        return self.lie_derivative_at(self.minimum_at(None, state), directions)
+        return self.lie_derivative_at(self._checked_minimum(state), directions)
 
     def starting_at(self, state: FloatArray) -> AbstractBarrier:
         """Returns the barrier for states one tick after ``state``: the chord to them counts as well."""
+        self._compiled.refresh(state)
         return _RolloutFrom(self, fixed(state))
 
     def backup(self, state: FloatArray | None) -> FloatArray:
@@ -138,8 +147,18 @@ class RolloutBarrier(AbstractBarrier):
 
     def minimum_at(self, origin: FloatArray | None, state: FloatArray) -> Rollout:
         """H at ``state`` (states,) with its path and minimising points; the path begins with ``origin`` if given."""
+        kernel = self._compiled.kernel(len(state))
+        found = None if kernel is None else kernel.minimum(origin, state, self._compiled.time)
+        if found is not None:
+            points = tuple(zip(found.chords.tolist(), found.shares.tolist(), strict=True))
+            return Rollout(origin, fixed(state), list(found.path), PathMinimum(found.values, points, found.size), found)
         path = self._path_from(origin, state, self.horizon)
         return Rollout(origin, fixed(state), path, minimum_along(self._h_of, path, always=int(origin is not None)))
+
+    def _checked_minimum(self, state: FloatArray) -> Rollout:
+        """H at a state that is asked for alone: as at every decision, the kernel is compared with the functions."""
+        self._compiled.refresh(state)
+        return self.minimum_at(None, state)
 
     def gradient_at(self, rollout: Rollout) -> FloatArray:
         """d(H)/d(x) (m, states)."""
@@ -155,6 +174,13 @@ class RolloutBarrier(AbstractBarrier):
         exact = self._gradient_by_chain_rule(rollout)
         if exact is not None:
             return np.asarray(exact @ directions)
+        kernel = self._compiled.kernel(len(rollout.state))
+        if kernel is not None and rollout.found is not None:
+            found = kernel.lie_differences(
+                rollout.found, rollout.origin, rollout.state, directions, self._compiled.time
+            )
+            if found is not None:
+                return found
         derivatives = np.zeros((len(self.names), directions.shape[1]))
         for index, direction in enumerate(directions.T):
             if direction.any():
@@ -165,6 +191,9 @@ class RolloutBarrier(AbstractBarrier):
 
     def _gradient_by_chain_rule(self, rollout: Rollout) -> FloatArray | None:
         """The gradient by the chain rule, if both h and the model have derivatives."""
+        kernel = self._compiled.kernel(len(rollout.state))
+        if kernel is not None and rollout.found is not None and self._knows_gradient:
+            return kernel.gradient(rollout.found, rollout.origin is not None, self._compiled.time)
         first = int(rollout.origin is not None)
         derivatives = self.loop.sensitivities(rollout.path[first:]) if self._knows_gradient else None
         if derivatives is None:
@@ -188,7 +217,11 @@ class RolloutBarrier(AbstractBarrier):
 
     def _h_near(self, rollout: Rollout, state: FloatArray) -> FloatArray:
         """h_i (m,) at the same points of the path from another state."""
-        points = rollout.minimum.points
+        kernel, points = self._compiled.kernel(len(state)), rollout.minimum.points
+        if kernel is not None and rollout.found is not None:
+            found = kernel.h_near(rollout.found, rollout.origin, state, self._compiled.time)
+            if found is not None:
+                return found
         # Only as many ticks as the furthest point needs; the rest of the path has no influence on the difference.
         last = max(k + (share > 0.0) for k, share in points) - (rollout.origin is not None)
         path = self._path_from(rollout.origin, state, max(last, 0))
@@ -209,6 +242,8 @@ class Rollout:
     state: FloatArray
     path: list[FloatArray]
     minimum: PathMinimum
+    found: FoundMinimum | None = None
+    """The same from a compiled kernel."""
 
 
 @final

@@ -1,0 +1,154 @@
+"""Compiles C sources at run time, caches the compiled kernels by digest in a private folder, and loads them.
+
+A kernel is the file ``<digest of source and flags>-<digest of the file>.so``. It is written under another name and
+renamed when it is complete, so processes may compile the same source at the same time. Before it is loaded, its
+contents are compared with the digest in its name. A folder or file that another user owns or may write is refused.
+``SAFEDPA_COMPILE=0`` forbids compiling and loading.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shlex
+import shutil
+import stat
+import subprocess
+import tempfile
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import Final
+
+from safedpa.disk import why_not_written
+from safedpa.errors import SafedpaError
+
+__all__ = ["NoKernelError", "cache_folder", "load"]
+
+_FLAGS: Final = ("-O2", "-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
+"""No fused multiply-add, which rounds once where NumPy rounds twice. Without errno, sqrt is one instruction; its result
+is the same."""
+_SECONDS: Final = 60.0
+"""s after which a compiler is ended."""
+_MOST_FILES: Final = 200
+"""Kernels that the folder keeps; the oldest go first."""
+
+
+class NoKernelError(SafedpaError):
+    """There is no compiled kernel; the message says why in one line. The caller uses its NumPy implementation."""
+
+
+def load(source: str) -> ctypes.PyDLL:
+    """Returns the loaded kernel of a C source: the one of this process, of the cache, or one compiled now.
+
+    Raises NoKernelError where compiling is forbidden, where there is no compiler, where it fails, or where the folder
+    cannot be used.
+    """
+    if os.environ.get("SAFEDPA_COMPILE", "") == "0":
+        raise NoKernelError("SAFEDPA_COMPILE=0 forbids compiling")
+    return _load(source, cache_folder())
+
+
+def cache_folder() -> Path:
+    """The folder of compiled kernels: ``safedpa/kernels`` in ``$XDG_CACHE_HOME``, by default ``~/.cache``.
+
+    Raises NoKernelError where there is no home directory.
+    """
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        root = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
+    except RuntimeError as error:
+        raise NoKernelError("no home directory: set XDG_CACHE_HOME") from error
+    return root / "safedpa" / "kernels"
+
+
+@cache
+def _load(source: str, folder: Path) -> ctypes.PyDLL:
+    key = _digest(repr((source, _FLAGS, platform.machine(), platform.libc_ver(), platform.system())).encode())
+    try:
+        _make_private(folder)
+        path = _cached(folder, key) or _compiled(folder, key, source)
+    except OSError as error:
+        raise NoKernelError(f"{folder}: {why_not_written(error)}") from error
+    try:
+        # PyDLL keeps the interpreter's lock: a kernel takes microseconds, and to get the lock back may take 5 ms
+        return ctypes.PyDLL(str(path))
+    except OSError as error:
+        raise NoKernelError(f"{path.name} cannot be loaded: {str(error).splitlines()[0]}") from error
+
+
+def _digest(data: bytes) -> str:
+    return blake2b(data, digest_size=16).hexdigest()
+
+
+def _make_private(folder: Path) -> None:
+    """Creates the folder for this user alone. Raises NoKernelError for one that another user owns or may write."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    _check_owner(folder, stat.S_ISDIR)
+
+
+def _check_owner(path: Path, kind: object) -> None:
+    found = path.lstat()  # of a link itself: its target may be exchanged
+    if not kind(found.st_mode):  # type: ignore[operator]
+        raise NoKernelError(f"{path}: got a link or another kind of file; remove it")
+    if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
+        raise NoKernelError(f"{path}: belongs to user {found.st_uid}, wanted the user of this process; remove it")
+    if found.st_mode & 0o022:
+        raise NoKernelError(f"{path}: other users may write it, wanted a private one; chmod go-w it")
+
+
+def _cached(folder: Path, key: str) -> Path | None:
+    """Returns a file of the cache whose contents have the digest in its name; others are removed."""
+    for path in folder.glob(f"{key}-*.so"):
+        _check_owner(path, stat.S_ISREG)
+        if path.name == f"{key}-{_digest(path.read_bytes())}.so":
+            return path
+        path.unlink(missing_ok=True)
+    return None
+
+
+def _compiled(folder: Path, key: str, source: str) -> Path:
+    compiler = _compiler()
+    with tempfile.TemporaryDirectory(
+        prefix="new-", dir=folder
+    ) as work:  # 0700; on the same disk, so renaming is atomic
+        text, made = Path(work) / "kernel.c", Path(work) / "kernel.so"
+        text.write_text(source, encoding="utf-8")
+        command = [*compiler, *_FLAGS, "-o", str(made), str(text), "-lm"]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, check=False, timeout=_SECONDS, stdin=subprocess.DEVNULL
+            )
+        except subprocess.TimeoutExpired as error:
+            raise NoKernelError(f"{compiler[0]} took more than {_SECONDS:g} s") from error
+        if done.returncode != 0 or not made.is_file():
+            reason = (done.stderr.strip().splitlines() or ["no output"])[0]
+            raise NoKernelError(f"{compiler[0]} failed: {reason.replace(work, '')}")
+        made.chmod(0o600)
+        path = folder / f"{key}-{_digest(made.read_bytes())}.so"
+        made.replace(path)
+    _remove_oldest(folder, path)
+    return path
+
+
+def _compiler() -> list[str]:
+    """Returns the command of the C compiler: ``$CC``, cc, gcc or clang."""
+    given = shlex.split(os.environ.get("CC", ""))
+    for command in (given, ["cc"], ["gcc"], ["clang"]):
+        if command and (found := shutil.which(command[0])):
+            return [found, *command[1:]]
+    raise NoKernelError("no C compiler was found (cc, gcc or clang)")
+
+
+def _remove_oldest(folder: Path, kept: Path) -> None:
+    def age(path: Path) -> float:
+        try:
+            return path.stat().st_mtime
+        except OSError:  # another process removed it
+            return 0.0
+
+    files = sorted((path for path in folder.glob("*.so") if path != kept), key=age)
+    for path in files[: max(len(files) + 1 - _MOST_FILES, 0)]:
+        path.unlink(missing_ok=True)
