@@ -93,11 +93,12 @@ def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_eac
 
 
 @pytest.mark.parametrize("model", [CAR, LATE])
-def test_for_a_state_of_another_size_nothing_is_predicted(model: PhysicsModel) -> None:
+def test_a_state_of_another_size_is_predicted_instead_and_the_robot_brakes(model: PhysicsModel) -> None:
     node = SafetyFilterNode(model, SETTINGS)
     before = obeyed(node, range(3), model)
     verdict = answered(node, 3, model, values=(0.0, 0.0, 0.0), applied=before.action)
-    assert (verdict.status, verdict.predicted) == ("fallback", ())
+    assert (verdict.status, "has 3 entries, wanted 4" in verdict.sentence) == ("fallback", True)
+    assert len(verdict.predicted[0]) == 4
     assert asked(node, state_at(4, applied=verdict.action), ABSENT).status == "passed"
 
 

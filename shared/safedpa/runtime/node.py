@@ -33,11 +33,12 @@ from safedpa.bus.messages.messages import header
 from safedpa.bus.service.model_versions import ModelNode, ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.runtime.calibrated_model import CalibratedModel, accept_offer, checked_calibration, uncalibrated
-from safedpa.runtime.robot_session import NO_BARRIERS, LastDecision, RobotSession, state_too_old
+from safedpa.runtime.robot_session import NO_BARRIERS, SHIPPED_LIMITS, LastDecision, RobotSession, state_too_old
 from safedpa.runtime.stop_orders import StopOrders
 from safedpa.safety.barriers.base import AbstractBarrierSet
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.safety.margins.transition import margin_change, min_h_by_kind
+from safedpa.safety.session.state_limits import StateLimits
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
@@ -71,7 +72,9 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         settings: FilterSettings | None = None,
         calibration: MarginCalibration | None = None,
         orders: StopOrders | None = None,
+        limits: StateLimits | str | None = SHIPPED_LIMITS,
     ) -> None:
+        self._limits = limits
         self.orders = orders or StopOrders()
         """The stop orders in force."""
         self._settings = settings or FilterSettings.for_robot(model.system)
@@ -97,7 +100,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         if session is None:
             broken = self._broken.pop(robot, None)
             before = None if broken is None else broken.margin.epsilon
-            session = RobotSession.create(self._versions.of(robot), self._settings, before, state.period)
+            session = RobotSession.create(self._versions.of(robot), self._settings, before, state.period, self._limits)
             if broken is not None and _same_margin(broken, session):
                 session.margin = broken.margin
                 session.margin.expect(None)
@@ -118,7 +121,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         of_before = not isinstance(latent, LatentMessage) or latent.model == session.held.fingerprint
         if of_before and session.held.fingerprint != held.fingerprint and session.may_use_previous_model(state):
             return session
-        created = RobotSession.create(held, self._settings, session.margin.epsilon, state.period)
+        created = RobotSession.create(held, self._settings, session.margin.epsilon, state.period, self._limits)
         created.inherit_from(session)
         self._robots[robot] = created
         self.prepare(robot, state)
@@ -129,6 +132,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         if session is None or session.prepared != (state.epoch, state.tick):
             self.prepare(robot, state)
         session = self._with_latent(robot, state, inputs)
+        state = session.accept(state)  # from here on the believed one
         if state.sources:
             seen = inputs[SURROUNDINGS]
             assert isinstance(seen, SurroundingsMessage | Stale)
@@ -146,13 +150,17 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         known: dict[str, Any] = {
             "memory": session.pending,
             "barriers": barriers,
-            "epsilon": session.margin.epsilon,
+            "epsilon": session.epsilon,
             "stale": stale,
             "time": state.robot_time,
         }
         session.ordered = self.orders.reason(robot)
+        if session.latched and session.latch_ordered and not session.ordered:
+            session.confirm()  # by ``go``; the next measured state is believed
         stops = session.ordered or (session.scene.yields_to if state.sources and not stale else "")
-        if stops:
+        if session.braking:
+            verdict = session.brake(state, latent, session.braking, **known)
+        elif stops:
             verdict = session.filter.stop(stops, state.values, latent, can_stop=session.scene.can_stop, **known)
         elif holds:
             verdict = session.filter.hold(f"{absent} is stale", state.values, latent, **known)
@@ -178,6 +186,10 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         state, latent, verdict = session.decision
         predicted = session.predict_states(state, verdict, latent)
         session.watch_deadlock(state, predicted)
+        if session.latched and not session.latch_ordered:
+            # Stored like any order, so that a restarted filter does not release the robot.
+            self.orders.latch(robot, session.latched)
+            session.latch_ordered = True
         if not (session.rehearsed or isinstance(session.barriers, str) or verdict.status is Status.fallback):
             session.rehearsed = True
             if session.model is not self._rehearsed:
@@ -281,7 +293,7 @@ def _report(
     stationary_reason = session.stationary_reason(verdict) if session else ""
     remarks = [session.margin.remark] if session and session.margin.remark else []
     if session and session.until_action > state.until_action:
-        remarks.append(session.delay.remark)
+        remarks.append(session.delay.remark(session.margin.coverage, session.margin.promised))
     if session and state.sources and session.scene.remark:
         remarks.append(session.scene.remark)
     deadlock_sentence = (

@@ -18,12 +18,14 @@ from safedpa.safety.margins.error_clipping import ErrorClip
 from safedpa.safety.margins.online import OnlineMarginMonitor
 from safedpa.safety.margins.transition import MarginRamp
 from safedpa.safety.prediction.command_history import LONGEST_AGE
-from safedpa.safety.session.session_memory import NO_BARRIERS, LastDecision, SessionMemory, is_too_old
+from safedpa.safety.session.guarded_session import GuardedSession
+from safedpa.safety.session.session_memory import NO_BARRIERS, LastDecision, is_too_old
+from safedpa.safety.session.state_limits import SHIPPED_LIMITS, StateLimits, limits_for
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.validation import InvalidInput, checked_input
 from safedpa.safety.verdict import Status
 
-__all__ = ["NO_BARRIERS", "LastDecision", "RobotSession", "state_too_old"]
+__all__ = ["NO_BARRIERS", "SHIPPED_LIMITS", "LastDecision", "RobotSession", "state_too_old"]
 
 # s for which the last latent replaces a missing one. A load does not change unnoticed within a second.
 _LATENT_TIMEOUT = 1.0
@@ -46,7 +48,7 @@ def _same_scene(one: StateMessage, other: StateMessage) -> bool:
     )
 
 
-class RobotSession(SessionMemory[StateMessage]):
+class RobotSession(GuardedSession[StateMessage]):
     """Data of one robot of the service between ticks, for as long as its model stays the same."""
 
     def __init__(
@@ -56,10 +58,10 @@ class RobotSession(SessionMemory[StateMessage]):
         model: PhysicsModel,
         scene: AbstractScene,
         margin: OnlineMarginMonitor,
+        limits: StateLimits | None = None,
     ) -> None:
-        super().__init__(model, safe, margin)
+        super().__init__(model, safe, margin, limits)
         self.held, self.scene = held, scene
-        self.can_stop, self.quick = scene.can_stop, scene.quick
         self.changed_at = -1
         """First tick at which another model is active; -1: none."""
         self.prepared = (0, -1)
@@ -72,6 +74,16 @@ class RobotSession(SessionMemory[StateMessage]):
         self.rehearsed = False
         """Whether the fallback path was warmed up with this model."""
 
+    @property
+    def can_stop(self) -> bool:  # type: ignore[override]
+        """Whether the backup action brings the robot to rest."""
+        return self.scene.can_stop
+
+    @property
+    def quick(self) -> bool:  # type: ignore[override]
+        """Whether h is cheap enough to evaluate at hundreds of states per tick."""
+        return self.scene.quick
+
     @classmethod
     def create(
         cls,
@@ -79,12 +91,14 @@ class RobotSession(SessionMemory[StateMessage]):
         settings: FilterSettings,
         before: Mapping[str, float] | None = None,
         period: float | None = None,
+        limits: StateLimits | str | None = None,
     ) -> RobotSession:
         """Creates the session of a robot that is new, or that changes its model.
 
         ``before`` is the margin under the previous model, from which the margin changes gradually. ``period`` is the
-        robot's period [s], over which the model predicts. Raises InputError if the settings are another robot's or
-        there are no barriers for this one.
+        robot's period [s], over which the model predicts. ``limits`` are the thresholds of an implausible state;
+        ``SHIPPED_LIMITS``: those that ship for the robot, else those that its bounds imply; None: none. Raises
+        InputError if the settings are another robot's or there are no barriers for this one.
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
@@ -92,7 +106,8 @@ class RobotSession(SessionMemory[StateMessage]):
         calibration, longer = held.margin_over(model.period, settings)
         phased = None if before is None else MarginRamp(before, calibration.epsilon, settings.eta)
         margin = OnlineMarginMonitor(calibration, ErrorClip.of_settings(settings), phased, longer)
-        return cls(held, filtering, model, scene, margin)
+        known = limits_for(model.system, model.period) if isinstance(limits, str) else limits
+        return cls(held, filtering, model, scene, margin, known)
 
     def is_same_scene(self, state: StateMessage) -> bool:
         """Whether the scene around ``state`` is that of the last decision; never with sensors."""
@@ -100,6 +115,7 @@ class RobotSession(SessionMemory[StateMessage]):
 
     def observe_state(self, state: StateMessage) -> None:
         """Updates the session from a state, before the other inputs of the tick are known."""
+        state = self.accept(state, None if state.lockstep else state.publish_time)
         self.model.clock.seconds = state.robot_time
         self.sync_actuators(state)
         self.scene.follow(state)
@@ -186,6 +202,7 @@ class RobotSession(SessionMemory[StateMessage]):
         """Takes over what does not depend on the model: commands sent, named sources, and the scene's odometry."""
         self.former = None if former is None else former.history
         if former is not None:
+            self.continue_from(former)
             self.sensed = former.sensed
             self.scene.remember(former.scene)
 

@@ -45,6 +45,11 @@ class StopOrders:
         """Stops all robots until this process ends; not stored, so they may drive under the next filter."""
         self._ending = reason
 
+    def latch(self, robot: str, reason: str) -> None:
+        """Stops a robot whose state is implausible for this reason, until ``go``."""
+        with self._lock:
+            self._change({**self._active, robot: f"because its state is implausible: {reason}"})
+
     @property
     def active(self) -> dict[str, str]:
         """The orders in force by robot; ``-`` is the whole fleet."""

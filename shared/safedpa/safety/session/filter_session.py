@@ -24,7 +24,7 @@ from safedpa.safety.session.function_model import FunctionModel, system_of_funct
 from safedpa.safety.session.guarded_session import GuardedSession
 from safedpa.safety.session.measurement import Measurement
 from safedpa.safety.session.session_memory import LastDecision
-from safedpa.safety.session.state_limits import StateLimits, limits_for
+from safedpa.safety.session.state_limits import SHIPPED_LIMITS, StateLimits, limits_for
 from safedpa.safety.validation import checked_output
 from safedpa.safety.verdict import Verdict
 from safedpa.systems import System
@@ -33,7 +33,6 @@ __all__ = ["FilterSession"]
 
 _REPORTED_AFTER: Final = 1.5
 """Time [s] after which a standstill is reported."""
-_SHIPPED: Final = "shipped"
 
 
 @final
@@ -78,7 +77,7 @@ class FilterSession(GuardedSession[Measurement]):
         states: int | None = None,
         system: System | None = None,
         margin: MarginCalibration | None = None,
-        limits: StateLimits | str | None = _SHIPPED,
+        limits: StateLimits | str | None = SHIPPED_LIMITS,
         can_stop: bool = True,
     ) -> None:
         if not isinstance(safe, SafetyFilter):
@@ -105,7 +104,7 @@ class FilterSession(GuardedSession[Measurement]):
         return self.deadlock_detector.seconds
 
     @property
-    def standstill(self) -> str:
+    def stationary_because(self) -> str:
         """Why the robot does not move although the nominal action asks it to; empty for the first 1.5 s."""
         return self._stationary
 
@@ -132,17 +131,11 @@ class FilterSession(GuardedSession[Measurement]):
         ``stop``: why the robot is to stop, for the backup action.
         """
         measured = self._measurement(state, time, applied, until_action, epoch)
-        was_lost = self.lost > 0
         taken = self.accept(measured, arrived)
         self.model.clock.seconds = taken.robot_time
         self.barriers = make_barrier_set(self.filter.barriers if barriers is None else tuple(barriers))
         self.sync_actuators(taken)
-        if self.lost or was_lost:
-            # A predicted state says nothing about the model, and neither does the first one after it.
-            self.margin.expect(None)
-            self.tick = taken.tick
-        else:
-            self.watch_margin(taken)
+        self.watch_margin(taken)
         self.deadlock_detector.update(taken.values, taken.period)
         verdict = self._decided(taken, nominal, latent, stop)
         free = _array_or_none(latent)

@@ -58,12 +58,16 @@ class GuardedSession(SessionMemory[StateT]):
         """Thresholds of the plausibility; None: any state within the bounds of the system is believed."""
         self.latched = ""
         """Why the robot stays stopped until ``confirm``; empty if it does not."""
+        self.latch_ordered = False
+        """Whether the latch was stored as a stop order, which then ends it."""
         self.problem = ""
         """Why the newest state is not used; empty if it is."""
         self.evidence: Evidence | None = None
         """What the newest state showed; None if it could not be compared."""
         self.lost = 0
         """Periods since the last believed state."""
+        self._was_lost = False
+        """Whether the state before was predicted."""
         self._monitor = StateMonitor(model.system, limits or StateLimits(), model.period)
         self._clock = ClockMonitor()
         self._believed: _Believed | None = None
@@ -87,14 +91,14 @@ class GuardedSession(SessionMemory[StateT]):
 
     def confirm(self) -> None:
         """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
-        self.latched, self.lost, self._believed = "", 0, None
+        self.latched, self.latch_ordered, self.lost, self._believed = "", False, 0, None
         self._monitor.restart()
 
     def continue_from(self, former: GuardedSession[StateT]) -> None:
         """Takes over what is known of the robot's state, which does not depend on the model."""
         self.latched, self.problem, self.lost = former.latched, former.problem, former.lost
         self._believed, self._clock = former._believed, former._clock
-        self._accepted = former._accepted
+        self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
 
     def accept(self, state: StateT, arrived: float | None = None) -> StateT:
         """Returns the state to decide with: ``state``, or one with predicted values.
@@ -107,6 +111,7 @@ class GuardedSession(SessionMemory[StateT]):
         late = "" if arrived is None else self._clock.observe(state.robot_time, arrived)
         self.problem = _problem_of(state.values, len(self.model.system.state)) or self._out_of_range(state.values)
         usable, known = not self.problem, self._believed
+        self._was_lost = self.lost > 0
         self.evidence = None
         predicted = self._predicted(state) if known is not None else None
         if usable and not self.latched and self.limits is not None:
@@ -123,6 +128,19 @@ class GuardedSession(SessionMemory[StateT]):
             state = replace(state, values=predicted)  # type: ignore[type-var]
         self._accepted = state
         return state
+
+    def watch_margin(self, state: StateT) -> None:
+        """Compares the last prediction with the measured state; not with one that is itself predicted."""
+        if self.lost or self._was_lost:
+            self.margin.expect(None)
+            self.margin.samples = {}
+            self.tick = state.tick
+        else:
+            super().watch_margin(state)
+
+    def _watch_delay(self, state: StateT, latent: FloatArray | None) -> None:
+        if not (self.lost or self._was_lost):
+            super()._watch_delay(state, latent)
 
     def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
         """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""

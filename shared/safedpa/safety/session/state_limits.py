@@ -14,8 +14,10 @@ from safedpa.limits import finite_number, parse_toml, text_of_file
 from safedpa.systems import System
 from safedpa.systems.robots import robot_like
 
-__all__ = ["Evidence", "StateLimits", "limits_for", "limits_from_evidence", "limits_named"]
+__all__ = ["SHIPPED_LIMITS", "Evidence", "StateLimits", "limits_for", "limits_from_evidence", "limits_named"]
 
+SHIPPED_LIMITS: Final = "shipped"
+"""Stands for the limits of ``limits_for``."""
 _FORMAT: Final = 1
 _STILL: Final = 0.05
 """Share of the largest way at which a window counts as one without motion."""
