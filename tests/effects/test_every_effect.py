@@ -1,6 +1,7 @@
 """Laws that hold for every effect of the library."""
 
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import AbstractBase, PhysicsModel, Setting
+from safedpa.dynamics import AbstractBase, PhysicsModel, Setting, load_user_file
+from safedpa.dynamics.base import bases_of
 from safedpa.effects import AbstractEffect, effects_of
 from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 from safedpa.robots.point.point_mass import PointMass
 
-ALL = [*effects_of("car").values(), *effects_of("pendulum").values(), *effects_of("point").values()]
+load_user_file(Path(__file__).with_name("axis_robot.py"))
+AXIS = tuple(effects_of("recovery_axis").values())
+SHIPPED = [*effects_of("car").values(), *effects_of("pendulum").values(), *effects_of("point").values()]
+ALL = [*SHIPPED, *AXIS]
 EVERY = pytest.mark.parametrize("item", ALL, ids=lambda item: f"{item.robot}-{item.name}")
 FEW = settings(max_examples=8, deadline=None)
 FEWER = settings(max_examples=4, deadline=None)
@@ -26,13 +31,15 @@ BASES: dict[str, tuple[AbstractBase, dict[str, float]]] = {
     "throttle": (KinematicBicycle("throttle"), {"wheelbase": 0.32, "drive_gain": 8.0}),
     "torque": (RigidPendulum(), {"length": 0.5, "mass": 0.6, "gravity": 9.81}),
     "thrust": (PointMass(), {"mass": 0.5}),
+    "axis": (bases_of("recovery_axis")["recovery_axis"](), {}),
 }
-PERIODS = {"target_speed": 0.05, "throttle": 0.05, "torque": 0.01, "thrust": 0.02}
+PERIODS = {"target_speed": 0.05, "throttle": 0.05, "torque": 0.01, "thrust": 0.02, "axis": 0.05}
 STATE_SCALE = {
     "car": np.array([5.0, 5.0, 3.0, 4.0]), "pendulum": np.array([4.0, 8.0]),
-    "point": np.array([5.0, 5.0, 3.0, 2.0, 2.0]),
+    "point": np.array([5.0, 5.0, 3.0, 2.0, 2.0]), "recovery_axis": np.array([3.0, 2.0]),
 }  # fmt: skip
 ACTION_SCALE = {"target_speed": np.array([4.0, 0.5]), "throttle": np.array([1.0, 0.5]), "torque": np.array([5.0])}
+ACTION_SCALE["axis"] = np.array([1.0, 12.0])
 ACTION_SCALE["thrust"] = np.array([2.0, 3.0])
 MIRROR_STATE = {"car": np.array([1.0, -1.0, -1.0, 1.0]), "pendulum": np.array([-1.0, -1.0])}
 MIRROR_STATE["point"] = np.array([1.0, -1.0, -1.0, 1.0, -1.0])
@@ -45,6 +52,8 @@ shares = st.integers(-1000, 1000).map(lambda thousandths: thousandths / 1000)
 
 def drives_of(*items: AbstractEffect) -> list[str]:
     """The drives for which all these effects have a meaning."""
+    if items[0].robot == "recovery_axis":
+        return ["axis"]
     drives = {"pendulum": ["torque"], "point": ["thrust"], "car": ["target_speed", "throttle"]}[items[0].robot]
     needs = {name for item in items for name in item.needs}
     return [drive for drive in drives if needs <= {drive}]
@@ -187,7 +196,7 @@ def test_typical_value_changes_something(item: AbstractEffect) -> None:
 
 
 @pytest.mark.long
-@EVERY
+@pytest.mark.parametrize("item", SHIPPED, ids=lambda item: f"{item.robot}-{item.name}")
 @FEW
 @given(data=st.data())
 def test_left_and_right_are_mirror_images(item: AbstractEffect, data: st.DataObject) -> None:

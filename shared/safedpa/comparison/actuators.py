@@ -1,4 +1,4 @@
-"""Lags, delays and backlash along whole stretches: the library's effects, vectorised and a hundred times faster.
+"""Lags, delays, limits and play along whole stretches: the library's effects, vectorised and a hundred times faster.
 
 A search needs the effective actions of a recording for hundreds of lags and delays. Tests compare both implementations.
 The recursion over rows is evaluated as a parallel prefix over 2, 4, 8 ... rows, all rows at once.
@@ -8,15 +8,16 @@ Source: Hillis and Steele, Communications of the ACM 29, 1986 (parallel prefix s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.windows import Windows
 from safedpa.effects import AbstractEffect, CommandEffect
-from safedpa.effects.channel_effects import ChannelEffect
-from safedpa.operations import FLOATS
+from safedpa.effects.channel_effects import KINDS, ChannelEffect
+from safedpa.operations import FLOATS, NUMPY
 
 _BACKLASH = {"backlash": "torque"}
 # Period [s] over which a step response is evaluated: a typical control period.
@@ -47,13 +48,27 @@ def effective_action_columns(
     if command.name in _BACKLASH:
         name = _BACKLASH[command.name]
         return {**columns, name: _with_backlash(columns[name], parameters["width"], windows)}
-    if isinstance(command, ChannelEffect) and command.kind in ("delay", "lag"):
-        (value,), follow = parameters.values(), _delayed if command.kind == "delay" else _lagged
-        affected = command.commands(columns)
-        return {
-            name: follow(column, value, windows) if name in affected else column for name, column in columns.items()
-        }
-    return None
+    if not isinstance(command, ChannelEffect):
+        return None
+    values = tuple(parameters[declared.name] for declared in command.parameters)
+    along = {"delay": _delayed, "lag": _lagged, "backlash": _with_backlash}.get(command.kind)
+    affected = command.commands(columns)
+    if along is not None:
+        return {name: along(each, values[0], windows) if name in affected else each for name, each in columns.items()}
+    if command.kind not in _MEMORY:
+        return None
+    return {
+        name: _from_memory(command, each, values, windows) if name in affected else each
+        for name, each in columns.items()
+    }
+
+
+def _from_memory(command: ChannelEffect, column: FloatArray, values: tuple[float, ...], windows: Windows) -> FloatArray:
+    """Returns the means over each row, from the memory at its beginning."""
+    memory, period = _MEMORY[command.kind](column, values, windows), windows.period
+    feel: Any = KINDS[command.kind].feel
+    with np.errstate(all="ignore"):
+        return np.asarray(feel(column, memory, values, command.parameters, period, NUMPY)[0])
 
 
 def _delayed(column: FloatArray, delay: float, windows: Windows) -> FloatArray:
@@ -94,6 +109,57 @@ def _lag_output(column: FloatArray, decays: FloatArray, windows: Windows) -> Flo
         retained[offset:] *= retained[:-offset]
         offset *= 2
     return found
+
+
+def _slewed(column: FloatArray, rates: tuple[float, ...], windows: Windows) -> FloatArray:
+    """Returns the output at the beginning of each row of an actuator with limited rates."""
+    up, down, felt, found = rates[0], rates[-1], 0.0, []
+    begins = set(_first_rows(windows).tolist())
+    for row, (command, period) in enumerate(zip(column.tolist(), windows.period.tolist(), strict=True)):
+        felt = command if row in begins else felt
+        found.append(felt)
+        felt = min(max(command, felt - down * period), felt + up * period)
+    return np.array(found)
+
+
+def _lagged_up_down(column: FloatArray, constants: tuple[float, ...], windows: Windows) -> FloatArray:
+    """Returns the output at the beginning of each row of a lag that differs for rising and falling commands."""
+    rising, falling = (np.exp(-windows.period / max(each, 1e-9)).tolist() for each in constants)
+    begins, felt, found = set(_first_rows(windows).tolist()), 0.0, []
+    for row, command in enumerate(column.tolist()):
+        felt = command if row in begins else felt
+        found.append(felt)
+        felt = command + (felt - command) * (rising if command > felt else falling)[row]
+    return np.array(found)
+
+
+def _oscillated(column: FloatArray, values: tuple[float, ...], windows: Windows) -> tuple[FloatArray, FloatArray]:
+    """Returns y and y' at the beginning of each row of a second-order actuator, y'' = w^2 (u - y) - 2 z w y'.
+
+    With the pole s = -z w + i w sqrt(1 - z^2), m = y' - conj(s) y has the equation m' = s m + w^2 u of first order.
+    """
+    frequency, damping = values
+    pole = frequency * complex(-damping, (1.0 - damping * damping) ** 0.5)
+    grown = np.exp(pole * windows.period)
+    retained, begin = np.roll(grown, 1), _first_rows(windows)
+    found = np.roll((grown - 1.0) / pole * frequency**2 * column, 1)
+    retained[begin], found[begin] = 0.0, -pole.conjugate() * column[begin]
+    offset = 1
+    while offset < len(column) and np.abs(retained).max() > _NEGLIGIBLE:
+        found[offset:] += retained[offset:] * found[:-offset]
+        retained[offset:] *= retained[:-offset]
+        offset *= 2
+    felt = found.imag / pole.imag
+    return felt, found.real + pole.real * felt
+
+
+_MEMORY: Mapping[str, Callable[[FloatArray, tuple[float, ...], Windows], Any]] = {
+    "slew_limit": _slewed,
+    "slew_limit_up_down": _slewed,
+    "lag_up_down": _lagged_up_down,
+    "second_order": _oscillated,
+}
+"""The memory at the beginning of each row, by kind."""
 
 
 def _with_backlash(column: FloatArray, width: float, windows: Windows) -> FloatArray:

@@ -50,10 +50,10 @@ def general_effects(
         ['speed_speed_limit']
     """
     sizes, measured = dict(moving or {}), dict(supply or {})
+    _check(system, sizes, "moving")
     found_pairs = position_of_rate(system) if positions is None else dict(positions)
     pairs = {rate: position for rate, position in found_pairs.items() if positions is not None or rate in sizes}
     groups = _vectors(system, sizes) if vectors is None else {name: tuple(axes) for name, axes in vectors.items()}
-    _check(system, sizes, "moving")
     _check(system, [*pairs, *pairs.values()], "positions")
     _check(system, [*(axis for axes in groups.values() for axis in axes), *([heading] if heading else [])], "vectors")
     for name, size in (*sizes.items(), *measured.items()):

@@ -82,9 +82,10 @@ def state_parameters(state: Variable, size: float, position: Variable | None) ->
         found["spring"] = (Parameter("stiffness", "1/s2", -1e3, 1e4, 1.0),)
         low, high = position.low, position.high
         if isfinite(low) and isfinite(high) and not position.angle:
+            reach = min(size, 0.2 * (high - low))  # how far it moves in a second
             found["end_stop"] = (
-                Parameter("low", position.unit, low, high, low + 0.25 * (high - low), neutral=low),
-                Parameter("high", position.unit, low, high, low + 0.75 * (high - low), neutral=high),
+                Parameter("low", position.unit, low, high, max(low, -reach), neutral=low),
+                Parameter("high", position.unit, low, high, min(high, reach), neutral=high),
             )
         if position.unit == "rad":
             found["gravity"] = tuple(

@@ -68,9 +68,9 @@ def _grid(parameter: Parameter, alongside: int) -> list[float]:
         found = [part * typical for part in parts] if typical else [0.0]
         if parameter.low < 0.0:
             found = [sign * value for value in found[: 3 if alongside == 1 else 1] for sign in (-1.0, 1.0)]
-    elif neutral >= 3.0 * typical > 0.0:
+    elif neutral / typical >= 3.0:
         # A limit that is far away does nothing and has no gradient: a grid over two decades finds where it acts.
-        parts = (0.1, 0.3, 0.6, 1.0, 1.6, 2.5, 6.0) if alongside == 1 else (0.3, 1.0, 2.5)
+        parts = (0.1, 0.3, 0.6, 1.0, 1.6, 2.5, 6.0) if alongside == 1 else (0.3, 0.8, 1.2, 2.2)
         found = [part * typical for part in parts]
     elif abs(neutral - typical) < 0.5 * neutral:
         found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
