@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import os
 import pickle
 import select
@@ -256,6 +257,7 @@ def serve(control: int) -> NoReturn:
         for name in libraries.decode().split():
             with contextlib.suppress(ImportError):
                 import_module(name)
+        gc.freeze()  # a collection in a worker would copy the pages of all modules
         if os.fork() == 0:
             requests.close()
             _guard(socket.socket(fileno=received[0]))
