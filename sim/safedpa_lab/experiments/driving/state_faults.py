@@ -1,0 +1,231 @@
+"""Simulated robots whose measured state is wrong, in ways that users of robots report again and again.
+
+``FaultyState`` stands between a simulated robot and the bus: the simulation goes on with the truth, and the messages
+have what a failed sensor, driver or clock would send. ``TRUTHS`` makes the five robots in healthy worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import cos, nan, sin
+from typing import Any, Final, final
+
+import numpy as np
+
+from safedpa.bus import AbstractNode, ActionMessage, ScanMessage, StateMessage
+from safedpa.dynamics import load_model
+from safedpa.policy import PolicyNode
+from safedpa.safety.defaults import settings_named
+from safedpa.systems import System
+from safedpa.systems.robots import robot_named
+from safedpa_lab.experiments.common.drives import LOADS, PERIOD, shipped_nodes
+from safedpa_sim.differential_drive.stand_in import WORLDS
+from safedpa_sim.robots.car.parameters import THROTTLE_CAR
+from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.scene import Scene
+from safedpa_sim.robots.pendulum.robot import PendulumRobot, task_named
+from safedpa_sim.robots.pendulum.world import wind_towards
+from safedpa_sim.robots.robot import SimulatedRobot
+from safedpa_sim.robots.stand_in_robot import StandInRobot
+
+__all__ = ["FAULTS", "NOISE", "ROBOTS", "FaultyState", "StateFault", "TrueRobot"]
+
+Plain = tuple[float, ...]
+
+NOISE: Final[Mapping[str, float]] = {"m": 0.01, "rad": 0.01, "m/s": 0.02, "rad/s": 0.02}
+"""Standard deviation of healthy noise, by unit."""
+
+
+@final
+@dataclass(frozen=True)
+class StateFault:
+    """A fault of the measured state from a moment on."""
+
+    kind: str
+    """``none``, ``jump``, ``restart``, ``frozen``, ``frozen at rest``, ``drift``, ``frame``, ``clock`` or ``lost``."""
+    size: float = 0.0
+    """Of a jump [m], a drift [m/s], a clock (its rate), or a loss [s]."""
+    begin: float = 2.0
+    """s; a state that is frozen at rest is so from the start."""
+
+    @property
+    def name(self) -> str:
+        """With its size."""
+        return f"{self.kind} {self.size:g}" if self.size else self.kind
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Words of the reasons that are right for it."""
+        return {
+            "jump": ("jumped",),
+            "restart": ("jumped",),
+            "frozen": ("does not change", "its rates differ"),
+            "frozen at rest": ("does not change", "its rates differ"),
+            "drift": ("its rates differ",),
+            "frame": ("jumped", "its rates differ"),
+            "clock": ("stamps advance",),
+        }.get(self.kind, ())
+
+
+FAULTS: Final = (
+    *(StateFault("jump", size) for size in (0.3, 0.5, 0.8, 2.0)),
+    StateFault("restart"),
+    StateFault("frozen"),
+    StateFault("frozen at rest"),
+    StateFault("drift", 0.05),
+    StateFault("frame"),
+    *(StateFault("clock", rate) for rate in (0.3, 3.0)),
+)
+
+
+@final
+class FaultyState:
+    """A simulated robot whose state messages have a fault, noise, and lost states."""
+
+    def __init__(
+        self,
+        robot: SimulatedRobot,
+        system: System,
+        fault: StateFault,
+        seed: int,
+        noise: float = 1.0,
+        lost_share: float = 0.0,
+    ) -> None:
+        self.robot, self._system, self._fault = robot, system, fault
+        self._draw = np.random.default_rng([seed, 91])
+        self._noise = noise * np.array([NOISE.get(each.unit, 0.0) for each in system.state])
+        self._lost_share = lost_share
+        self._angle = float(self._draw.uniform(-np.pi, np.pi))
+        self._places = [index for index, each in enumerate(system.state) if each.unit == "m"] or [0]
+        self._yaw = next((index for index, each in enumerate(system.state) if each.angle and index > 1), None)
+        self._held: Plain = ()
+        self._reference: Plain = ()
+
+    def scans(self) -> Sequence[ScanMessage]:
+        """The scans of the robot."""
+        return self.robot.scans()
+
+    def receive(self, message: ActionMessage) -> str | None:
+        """Passes the action on."""
+        return self.robot.receive(message)
+
+    def advance(self) -> None:
+        """Simulates one period of the truth."""
+        self.robot.advance()
+
+    @property
+    def is_faulty(self) -> bool:
+        """Whether the fault has begun."""
+        return self._fault.kind != "none" and self._seconds >= self._begin
+
+    @property
+    def _begin(self) -> float:
+        return 0.0 if self._fault.kind == "frozen at rest" else self._fault.begin
+
+    @property
+    def _seconds(self) -> float:
+        return self.robot.tick * self.robot.period
+
+    def state_message(self) -> StateMessage:
+        """The state of this tick as the failed source sends it."""
+        truth = self.robot.state_message()
+        noisy = tuple((np.array(truth.values) + self._noise * self._draw.normal(size=len(self._noise))).tolist())
+        lost = self._draw.uniform() < self._lost_share
+        values = self._measured(noisy) if self.is_faulty else noisy
+        changed: dict[str, Any] = {"values": (nan,) * len(values) if lost else values}
+        if self._fault.kind == "clock":
+            # A simulated clock that runs at another rate: its stamps are those of the ticks, the arrivals are not.
+            changed |= {"lockstep": False, "publish_time": self._arrival()}
+        return replace(truth, **changed)
+
+    def _arrival(self) -> float:
+        late = max(0.0, self._seconds - self._begin)
+        return 1000.0 + min(self._seconds, self._begin) + late / self._fault.size
+
+    def _measured(self, values: Plain) -> Plain:
+        kind, found = self._fault.kind, list(values)
+        self._reference = self._reference or values
+        late = self._seconds - self._begin
+        if kind in ("frozen", "frozen at rest"):
+            self._held = self._held or values
+            return self._held
+        if kind == "lost":
+            return (nan,) * len(values) if late < self._fault.size else values
+        if kind in ("jump", "drift"):
+            size = self._fault.size * (1.0 if kind == "jump" else late)
+            found[self._places[0]] += size * (cos(self._angle) if len(self._places) > 1 else 1.0)
+            if len(self._places) > 1:
+                found[self._places[1]] += size * sin(self._angle)
+            return tuple(found)
+        if kind in ("restart", "frame") and self._yaw is not None:
+            turn = -self._reference[self._yaw] if kind == "restart" else 0.5 * np.pi
+            origin = self._reference if kind == "restart" else (0.0, 0.0)
+            x, y = values[0] - origin[0], values[1] - origin[1]
+            found[0], found[1] = cos(turn) * x - sin(turn) * y, sin(turn) * x + cos(turn) * y
+            # A restarted driver turns its whole frame; in a wrong frame the heading is still the compass's.
+            found[self._yaw] += turn if kind == "restart" else 0.0
+        elif kind in ("restart", "frame"):
+            found[self._places[0]] -= self._reference[self._places[0]]
+        return tuple(found)
+
+
+@final
+@dataclass(frozen=True)
+class TrueRobot:
+    """One kind of robot in the laboratory: how it is made, and the nodes that drive it."""
+
+    name: str
+    model: str
+    settings: str
+    worlds: tuple[str, ...]
+    make: Callable[[str, int], SimulatedRobot]
+    policy: str = ""
+    stops: bool = True
+    """Whether its backup brings it to rest."""
+
+    def nodes(self) -> list[AbstractNode]:
+        """Adaptation, policy and filter as they ship."""
+        model = load_model(self.model)
+        policy = (PolicyNode(model, self.policy),) if self.policy else ()
+        return shipped_nodes(model, settings_named(self.settings), *policy)
+
+    @property
+    def system(self) -> System:
+        """Names and units of its state."""
+        return load_model(self.model).system
+
+
+def _differential_drive(world: str, seed: int) -> SimulatedRobot:
+    robot = robot_named("differential_drive")
+    return StandInRobot(robot, load_model(str(robot.model)).period, seed, WORLDS[world])
+
+
+def _point(world: str, seed: int) -> SimulatedRobot:
+    from safedpa_sim.robots.point_robot import PointRobot, force_towards
+
+    return PointRobot(force_towards(float(world), 37.0 * seed), seed)
+
+
+def _throttle(world: str, seed: int) -> SimulatedRobot:
+    del world
+    return CarRobot(Scene.random(seed), PERIOD, parameters=THROTTLE_CAR)
+
+
+ROBOTS: Final[Mapping[str, TrueRobot]] = {
+    each.name: each
+    for each in (
+        TrueRobot("car", "car", "car", LOADS, lambda load, seed: CarRobot(Scene.random(seed, load), PERIOD)),
+        TrueRobot("car_throttle", "dart_car", "car_throttle", ("none",), _throttle),
+        TrueRobot("differential_drive", "differential_drive", "differential_drive", tuple(WORLDS), _differential_drive),
+        TrueRobot("point", "point", "point", ("0", "0.01"), _point),
+        TrueRobot(
+            "pendulum",
+            "pendulum",
+            "pendulum",
+            ("0", "3"),
+            lambda wind, seed: PendulumRobot(task_named("balance"), wind_towards(float(wind), 53.0 * seed), seed),
+            stops=False,
+        ),
+    )
+}
