@@ -174,12 +174,12 @@ KINDS: Mapping[str, ChannelKind] = {
     "gain": ChannelKind(Stage.COMMAND_SCALE, "{u}_felt = {p} {u}", lambda u, memory, p, *_: (u * p[0], memory)),
     "offset": ChannelKind(Stage.COMMAND_OFFSET, "{u}_felt = {u} + {p}", lambda u, memory, p, *_: (u + p[0], memory)),
     "dead_zone": ChannelKind(
-        Stage.COMMAND_SCALE,
+        Stage.COMMAND_DEAD_ZONE,
         "{u}_felt = {u} - clip({u}, -{p}, {p})",
         lambda u, memory, p, _, __, operations: (u - operations.clip(u, -p[0], p[0]), memory),
     ),
     "curve": ChannelKind(
-        Stage.COMMAND_SCALE,
+        Stage.COMMAND_CURVE,
         "{u}_felt = {u} + {p} |{u}| {u}",
         lambda u, memory, p, _, __, operations: (u + p[0] * operations.absolute(u) * u, memory),
     ),

@@ -35,7 +35,11 @@ class Stage(IntEnum):
     """
 
     COMMAND_SCALE = 10
-    """How the receiver scales the command: gains, dead zones."""
+    """How the receiver scales the command."""
+    COMMAND_DEAD_ZONE = 12
+    """Small commands that do nothing."""
+    COMMAND_CURVE = 14
+    """How the answer grows with the command."""
     COMMAND_DELAY = 20
     """Pure delay of the command."""
     COMMAND_LAG = 30

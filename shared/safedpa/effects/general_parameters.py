@@ -60,7 +60,7 @@ def state_parameters(state: Variable, size: float, position: Variable | None) ->
     reach = max(abs(state.low), abs(state.high))
     top = reach if isfinite(reach) and reach > 2.0 * size else 20.0 * size
     speed = Parameter("limit", state.unit, 0.02 * size, top, 0.8 * size, neutral=top)
-    acceleration = Parameter("limit", rate, 0.02 * size, _FASTEST * size, 3.0 * size, neutral=_FASTEST * size)
+    acceleration = Parameter("limit", rate, 0.02 * size, _FASTEST * size, size, neutral=_FASTEST * size)
     found = {
         "drag": (Parameter("coefficient", "1/s", 0.0, 50.0, 0.3),),
         # over the usual size, so that it decelerates as the linear drag with coefficient 0.3 1/s does there
