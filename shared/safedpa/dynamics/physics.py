@@ -24,6 +24,7 @@ from safedpa.dynamics.recorded_step import (
     RecordedSteps,
     ScalarStep,
     record_batch_step,
+    record_own_step,
     record_sensitivity,
     record_step,
     with_period_argument,
@@ -34,6 +35,7 @@ from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltE
 from safedpa.effects.law import plain
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
+from safedpa.native.captured import Captured
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
 from safedpa.result import one_line
 
@@ -379,11 +381,21 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _recorded_steps(self) -> RecordedSteps:
         # a user's equations may read files, keep state or draw random numbers: a recording would freeze the first run
-        recordable = self._takes_complex and self.base.recordable
+        recordable = self.base.recordable and (self._takes_complex or self._watched is not None)
         return RecordedSteps(self._record if recordable else None)
 
-    def _record(self, period: float) -> RecordedStep | None:
-        return record_step(self.equations(period), self._names)
+    def _record(self, period: float, native: bool) -> RecordedStep | None:
+        if self._takes_complex:
+            return record_step(self.equations(period), self._names)
+        return record_own_step(self.equations(period), self._names, self._watched or (), native)
+
+    @cached_property
+    def _watched(self) -> tuple[Captured, ...] | None:
+        """What a user's base reads besides its arguments; None if it does more, or if an effect is the user's."""
+        if not all(type(plain(item)).__module__.startswith("safedpa.") for item in self.effects):
+            return None
+        watched = Captured(self.base.rates), Captured(self.base.integrate)
+        return None if any(each.impure for each in watched) else watched
 
     def equations(self, period: float) -> Equations:
         """Returns the equations of one period, to be recorded; with actuator memory their action is the felt one."""

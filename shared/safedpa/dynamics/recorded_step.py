@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics.tangent import GENERATED_MODULE, ScalarTangent, compiled_tangent, tangent_text
 from safedpa.equations.generated import digest, generated
-from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
+from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, NotRecordableError, Recorded, Tape, name_of
+from safedpa.native import NoKernelError
+from safedpa.native.captured import Captured
+from safedpa.native.library import remark
+from safedpa.native.step import StepKernel
+from safedpa.native.tracing import Recording
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
 ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -91,11 +96,13 @@ RecordedStep = tuple[ScalarStep, ScalarStep, ScalarTangent]
 class RecordedSteps:
     """The recorded functions of one model, by period, recorded after enough calls.
 
-    ``record(period)`` returns them, or None if the equations cannot be recorded.
+    ``record(period, native)`` returns them, or None if the equations cannot be recorded. ``native``: compiled to C,
+    where that is possible.
     """
 
-    def __init__(self, record: Callable[[float], RecordedStep | None] | None) -> None:
+    def __init__(self, record: Callable[[float, bool], RecordedStep | None] | None) -> None:
         self._record = record
+        self._native = False
         self._calls: dict[float, int] = {}
         self._floats: dict[float, ScalarStep] = {}
         self._complex: dict[float, ScalarStep] = {}
@@ -116,7 +123,8 @@ class RecordedSteps:
         return self._complex.get(period) if operations is COMPLEX else None
 
     def record(self, period: float) -> None:
-        """Records now."""
+        """Records now, and compiles, which may take a second."""
+        self._native = True
         if period not in self._floats:
             self._calls[period] = _RECORD_AFTER - 1
             self._count(period)
@@ -127,7 +135,7 @@ class RecordedSteps:
             return None
         calls = self._calls[period] = self._calls.get(period, 0) + 1
         if calls == _RECORD_AFTER:
-            functions = self._record(period)
+            functions = self._record(period, self._native)
             if functions is None:
                 self._record = None  # a branch does not depend on the period: no further attempt
                 return None
@@ -151,6 +159,44 @@ def record_step(equations: Equations, names: Names) -> RecordedStep | None:
         _compiled(head, tape, after, {}, COMPLEX),
         compiled_tangent(head, tape.lines, tape.calls, after, _numbered("a", names[1])),
     )
+
+
+def record_own_step(
+    equations: Equations, names: Names, watched: Sequence[Captured], native: bool
+) -> RecordedStep | None:
+    """Returns the recorded functions of a user's equations, or None if they cannot be recorded.
+
+    They are compiled to C if ``native`` and a compiler is present. As soon as anything that the equations read besides
+    their arguments changes (``watched``), the functions raise ArithmeticError: the caller then uses the equations themselves.
+    """
+    first, second = _taped(equations, names), _taped(equations, names)
+    # random numbers, or a counter: a recording would freeze the first run
+    if first is None or second is None or first[0].lines != second[0].lines or first[2] != second[2]:
+        return None
+    tape, head, after = first
+    step: ScalarStep = _compiled(head, tape, after, FLOAT_FORMS, FLOATS)
+    tangent = compiled_tangent(head, tape.lines, tape.calls, after, _numbered("a", names[1]))
+    if native:
+        own = tuple(tuple(_numbered(letter, entries)) for letter, entries in zip("saz", names, strict=True))
+        try:
+            kernel = StepKernel.compiled(Recording((*own, ("time",)), tuple(tape.lines), tuple(after)))
+            step, tangent = kernel.step, kernel.tangent
+        except NoKernelError as error:
+            remark(str(error))
+        except NotRecordableError:  # an operation without C: the recorded functions are used
+            pass
+    complex_step = _compiled(head, tape, after, {}, COMPLEX)
+    return _watched(step, watched), _watched(complex_step, watched), _watched(tangent, watched)
+
+
+def _watched(function: Callable[..., Any], watched: Sequence[Captured]) -> Callable[..., Any]:
+    def guarded(state: Any, action: Any, latent: Any, time: float) -> Any:
+        for each in watched:
+            if not each.unchanged():
+                raise ArithmeticError("the equations read other values than they did while they were recorded")
+        return function(state, action, latent, time)
+
+    return guarded
 
 
 def record_batch_step(equations: Equations, names: Names) -> ScalarStep | None:

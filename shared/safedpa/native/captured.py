@@ -15,7 +15,17 @@ __all__ = ["Captured"]
 _DEPTH: Final = 6
 """Objects within objects that are followed."""
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None))
-_TRUSTED: Final = ("numpy", "safedpa", "math", "typing", "functools", "operator", "collections", "dataclasses")
+_TRUSTED: Final = (
+    "numpy",
+    "safedpa",
+    "math",
+    "typing",
+    "functools",
+    "operator",
+    "collections",
+    "dataclasses",
+    "builtins",
+)
 """Packages whose functions read nothing that changes."""
 _WRITES: Final = ("STORE_GLOBAL", "STORE_ATTR", "DELETE_ATTR", "DELETE_GLOBAL", "IMPORT_NAME")
 _INPUTS: Final = ("open", "input", "eval", "exec", "globals", "setattr", "__import__")
@@ -53,13 +63,17 @@ class Captured:
         """The values, to be compared with those of another time; objects by their identity."""
         return tuple(value if isinstance(value, _CONTENTS) else id(value) for _, value in self._readers)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy reads again."""
+        return Captured, (self._alive[0],)
+
     def _follow(self, value: Any, depth: int) -> None:
         if isinstance(value, (*_PLAIN, type)) or id(value) in self._seen or not depth:
             return
         self._seen.add(id(value))
         self._alive.append(value)
         if isinstance(value, ModuleType):
-            if not value.__name__.startswith(_TRUSTED):
+            if not _trusted(value.__name__):
                 self.impure = self.impure or f"it uses the module '{value.__name__}'"
         elif isinstance(value, (np.ndarray, np.generic)):
             # an array of objects has no contents in its bytes
@@ -83,6 +97,10 @@ def _readers_of(value: Any, whole: Captured) -> Iterator[Callable[[], Any]]:
         yield from _read_by(value, whole)
     elif isinstance(value, MethodType):
         yield from (lambda: value.__func__, lambda: value.__self__)
+        # attributes of the class, such as constants and the methods that it calls
+        kind, code = type(value.__self__), getattr(value.__func__, "__code__", None)
+        names = [] if code is None else [name for each in _codes(code) for name in each.co_names]
+        yield from (partial(getattr, kind, name, None) for name in dict.fromkeys(names) if hasattr(kind, name))
     elif isinstance(value, partial):
         yield from (lambda: value.func, lambda: value.args, lambda: value.keywords)
     elif isinstance(value, Mapping):
@@ -93,7 +111,7 @@ def _readers_of(value: Any, whole: Captured) -> Iterator[Callable[[], Any]]:
         yield from (partial(value.__getitem__, index) for index in range(len(value)))
     elif isinstance(value, (set, frozenset)):
         yield lambda: tuple(sorted(map(repr, value)))
-    elif not type(value).__module__.startswith(("builtins", *_TRUSTED)):
+    elif not _trusted(type(value).__module__):
         own = getattr(value, "__dict__", {})
         yield from (partial(own.get, key) for key in list(own))
         method = type(value).__dict__.get("__call__")
@@ -102,7 +120,7 @@ def _readers_of(value: Any, whole: Captured) -> Iterator[Callable[[], Any]]:
 
 
 def _read_by(function: FunctionType, whole: Captured) -> Iterator[Callable[[], Any]]:
-    if (function.__module__ or "").startswith(_TRUSTED):
+    if _trusted(function.__module__ or ""):
         return
     yield lambda: function.__code__
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
@@ -125,6 +143,10 @@ def _read_by(function: FunctionType, whole: Captured) -> Iterator[Callable[[], A
 def _line(instruction: dis.Instruction, code: CodeType) -> int:
     positions = instruction.positions
     return (positions.lineno if positions is not None else None) or code.co_firstlineno
+
+
+def _trusted(module: str) -> bool:
+    return module.partition(".")[0] in _TRUSTED
 
 
 def _cell(cell: CellType) -> Any:

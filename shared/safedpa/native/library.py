@@ -9,6 +9,7 @@ contents are compared with the digest in its name. A folder or file that another
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 import platform
 import shlex
@@ -24,7 +25,7 @@ from typing import Final
 from safedpa.disk import why_not_written
 from safedpa.errors import SafedpaError
 
-__all__ = ["NoKernelError", "cache_folder", "load"]
+__all__ = ["NoKernelError", "cache_folder", "load", "remark"]
 
 _FLAGS: Final = ("-O2", "-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 """No fused multiply-add, which rounds once where NumPy rounds twice. Without errno, sqrt is one instruction; its result
@@ -48,6 +49,12 @@ def load(source: str) -> ctypes.PyDLL:
     if os.environ.get("SAFEDPA_COMPILE", "") == "0":
         raise NoKernelError("SAFEDPA_COMPILE=0 forbids compiling")
     return _load(source, cache_folder())
+
+
+@cache
+def remark(reason: str) -> None:
+    """Reports once in a process why equations that could be compiled are not."""
+    logging.getLogger("safedpa").warning("equations are computed by Python, which is slower: %s", reason)
 
 
 def cache_folder() -> Path:

@@ -8,10 +8,9 @@ they read besides their arguments is compared at every decision, and so are one 
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -20,6 +19,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
+from safedpa.native.library import remark
 from safedpa.native.rollout import RecordedItems, RolloutKernel
 from safedpa.native.tracing import OverNumpy, Recording, record, takes_operations, why_not_recorded
 from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed
@@ -147,12 +147,6 @@ def _compiled(
         return None, why_not_recorded(error)
 
 
-@cache
-def remark(reason: str) -> None:
-    """Reports once in a process that rollouts are not compiled though they could be."""
-    logging.getLogger("safedpa").warning("rollouts are computed by NumPy, which is slower: %s", reason)
-
-
 def _recorded_step(model: Any, states: int, actions: int, latents: int) -> Recording:
     """Returns x[t+1] recorded from state, action, latent and time."""
     sizes = [("s", states), ("a", actions), ("z", latents), ("t", 1)]
@@ -212,6 +206,8 @@ class CompiledRollout:
         self._model = model if isinstance(model, PhysicsModel) else None
         own = backup if callable(backup) else None
         self._parts = RolloutParts(model, own, h, len(loop.held), len(self._latent))
+        if self._model is not None:
+            self._model.record_scalar_step()  # now, rather than while a robot drives
         self._disagrees = False
         self._kernel: RolloutKernel | None = None
         self._watched: list[Captured] = []
