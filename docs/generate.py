@@ -26,6 +26,7 @@ from safedpa.bus import (
     ComputedMessage,
     Message,
     Request,
+    RosterEntry,
     Topic,
 )
 from safedpa.bus.logging import KINDS
@@ -98,7 +99,7 @@ def flow() -> str:
 
 def fields() -> str:
     """Every message with its fields, types and meaning."""
-    return _fields_of([Message, ComputedMessage, *(topic.message for topic in TOPICS.values())], messages)
+    return _fields_of([Message, ComputedMessage, *(topic.message for topic in TOPICS.values()), RosterEntry], messages)
 
 
 def roles() -> str:

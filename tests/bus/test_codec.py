@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from safedpa.bus import TOPICS, Answer, Message, Request, decode, encode
+from safedpa.bus import TOPICS, Answer, Message, Request, RosterEntry, decode, encode
 from safedpa.bus.messages.codec import LARGEST_BYTES
 from safedpa.bus.messages.messages import LARGEST_NUMBER
 from safedpa.errors import MessageError
@@ -30,6 +30,9 @@ BY_TYPE: dict[str, some.SearchStrategy[Any]] = {
     "Rows": some.lists(vectors, max_size=4).map(tuple),
     "tuple[str, ...]": some.lists(some.text(max_size=10), max_size=4).map(tuple),
 }
+BY_TYPE["tuple[RosterEntry, ...]"] = some.lists(
+    some.builds(RosterEntry, **{f.name: BY_TYPE[str(f.type)] for f in dataclasses.fields(RosterEntry)}), max_size=3
+).map(tuple)
 BEYOND = math.nextafter(LARGEST_NUMBER, math.inf)
 WRONG: dict[str, list[Any]] = {
     "Count": [None, "1", 1.0, True, -1, [1]],
@@ -41,6 +44,7 @@ WRONG: dict[str, list[Any]] = {
                [True, 0.5], [0.5, [1.0]], [0.5, None], [BEYOND]],
     "Rows": [None, 1.0, [1.0], [[math.nan]], [[0.0], 1.0], [["1"]], [[0.5], [-BEYOND]], [[0.5], [True]]],
     "tuple[str, ...]": [None, "text", [1], [None], [b"x"]],
+    "tuple[RosterEntry, ...]": [None, "r1", ["r1"], [{"kind": 1, "name": "r1"}]],
 }  # fmt: skip
 KINDS = [topic.message for topic in TOPICS.values()]
 FIELDS = [(kind, field) for kind in KINDS for field in dataclasses.fields(kind)]
@@ -51,7 +55,7 @@ def messages(kind: type[Message]) -> some.SearchStrategy[Message]:
 
 
 def table_of(message: Message) -> dict[str, Any]:
-    return {field.name: getattr(message, field.name) for field in dataclasses.fields(message)}
+    return dataclasses.asdict(message)
 
 
 @given(some.one_of([messages(kind) for kind in KINDS]))
@@ -88,7 +92,7 @@ def test_numbers_of_numpy_are_sent_as_numbers(samples: dict[str, Message]) -> No
 def test_wrong_values_are_refused_by_the_name_of_the_field(kind, field, samples):
     good = table_of(next(message for message in samples.values() if type(message) is kind))
     for wrong in WRONG[str(field.type)]:
-        with pytest.raises(MessageError, match=rf"^{kind.__name__}\.{field.name}(\[[.\d]+\])*: Expected "):
+        with pytest.raises(MessageError, match=rf"^{kind.__name__}\.{field.name}(\[[.\d]+\](\.kind)?)*: Expected "):
             decode(kind, msgpack.packb({**good, field.name: wrong}))
 
 

@@ -111,6 +111,7 @@ BY_HAND = {  # writer, delivery, ticks until it is stale (two seconds at 20 Hz: 
     "takeover": ("*", "all", 0, SMALL, False),
     "asked": ("diagnosis", "all", 0, SMALL, False),
     "setup": ("*", "all", 0, DOCUMENT, False),
+    "roster": ("operator", "all", 40, SMALL, False),
 }
 """What a control loop asks of each: an action of the last tick is one too old, and of what is only shown two seconds
 are new enough; what is recorded for an audit is not replaced."""
@@ -139,7 +140,12 @@ def test_nodes_write_what_the_table_says() -> None:
         for topic in node.outputs:
             assert topic.writer in {node.name, "*"}
     written = {topic for node in nodes() for topic in node.outputs}
-    assert {topic.writer for topic in TOPICS.values() if topic not in written} <= {"robot", "diagnosis", "*"}
+    assert {topic.writer for topic in TOPICS.values() if topic not in written} <= {
+        "robot",
+        "diagnosis",
+        "operator",
+        "*",
+    }
 
 
 def test_a_node_that_reads_an_output_runs_later_in_the_period() -> None:

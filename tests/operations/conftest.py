@@ -9,6 +9,8 @@ import pytest
 from safedpa.bus import (
     FINDING,
     HEALTH,
+    NO_ROBOT,
+    ROSTER,
     STATE,
     VERDICT,
     Bus,
@@ -16,6 +18,8 @@ from safedpa.bus import (
     HealthMessage,
     MemoryBroker,
     MemoryTransport,
+    RosterEntry,
+    RosterMessage,
     StateMessage,
     VerdictMessage,
 )
@@ -31,6 +35,8 @@ class TalkingFleet:
     now: float = 100.0
     broker: MemoryBroker = field(default_factory=MemoryBroker)
     ticks: dict[str, int] = field(default_factory=dict)
+    roster: tuple[RosterEntry, ...] = ()
+    """Repeated while the fleet drives, unless the supervisor is silent."""
 
     def __post_init__(self) -> None:
         self.bus = Bus(MemoryTransport(self.broker), "test")
@@ -50,6 +56,13 @@ class TalkingFleet:
         known = {"service": service, "pid": pid or 1000 + len(service), "state": "running", "software": "1.2.3"}
         steps = {"steps": next(self._counts), "step_microseconds": 150.0}
         self.bus.publish(HEALTH, robot, HealthMessage(**{**about, **known, **steps, **changes}), service)
+
+    def list_members(self, *entries: RosterEntry, **fields: Any) -> None:
+        """A roster of the supervisor, or with ``fields`` a dismissal."""
+        self.roster = entries
+        stamp = {"epoch": 0, "tick": 0, "robot_time": 0.0, "publish_time": 1e9 + self.now}
+        self.bus.publish(ROSTER, NO_ROBOT, RosterMessage(**stamp, **{"source": "run", "entries": entries, **fields}))
+        self.overview.listen(0.0)
 
     def finding(self, robot: str, stage: str, sentence: str) -> None:
         """What the diagnosis says."""
@@ -76,6 +89,8 @@ class TalkingFleet:
                 self.beat("robot", name, pid=2000 + number, latencies=(0.0031, 0.0042))
             if "recorder" not in silent and quarter % 2 == 0:
                 self.beat("recorder", acknowledged=40, free_bytes=50_000_000_000)
+            if self.roster and "supervisor" not in silent:
+                self.list_members(*self.roster)
             self.overview.listen(0.0)
 
 

@@ -73,9 +73,9 @@ def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: A
         **stamp, points=(), movers=(), hidden=(), ages=(0.05, -1.0), problems=("nothing was heard of the source rear",)
     )
     robot.hear(seen, fleet.overview.clock())
-    assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": 0.05, "rear": None}
+    assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": pytest.approx(0.175), "rear": None}
     assert "nothing was heard of the source rear" in sentences(fleet, "trouble")
-    assert any("front 0.05 rear -" in line for line in drawn(fleet, 240))
+    assert any("front 0.18 rear -" in line for line in drawn(fleet, 240))
     assert not any("switched" in notice for notice in sentences(fleet, "attention"))
     robot.hear(dataclasses.replace(seen, ordered="source rear off, by Ada"), fleet.overview.clock())
     assert "switched: source rear off, by Ada" in sentences(fleet, "attention")

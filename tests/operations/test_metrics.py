@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
+from safedpa.bus import RosterEntry
 from safedpa.errors import InputError
 from safedpa_services.metrics.exporter import FAMILIES, Exporter, FleetCollector
 
@@ -30,6 +31,7 @@ tests:
       - {series: 'safedpa_verdicts_total{robot="r1",status="fallback"}', values: '7x36'}
       - {series: 'safedpa_service_processes{service="recorder"}', values: '1x36'}
       - {series: 'safedpa_unreadable_messages_total', values: '0x36'}
+      - {series: 'safedpa_missing{kind="robot",name="r1"}', values: '0x24 1x12'}
     alert_rule_test:
       - {eval_time: 1m, alertname: SafedpaRobotSilent}
       - {eval_time: 1m, alertname: SafedpaLateTicks}
@@ -41,6 +43,13 @@ tests:
         exp_alerts:
           - exp_labels: {severity: page, robot: r1}
             exp_annotations: {summary: "Robot r1 says nothing; its watchdog brakes it, if it lives."}
+      - {eval_time: 2m, alertname: SafedpaMissing}
+      - eval_time: 2m30s
+        alertname: SafedpaMissing
+        exp_alerts:
+          - exp_labels: {severity: page, kind: robot, name: r1}
+            exp_annotations:
+              summary: "robot r1 should be there and is silent; 'safedpa dismiss' if it was taken away."
       - eval_time: 2m30s
         alertname: SafedpaLateTicks
         exp_alerts:
@@ -70,6 +79,7 @@ def talked(fleet: Any) -> Any:
     fleet.drive(2, 2.0, r2={"verdict": {"status": "fallback"}})
     fleet.finding("r1", "raised", "speed: less than predicted")
     fleet.beat("router", refused=3)
+    fleet.list_members(RosterEntry(kind="robot", name="r1"), RosterEntry(kind="service", name="policy"))
     return fleet
 
 

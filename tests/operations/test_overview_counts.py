@@ -134,16 +134,20 @@ def test_a_silent_process_was_replaced_if_another_of_its_service_was_heard_since
     assert listened.fleet.replaced(listened.fleet.services["s", 1]) is replaced
 
 
-@pytest.mark.parametrize(("after", "known"), [(300.0, True), (300.1, False)])
-def test_a_robot_or_process_that_was_silent_for_five_minutes_has_left(after: float, known: bool) -> None:
+@pytest.mark.parametrize(
+    ("after", "service", "state", "known"),
+    [(300.0, "robot", "braked", True), (300.1, "robot", "braked", False), (9e4, "robot", "running", True),
+     (9e4, "policy", "running", True)],
+)  # fmt: skip
+def test_only_a_robot_that_was_shut_down_is_forgotten_after_five_minutes(after, service, state, known):
     listened = Listened()
     assert listened.fleet.is_empty
-    listened.heard("r")
+    listened.heard("r", service=service, state=state)
     assert not listened.fleet.is_empty
     listened.now += after
     listened.fleet.listen(0.0)
     assert ("r" in listened.fleet.robots) is known
-    assert (("s", 1) in listened.fleet.services) is known
+    assert (("policy", 1) in listened.fleet.services) is (service == "policy")
 
 
 @pytest.mark.parametrize(("after", "served"), [(5.0, ["a", "b"]), (5.1, ["b"])])

@@ -204,7 +204,8 @@ def test_a_drive_ends_with_its_summary_its_robots_last_log_line_or_the_status_of
     monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
     monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", lambda *_: ended)
     (tmp_path / "robot.json").write_text('{"ticks": 7}')
-    robot = SimpleNamespace(has_begun=begun, last_text=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
+    last = {"last_text": lambda: "the motor is on fire", "cause": "it burnt"}
+    robot = SimpleNamespace(has_begun=begun, name="robot", pid=1, restarts=2, **last)
     plan = SimpleNamespace(
         services=list, robot_process=lambda: robot, certificates=None, own_session=lambda: None, fleet="f",
         names=("r1",), recording=tmp_path / "drive.mcap", summary=tmp_path / "robot.json", other_summaries={},
@@ -213,7 +214,7 @@ def test_a_drive_ends_with_its_summary_its_robots_last_log_line_or_the_status_of
     if error is None:
         found = up.run_plan(*drive)
         assert found["ticks"] == 7
-        assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2}]
+        assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2, "cause": "it burnt"}]
     elif error == "130":
         with pytest.raises(click.exceptions.Exit) as raised:
             up.run_plan(*drive)

@@ -148,7 +148,7 @@ def test_the_summary_contains_the_robots_summary_and_counts_interventions(tmp_pa
     found = run_summary(account, verdicts, [child], health, recording, [], {"r2": other})
     assert (found["ticks"], found["robots"]) == (12, {"r2": {"ticks": 11}})
     assert found["interventions"] == 8 + 16 + 32
-    assert found["services"] == [{"name": "policy", "pid": 0, "restarts": 3}]
+    assert found["services"] == [{"name": "policy", "pid": 0, "restarts": 3, "cause": ""}]
     assert (found["recording"], found["recording_error"]) == (str(recording), "the disk is full")
     healthy = run_summary(account, verdicts, [], {"recorder": health_of("recorder")}, recording)
     assert healthy["recording_error"] is None

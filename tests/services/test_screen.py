@@ -28,7 +28,8 @@ def watch():
 def child_of(folder, code=None, *, heartbeat=True, restarts=0):
     """Returns a child with the attributes that the view reads."""
     log = folder / "policy.log"
-    return SimpleNamespace(name="policy", pid=4711, restarts=restarts, exit_code=code, heartbeat=heartbeat, log=log)
+    ended = {"exit_code": code, "restarts": restarts, "cause": "", "given_up": False}
+    return SimpleNamespace(name="policy", pid=4711, heartbeat=heartbeat, log=log, **ended)
 
 
 def drawn(watch, child):

@@ -23,6 +23,8 @@ class Process:
     waits: bool = False
     has_begun: bool = False
     restarts: int = 0
+    cause: str = ""
+    given_up: bool = False
     ends_at: float = inf
     code: int = 0
     pid: int = 0
@@ -49,7 +51,7 @@ class Process:
     def last_text(self):
         return f"{self.name} says why"
 
-    def kill(self):
+    def kill(self, because=""):
         self.done.append((self.name, "killed"))
         self.ends_at, self.code = self.clock.now, KILLED
 

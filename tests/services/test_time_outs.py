@@ -133,9 +133,9 @@ def test_an_order_is_answered_within_seconds_or_fails():
     ("robot", "status", "is_stationary_at", "speed", "does", "ends_at"),
     [
         ("r1", "stopped", 2.0, 0.5, "is stationary", 2.0),
-        ("", "stopped", 0.0, 0.5, "is stationary", 0.5),
-        ("r1", "stopped", inf, 0.01, "is stationary", 0.5),
-        ("r1", "passed", inf, 0.01, "is stationary", 0.5),
+        ("", "stopped", 0.0, 0.5, "is stationary", 1.2),
+        ("r1", "stopped", inf, 0.01, "is stationary", 1.2),
+        ("r1", "passed", inf, 0.01, "is stationary", 1.2),
         ("r1", "stopped", inf, 0.5, "still brakes, +0.50 m/s", 6.0),
         ("", "stopped", inf, -0.1, "still brakes, -0.10 m/s", 6.0),
         ("r1", "passed", inf, 0.5, "still drives, +0.50 m/s", 6.0),

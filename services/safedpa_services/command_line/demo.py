@@ -115,7 +115,7 @@ class _DemoRun:
             if not self._options["as_json"]:
                 print_plain(f"{0.0 if watch.state is None else watch.state.robot_time:5.0f} s  {line}")
 
-        warnings = LogWarnings(children, self.plan.folder)
+        warnings = LogWarnings(children, self.plan.folder, notices=watch.notices)
         self.story = story = DemoNarrator(watch.bus, watch.robot, report_progress, self._options["yes"])
         report_progress(
             f"a car drives behind its filter; after {_FAULT_SECONDS:.0f} s its steering is bent, which no model knows"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from safedpa_services.command_line.up import default_options, make_plan, supervi
 if TYPE_CHECKING:
     from safedpa_services.ros_gateway.robot_file import ServedRobot
     from safedpa_services.supervisor.certificate_store import CertificateStore
+    from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.run_monitor import RunMonitor
 
@@ -94,7 +96,7 @@ def command(file: Path, **options: Any) -> None:
             where = plan.listen or plan.endpoint
             report_progress(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; waiting for it to join{role}")
         _report_start(plan)
-        supervise(plan, services, gateway, stop, lambda watch, _children: nullcontext(_drive_reporter(watch)))
+        supervise(plan, services, gateway, stop, partial(_reported, plan))
 
 
 def _own_certificates(options: dict[str, Any], *, uses_ros: bool) -> CertificateStore | None:
@@ -134,6 +136,20 @@ def _report_start(plan: Plan) -> None:
         facts = {"certificates": str(plan.certificates.folder)}
         report_progress(f"status: safedpa status --watch {plan.join_options}", facts=facts)
     finish()  # print the JSON document now: the command runs until Ctrl-C
+
+
+def _reported(plan: Plan, watch: RunMonitor, children: Sequence[Child]) -> AbstractContextManager[Callable[[], None]]:
+    """Returns the display of a served run: a line for each change, restart and silence."""
+    from safedpa_services.supervisor.log_warnings import LogWarnings
+
+    drive = _drive_reporter(watch)
+    warnings = LogWarnings(children, plan.folder, report_progress, watch.notices)
+
+    def turn() -> None:
+        drive()
+        warnings.look()
+
+    return nullcontext(turn)
 
 
 def _drive_reporter(watch: RunMonitor) -> Callable[[], None]:

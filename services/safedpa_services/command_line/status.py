@@ -20,7 +20,7 @@ from safedpa_services.command_line.options import PATH
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from safedpa.bus.monitor import Alert, FleetOverview, RobotOverview, ServiceOverview
+    from safedpa.bus.monitor import Alert, FleetOverview, Member, RobotOverview, ServiceOverview
 
 
 _REDRAW_SECONDS = 0.5
@@ -36,7 +36,8 @@ _FEWEST_COLUMNS = 80
 def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
     """Show the health of a fleet's robots and processes.
 
-    Lists rates, ages, late ticks, verdicts, margin, diagnosis and recorder.
+    Lists rates, ages, late ticks, verdicts, margin, diagnosis and recorder. Who should be there and is silent counts as
+    trouble until it returns or 'safedpa dismiss' takes it off the roster.
 
     Exit code 0 if everything is healthy, 1 if something is not or no process is on the bus.
     """
@@ -125,6 +126,11 @@ def _watch(fleet: FleetOverview) -> bool:
     return healthy
 
 
+def _is_known(fleet: FleetOverview) -> bool:
+    """Whether anything was heard besides a roster: a fleet of which nothing was heard is not healthy."""
+    return bool(fleet.robots or fleet.services)
+
+
 _LEVELS = ("trouble", "attention", "well")
 
 
@@ -140,12 +146,37 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
     return {
         "fleet": fleet.bus.fleet,
-        "healthy": not fleet.is_empty and all(concern.level != "trouble" for concern in concerns),
+        "healthy": _is_known(fleet) and all(concern.level != "trouble" for concern in concerns),
         "listened": round(now - fleet.since, 3),
         "robots": robots,
         "services": services,
+        "roster": [_member(member, now) for member in fleet.roster.members.values()],
+        "incidents": [
+            {
+                "kind": each.kind,
+                "name": each.name,
+                "ago": round(now - each.ended, 1),
+                "seconds": round(each.seconds, 1),
+                "sentence": each.sentence,
+            }
+            for each in fleet.roster.incidents
+        ],
         "concerns": [asdict(concern) | {"kind": concern.kind or concern.sentence} for concern in concerns],
         "unreadable": fleet.refused,
+    }
+
+
+def _member(member: Member, now: float) -> dict[str, Any]:
+    last = member.last_at()
+    return {
+        "kind": member.kind,
+        "name": member.label,
+        "missing": member.is_missing(now),
+        "age": None if last is None else round(now - last, 3),
+        "restarts": member.restarts,
+        "cause": member.cause,
+        "given_up": member.given_up,
+        "dismissed_by": member.dismissed_by,
     }
 
 
@@ -163,6 +194,9 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
         "robot": robot.name,
         "health": _level(robot_alerts(robot, now)),
         "verdict": verdict.status if verdict else "",
+        "verdict_age": round(max(0.0, now - robot.verdict_at), 3) if verdict else None,
+        "state_age": round(max(0.0, now - robot.state_at), 3) if state else None,
+        "diagnosis_age": round(max(0.0, now - robot.finding_at), 3) if robot.finding else None,
         "h": verdict.h_now if verdict else None,
         "margin": verdict.margin if verdict else None,
         "coverage": verdict.coverage if verdict and verdict.coverage >= 0.0 else None,
@@ -177,7 +211,7 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
         "late": robot.recent_ticks.share("watchdog", now),
         "sense_to_act_p50": p50,
         "sense_to_act_p99": p99,
-        "sources": robot.sources(),
+        "sources": robot.sources(now),
         "diagnosis": robot.finding.stage if robot.finding else "",
         "models": {name: message.model for name, (message, _) in sorted(robot.health.items()) if message.model},
     }

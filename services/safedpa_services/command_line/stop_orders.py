@@ -1,4 +1,4 @@
-"""``safedpa stop`` and ``safedpa go``: orders to the safety filter to stop robots or to let them drive."""
+"""``safedpa stop`` and ``go``: orders to the safety filter; ``dismiss``: who is not expected any more."""
 
 from __future__ import annotations
 
@@ -18,8 +18,15 @@ if TYPE_CHECKING:
 
 
 _LONGEST_BRAKING_SECONDS = 6.0
+_LISTENING_SECONDS = 2.5
+"""Long enough to hear who is silent for 1.5 s."""
+_CONFIRMATION_SECONDS = 1.0
+"""For the message to leave, and for the supervisor to take it into its roster."""
 _POLL_SECONDS = 0.1
 _STATIONARY_SPEED = 0.02
+_ROSTER_SECONDS = 1.2
+"""Time in which two rosters of a supervisor arrive, which names the robots that should answer."""
+_UNKNOWN = "did not answer"
 
 
 _robot_option = click.option("--robot", default="", help="only this robot; default: the whole fleet")
@@ -50,6 +57,43 @@ def go(robot: str, **options: Any) -> None:
     give_order("go", robot, options)
 
 
+@click.command()
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@listening_options
+@who_option
+def dismiss(names: tuple[str, ...], **options: Any) -> None:
+    """Declare that silent robots or services are not expected any more.
+
+    They stop counting as trouble until they return. NAME: of a robot or service, or 'supervisor'. What is not silent
+    cannot be dismissed. Exit code 1 if one of them is not missing.
+    """
+    import uuid
+
+    from safedpa.bus import NO_ROBOT, ROSTER, RosterMessage
+    from safedpa.bus.messages.messages import header
+    from safedpa.bus.monitor import SILENT_SECONDS, FleetOverview, fleet_alerts
+
+    who = options["who"] or getpass.getuser()
+    with bus_of(options) as bus:
+        fleet = FleetOverview(bus)
+        fleet.listen(_LISTENING_SECONDS)
+        silent = {alert.robot or alert.service for alert in fleet_alerts(fleet) if alert.level == "trouble"}
+        silent |= {member.label for member in fleet.roster.missing(fleet.clock())}
+        silent |= {known.name for known in fleet.services.values() if known.age(fleet.clock()) > SILENT_SECONDS}
+        found = tuple(name for name in names if name in silent)
+        if found:
+            message = RosterMessage(**header(), source=uuid.uuid4().hex[:12], dismisses=found, who=who)
+            bus.publish(ROSTER, NO_ROBOT, message)
+            fleet.listen(_CONFIRMATION_SECONDS)
+    if options["as_json"]:
+        click.echo(json.dumps({"dismissed": list(found), "who": who}))
+    else:
+        for name in found:
+            print_plain(f"{name}: dismissed by {who}, until it returns")
+    if left := [name for name in names if name not in found]:
+        raise SafedpaError(f"{', '.join(left)}: not missing; see 'safedpa status' for who is")
+
+
 def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -> None:
     """Sends an order to the filter, waits until the robots obey, and prints the result.
 
@@ -69,7 +113,7 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
         answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, no_answer)
         robots = _await_obedience(fleet, do)
     _report(answer, robots, as_json=options["as_json"])
-    slow = [name for name, sentence in robots.items() if sentence.startswith("still ")]
+    slow = [name for name, sentence in robots.items() if sentence.startswith(("still ", _UNKNOWN))]
     if slow:
         raise SafedpaError(f"the order is in force, but {', '.join(slow)} did not obey within the time")
 
@@ -79,10 +123,30 @@ def _await_obedience(fleet: FleetOverview, do: str) -> dict[str, str]:
     end = fleet.clock() + _LONGEST_BRAKING_SECONDS
     while fleet.clock() < end:
         fleet.listen(_POLL_SECONDS)
-        robots = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
-        listened_long = fleet.clock() - fleet.since > 5.0 * _POLL_SECONDS
-        if listened_long and not any(sentence.startswith("still ") for sentence in robots.values()):
+        robots = _all_do(fleet, do)
+        listened_long = fleet.clock() - fleet.since > _ROSTER_SECONDS
+        if listened_long and not any(sentence.startswith(("still ", _UNKNOWN)) for sentence in robots.values()):
             break
+    return robots
+
+
+def _all_do(fleet: FleetOverview, do: str) -> dict[str, str]:
+    """Returns what each robot does, also of those that should be there and send nothing."""
+    from safedpa.bus.monitor import SILENT_SECONDS
+
+    now = fleet.clock()
+    expected = [name for name in fleet.roster.expected("robot") if fleet.robot in ("*", name)]
+    robots = {}
+    for name in sorted({*fleet.robots, *expected}):
+        known = fleet.robots.get(name)
+        if known is not None and known.ended_in_order:
+            continue
+        if known is None or known.state is None:
+            robots[name] = f"{_UNKNOWN}: it sends no state"
+        elif now - known.state_at > SILENT_SECONDS:
+            robots[name] = f"{_UNKNOWN}: silent for {now - known.state_at:.0f} s"
+        else:
+            robots[name] = _does(known, do)
     return robots
 
 

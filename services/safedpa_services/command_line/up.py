@@ -383,12 +383,13 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
 
 def supervise(
     plan: Plan, services: list[Child], robot: Child | None, stop: StopSignal, display: Display
-) -> tuple[RunMonitor, list[Child]]:
-    """Runs services and robots until the end or ``stop``; returns what was heard, and all processes.
+) -> tuple[RunMonitor, list[Child], list[dict[str, Any]]]:
+    """Runs services and robots until the end or ``stop``; returns what was heard, all processes, and the silences.
 
-    ``display`` gets the same. Raises SafedpaError if the robot failed.
+    ``display`` gets the first two. Raises SafedpaError if the robot failed.
     """
     from safedpa.bus import Bus, ZenohTransport
+    from safedpa_services.supervisor.presence import RunPresence
     from safedpa_services.supervisor.run_monitor import RunMonitor
     from safedpa_services.supervisor.supervisor import Supervisor
 
@@ -398,11 +399,12 @@ def supervise(
         watch = RunMonitor(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), RunMonitor(bus, name)) for k, name in enumerate(plan.names[1:])]
         children = [*([] if robot is None else [robot]), *(child for child, _ in others), *services]
+        presence = RunPresence(bus, [watch, *(other for _, other in others)], services)
         with display(watch, children) as on_turn:
-            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
+            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others, presence).run()
     if code != 0 and robot is not None:
         raise SafedpaError(f"robot: {robot.last_text()}")
-    return watch, children
+    return watch, children, presence.incidents()
 
 
 def run_plan(plan: Plan, stop: StopSignal, display: Display) -> dict[str, Any]:
@@ -410,7 +412,7 @@ def run_plan(plan: Plan, stop: StopSignal, display: Display) -> dict[str, Any]:
     from safedpa_services.supervisor.run_monitor import run_summary
 
     robot = plan.robot_process()
-    watch, children = supervise(plan, plan.services(), robot, stop, display)
+    watch, children, incidents = supervise(plan, plan.services(), robot, stop, display)
     if stop.hurried:
         click.echo(f"safedpa: ended immediately by the second signal; recording: {plan.recording}", err=True)
         raise click.exceptions.Exit(_EXIT_CODE_INTERRUPTED)
@@ -418,7 +420,8 @@ def run_plan(plan: Plan, stop: StopSignal, display: Display) -> dict[str, Any]:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
     others = plan.other_summaries
-    return run_summary(plan.summary, watch.verdicts, children, health, plan.recording, watch.standstills, others)
+    summary = run_summary(plan.summary, watch.verdicts, children, health, plan.recording, watch.standstills, others)
+    return {**summary, "incidents": incidents}
 
 
 def _display_of(plan: Plan, *, quiet: bool) -> Display:
@@ -441,11 +444,20 @@ def _report(summary: dict[str, Any]) -> None:
     click.echo(
         f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} nominal actions"
     )
+    if summary["watchdog_ticks"]:
+        share = 100.0 * summary["watchdog_ticks"] / max(summary["ticks"], 1)
+        click.echo(
+            f"in {summary['watchdog_ticks']} ticks ({share:.1f} %) no action arrived: the robot braked by itself"
+        )
     for stand in summary["standstills"]:
         print_plain(f"stationary for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+    for incident in summary["incidents"]:
+        until = "" if incident["returned"] else " until the end"
+        print_plain(f"{incident['name']}: silent for {incident['seconds']:.1f} s{until}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
-    restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
-    if restarts:
-        click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
+    for service in summary["services"]:
+        if service["restarts"]:
+            cause = f", last because: {service['cause']}" if service["cause"] else ""
+            print_plain(f"{service['name']}: restarted {service['restarts']} times{cause}")
     click.echo(f"recording: {summary['recording']}")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from safedpa.bus import VerdictMessage
 from safedpa.bus.monitor import FleetOverview, RobotOverview, ServiceOverview, robot_alerts
 from safedpa.errors import InputError
 
@@ -77,6 +78,13 @@ _ROBOT = ("robot",)
 _SERVICE = ("service", "pid")
 
 FAMILIES: dict[str, Family] = {
+    "safedpa_missing": Family(
+        "gauge", "1 while a member of the roster is silent and not dismissed, else 0.", ("kind", "name")
+    ),
+    "safedpa_silent_seconds": Family("gauge", "Time since a member of the roster was heard.", ("kind", "name")),
+    "safedpa_incidents_total": Family(
+        "counter", "Silences that are over, and restarts, of a member of the roster.", ("kind", "name")
+    ),
     "safedpa_robot_up": Family("gauge", "1 while the robot sends states, 0 after 1.5 s of silence.", _ROBOT),
     "safedpa_robot_healthy": Family("gauge", "1 unless safedpa status reports trouble with the robot.", _ROBOT),
     "safedpa_ticks_total": Family("counter", "Ticks received from the robot.", _ROBOT),
@@ -90,7 +98,10 @@ FAMILIES: dict[str, Family] = {
         "histogram", "From publishing a state to accepting its action, by the robot's own clock.", _ROBOT
     ),
     "safedpa_message_age_seconds": Family(
-        "gauge", "Time since the exporter received the newest message of the topic.", ("robot", "topic")
+        "gauge",
+        "Time since the measurement that the newest message of the topic is about. Values that are older than 1 s are "
+        "left out.",
+        ("robot", "topic"),
     ),
     "safedpa_barrier_value": Family(
         "gauge", "Smallest barrier value h at the measured state; below 0: outside the safe set.", _ROBOT
@@ -126,6 +137,10 @@ FAMILIES: dict[str, Family] = {
 
 
 _SILENT_SECONDS = 1.5
+_STALE_SECONDS = 1.0
+"""Age of a verdict, or three periods of a slow robot, beyond which its values are left out."""
+_STALE_FINDING_SECONDS = 5.0
+"""The same of a finding, which arrives once a second of robot time."""
 _GONE_SECONDS = 30.0
 """A process that was silent this long is left out; its successor has another process id."""
 _STAGES = ("learning", "watching", "raised", "searching", "candidates", "nothing")
@@ -180,11 +195,15 @@ class FleetCollector:
 
     def _samples(self) -> Iterator[Sample]:
         now = self._fleet.clock()
+        yield from _of_roster(self._fleet, now)
         for _, robot in sorted(self._fleet.robots.items()):
-            yield from _of_robot(robot, now)
+            yield from _of_robot(robot, now, self._fleet)
+        for name in self._fleet.roster.expected("robot").keys() - self._fleet.robots.keys():
+            yield "safedpa_robot_up", (name,), 0.0
+            yield "safedpa_robot_healthy", (name,), 0.0
         processes = self._fleet.services.values()
         alive = Counter(known.name for known in processes if known.age(now) <= _SILENT_SECONDS and not known.failing)
-        for name in sorted({known.name for known in self._fleet.services.values()}):
+        for name in sorted({known.name for known in processes} | self._fleet.roster.expected("service").keys()):
             yield "safedpa_service_processes", (name,), float(alive[name])
         for _, service in sorted(self._fleet.services.items()):
             if service.age(now) <= _GONE_SECONDS:
@@ -192,9 +211,19 @@ class FleetCollector:
         yield "safedpa_unreadable_messages_total", (), float(self._fleet.refused)
 
 
-def _of_robot(robot: RobotOverview, now: float) -> Iterator[Sample]:
+def _of_roster(fleet: FleetOverview, now: float) -> Iterator[Sample]:
+    for member in fleet.roster.members.values():
+        which = (member.kind, member.label)
+        yield "safedpa_missing", which, float(member.is_missing(now) or (member.given_up and not member.dismissed_by))
+        yield "safedpa_silent_seconds", which, member.silent_for(now)
+        yield "safedpa_incidents_total", which, float(fleet.roster.counts[member.kind, member.name])
+
+
+def _of_robot(robot: RobotOverview, now: float, fleet: FleetOverview) -> Iterator[Sample]:
     name = (robot.name,)
-    trouble = any(concern.level == "trouble" for concern in robot_alerts(robot, now))
+    member = fleet.roster.members.get(("robot", robot.name))
+    is_missing = member is not None and member.is_missing(now)
+    trouble = is_missing or any(concern.level == "trouble" for concern in robot_alerts(robot, now))
     yield "safedpa_robot_up", name, float(robot.silent_for(now) <= _SILENT_SECONDS)
     yield "safedpa_robot_healthy", name, float(not trouble)
     yield "safedpa_ticks_total", name, float(robot.ticks)
@@ -207,22 +236,31 @@ def _of_robot(robot: RobotOverview, now: float) -> Iterator[Sample]:
         yield "safedpa_message_age_seconds", (robot.name, "state"), max(0.0, now - robot.state_at)
     if robot.verdict is not None:
         yield "safedpa_message_age_seconds", (robot.name, "verdict"), max(0.0, now - robot.verdict_at)
-        yield "safedpa_barrier_value", name, robot.verdict.h_now
-        yield "safedpa_margin", name, robot.verdict.margin
-        if robot.verdict.coverage >= 0.0:
-            yield "safedpa_margin_coverage", name, robot.verdict.coverage
-        if robot.verdict.promised >= 0.0:
-            yield "safedpa_margin_coverage_promised", name, robot.verdict.promised
-    yield from _of_finding(robot)
+        if now - robot.verdict_at <= max(_STALE_SECONDS, 3.0 * (robot.state.period if robot.state else 0.0)):
+            yield from _of_verdict(robot.name, robot.verdict)
+    yield from _of_finding(robot, now)
 
 
-def _of_finding(robot: RobotOverview) -> Iterator[Sample]:
+def _of_verdict(name: str, verdict: VerdictMessage) -> Iterator[Sample]:
+    """Yields the values of a verdict; of an old one nothing, so that Prometheus shows a gap instead of old values."""
+    yield "safedpa_barrier_value", (name,), verdict.h_now
+    yield "safedpa_margin", (name,), verdict.margin
+    if verdict.coverage >= 0.0:
+        yield "safedpa_margin_coverage", (name,), verdict.coverage
+    if verdict.promised >= 0.0:
+        yield "safedpa_margin_coverage_promised", (name,), verdict.promised
+
+
+def _of_finding(robot: RobotOverview, now: float) -> Iterator[Sample]:
     finding = robot.finding
     if finding is None:
         return
+    yield "safedpa_message_age_seconds", (robot.name, "finding"), max(0.0, now - robot.finding_at)
+    yield "safedpa_findings_total", (robot.name,), float(finding.number)
+    if now - robot.finding_at > _STALE_FINDING_SECONDS:
+        return
     yield "safedpa_model_error", (robot.name,), finding.error
     yield "safedpa_model_error_band", (robot.name,), finding.band
-    yield "safedpa_findings_total", (robot.name,), float(finding.number)
     for stage in _STAGES:
         yield "safedpa_diagnosis_stage", (robot.name, stage), float(stage == finding.stage)
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,13 @@ _STARTING_PRIORITY = 1
 restarted service is then ready soon on a busy machine, while the robot brakes."""
 _HEALTHY_SECONDS = 10.0
 """A process that lived this long is restarted without a pause."""
+_MOST_QUICK_ENDS = 8
+"""A process that ended so often in a row within 10 s of its start is not restarted any more; the pauses add up to
+16 s, in which a router or a disk may return."""
+_MOST_RESTARTS, _RESTART_WINDOW_SECONDS = 30, 3600.0
+"""Nor is one that was restarted so often within this time [s]."""
+_LONGEST_CAUSE = 300
+"""Characters of the log in a cause."""
 _PROGRAM = re.compile(r"^safedpa-[a-z_-]+: ")
 
 
@@ -47,6 +55,10 @@ class Child:
     waits: bool = False
     """Whether it prepares itself after its start and begins its work only on ``begin``."""
     restarts: int = 0
+    cause: str = ""
+    """Why it ended last, with the last line of its log; empty: it never did."""
+    given_up: bool = False
+    """Whether it is not restarted any more, because it ended too often."""
     environment: Mapping[str, str] = field(default_factory=dict)
     """Secrets for the process. Other users of the machine can read its arguments, but not its environment."""
     credentials: PemCredentials | None = None
@@ -60,6 +72,9 @@ class Child:
         self._died: float | None = None
         """Time of its death [s], noticed by ``restart_if_due``; None while it runs."""
         self._pause = 0.0
+        self._quick_ends = 0
+        self._restarted_at: deque[float] = deque(maxlen=_MOST_RESTARTS)
+        self._killed_because = ""
         self._is_terminating = False
         self._is_released = False
         """Whether ``begin`` was called."""
@@ -108,7 +123,7 @@ class Child:
             with contextlib.suppress(OSError, AttributeError):  # without the permission it runs at normal priority
                 os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
-        self._died, self._is_terminating = None, False
+        self._died, self._is_terminating, self._killed_because = None, False, ""
 
     def _opened_log(self) -> BinaryIO:
         """Opens the log for appending; the null device if that fails, because the loop must run even without logs."""
@@ -129,19 +144,37 @@ class Child:
     def restart_if_due(self) -> bool:
         """Restarts a process that died; returns whether it was restarted now.
 
-        The pause before a restart doubles, from 0.1 s to 5 s, while the process dies within 10 s of its start.
+        The pause before a restart doubles, from 0.1 s to 5 s, while the process dies within 10 s of its start. After
+        too many restarts it is given up: ``given_up``, with its ``cause``.
         """
         now = time.monotonic()
         if self._died is None:
-            self._died = now
-            lived = now - self._started
-            longer = min(max(2.0 * self._pause, _FIRST_PAUSE_SECONDS), _LONGEST_PAUSE_SECONDS)
-            self._pause = 0.0 if lived > _HEALTHY_SECONDS else longer
-        if now - self._died < self._pause:
+            self._note_end(now)
+        if self.given_up or self._died is None or now - self._died < self._pause:
             return False
         self.restarts += 1
+        self._restarted_at.append(now)
         self.start()
         return True
+
+    def _note_end(self, now: float) -> None:
+        self._died, lived = now, now - self._started
+        longer = min(max(2.0 * self._pause, _FIRST_PAUSE_SECONDS), _LONGEST_PAUSE_SECONDS)
+        self._pause = 0.0 if lived > _HEALTHY_SECONDS else longer
+        self._quick_ends = 0 if lived > _HEALTHY_SECONDS else self._quick_ends + 1
+        self.cause = self._cause()
+        often = len(self._restarted_at) == _MOST_RESTARTS and now - self._restarted_at[0] < _RESTART_WINDOW_SECONDS
+        self.given_up = self._quick_ends > _MOST_QUICK_ENDS or often
+
+    def _cause(self) -> str:
+        """Returns why it ended: it hung, a signal, or the last line of its log."""
+        if self._killed_because:
+            return self._killed_because
+        code = self.exit_code or 0
+        if code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
+            return f"killed by signal {-code} ({name})"
+        return f"ended with code {code}: {self.last_text()[:_LONGEST_CAUSE]}"
 
     def last_text(self) -> str:
         """Returns the last line of its log without the program's name; JSON lines, such as events, are skipped."""
@@ -157,9 +190,10 @@ class Child:
             self._is_terminating = True
             self._process.terminate()
 
-    def kill(self) -> None:
-        """Kills it and its process group."""
+    def kill(self, because: str = "") -> None:
+        """Kills it and its process group; ``because`` becomes its ``cause``."""
         if self.exit_code is None and self._process is not None:
+            self._killed_because = because
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
 

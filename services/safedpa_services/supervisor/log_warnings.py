@@ -28,17 +28,25 @@ _MOST_LINES = 12
 
 
 class LogWarnings:
-    """Follows the logs of child processes and reports their warnings and restarts.
+    """Follows the logs of child processes and reports their warnings, their restarts, and who is missing.
+
+    ``notices`` are sentences about who is missing and who returned (``RunMonitor.notices``); they are removed from it.
 
     Each line goes to the callback ``on_warning``; ``newest`` holds the last ones.
     """
 
     def __init__(
-        self, children: Sequence[Child], folder: Path, on_warning: Callable[[str], None] | None = None
+        self,
+        children: Sequence[Child],
+        folder: Path,
+        on_warning: Callable[[str], None] | None = None,
+        notices: deque[str] | None = None,
     ) -> None:
         self._children, self._on_warning = children, on_warning
+        self._notices = deque[str]() if notices is None else notices
         self._read: dict[str, int] = {}
         self._restarts = {child.name: 0 for child in children}
+        self._given_up: set[str] = set()
         self._next_look = 0.0
         self._written: dict[tuple[str, str, str], float] = {}
         self._own_log = folder / "supervisor.log"
@@ -54,21 +62,21 @@ class LogWarnings:
                 self._report(event)
             if child.restarts > self._restarts[child.name]:
                 self._restarts[child.name] = child.restarts
-                self._report(self._restarted(child))
+                self._note("child.restarted", _restarted(child), child)
+            if child.given_up and child.name not in self._given_up:
+                self._given_up.add(child.name)
+                self._note("child.given_up", f"{child.name} is not restarted any more: {child.cause}", child)
+        while self._notices:
+            self._note("roster.changed", self._notices.popleft(), None)
 
-    def _restarted(self, child: Child) -> dict[str, Any]:
-        event = {
-            "time": round(time.time(), 3),
-            "level": "warning",
-            "kind": "child.restarted",
-            "sentence": f"{child.name} died or hung and was restarted ({child.restarts} times so far)",
-            "service": child.name,
-            "pid": child.pid,
-        }
+    def _note(self, kind: str, sentence: str, child: Child | None) -> None:
+        """Writes an event of the supervisor itself to its log, and reports it."""
+        about = {} if child is None else {"service": child.name, "pid": child.pid}
+        event = {"time": round(time.time(), 3), "level": "warning", "kind": kind, "sentence": sentence, **about}
         # a log that cannot be written must not end the run
         with contextlib.suppress(OSError), self._own_log.open("a", encoding="utf-8") as log:
             log.write(json.dumps(event) + "\n")
-        return event
+        self._report(event, key=sentence if child is None else "")
 
     def _new_events(self, child: Child) -> list[dict[str, Any]]:
         """Returns the warnings in the whole lines that were written since the last look."""
@@ -84,17 +92,22 @@ class LogWarnings:
         events = [_event(line) for line in whole.decode(errors="replace").splitlines()]
         return [event for event in events if event is not None]
 
-    def _report(self, event: dict[str, Any]) -> None:
-        key = (str(event.get("kind")), str(event.get("service", "")), str(event.get("robot", "")))
+    def _report(self, event: dict[str, Any], key: str = "") -> None:
+        which = (str(event.get("kind")), str(event.get("service", "")), key or str(event.get("robot", "")))
         now = time.monotonic()
         self._written = {known: at for known, at in self._written.items() if now - at < _REPEAT_SECONDS}
-        if key in self._written or len(self._written) >= _MOST_LINES:
+        if which in self._written or len(self._written) >= _MOST_LINES:
             return
-        self._written[key] = now
+        self._written[which] = now
         line = readable(event)
         self.newest.append(line)
         if self._on_warning is not None:
             self._on_warning(line)
+
+
+def _restarted(child: Child) -> str:
+    cause = f"; {child.cause}" if child.cause else ""
+    return f"{child.name} was restarted ({child.restarts} times so far){cause}"
 
 
 def _event(line: str) -> dict[str, Any] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.bus.messages.requests import ORDER
+from safedpa.bus.monitor import MeasurementTimes
 from safedpa.errors import SafedpaError
 from safedpa.safety.deadlock.detector import Stand, record_deadlock
 from safedpa_services.supervisor.child import Child
@@ -34,6 +35,7 @@ _ORDER_SECONDS = 2.0
 """Timeout of a stop order. A busy machine answers late; without a filter the request fails at once."""
 _STATIONARY_SPEED = 0.02
 """m/s; a slower car counts as stationary."""
+_MOST_NOTICES = 100
 
 
 @dataclass
@@ -51,8 +53,16 @@ class RunMonitor:
     finding: FindingMessage | None = None
     standstills: list[Stand] = field(default_factory=list)
     """Times for which the robot was stationary for more than 5 s although the policy requested motion."""
+    state_at: float | None = None
+    """Time [s, monotonic clock] at which the newest state was measured; None before the first."""
+    verdict_at: float | None = None
+    """The same of the state that the newest verdict is about."""
+    finding_at: float | None = None
+    notices: deque[str] = field(default_factory=lambda: deque(maxlen=_MOST_NOTICES))
+    """Sentences about the run for the user that were not shown yet; the reader removes them."""
 
     def __post_init__(self) -> None:
+        self._times = MeasurementTimes()
         self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE, FINDING))
         self._last: tuple[int, int] = (0, -1)
 
@@ -96,12 +106,12 @@ class RunMonitor:
         if isinstance(message, HealthMessage):
             self.health[message.service] = (message, item.at)
         elif isinstance(message, StateMessage):
-            self.state = message
+            self.state, self.state_at = message, self._times.of(message, item.at)
         elif isinstance(message, FindingMessage):
-            self.finding = message
+            self.finding, self.finding_at = message, self._times.of(message, item.at)
         elif isinstance(message, VerdictMessage) and (message.epoch, message.tick) != self._last:
             self._last = (message.epoch, message.tick)
-            self.verdict = message
+            self.verdict, self.verdict_at = message, self._times.of(message, item.at)
             self.verdicts[message.status] += 1
             record_deadlock(self.standstills, message)
 
@@ -131,7 +141,10 @@ def run_summary(
         "verdicts": dict(sorted(verdicts.items())),
         "standstills": list(standstills),
         "interventions": sum(count for status, count in verdicts.items() if status not in _NO_INTERVENTION),
-        "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
+        "services": [
+            {"name": child.name, "pid": child.pid, "restarts": child.restarts, "cause": child.cause}
+            for child in children
+        ],
         "recording": str(recording),
         "recording_error": _recording_error(health.get("recorder"), children),
         **({"robots": {name: _robot_summary(path) for name, path in others.items()}} if others else {}),

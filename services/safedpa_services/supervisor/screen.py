@@ -40,7 +40,7 @@ def screen(
     :param page: address of the workbench, shown as soon as it accepts connections
     """
     if quiet:
-        yield LogWarnings(children, folder).look
+        yield LogWarnings(children, folder, notices=watch.notices).look
         return
     from rich.live import Live  # a slow import that a quiet run does not need
 
@@ -52,9 +52,9 @@ def screen(
         say = partial(console.print, soft_wrap=True)
         for hint in hints:
             say(hint)
-        yield _announcement(addresses, LogWarnings(children, folder, say), say)
+        yield _announcement(addresses, LogWarnings(children, folder, say, watch.notices), say)
         return
-    warnings = LogWarnings(children, folder)
+    warnings = LogWarnings(children, folder, notices=watch.notices)
     drawn = 0.0
     with Live(console=console, auto_refresh=False) as live:
 

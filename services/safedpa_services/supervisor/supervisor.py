@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.presence import RunPresence
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
 _READY_SECONDS = 30.0
@@ -29,6 +30,8 @@ s."""
 _LAST = ("recorder", "router")
 """End last: the recorder records the end of the other services, and all messages go through the router."""
 _BAD_INPUT = 2
+_BY_PRODUCTS = ("recorder", "dashboard")
+"""The robot drives on when one of these is not restarted any more; the roster reports it."""
 
 
 @dataclass
@@ -46,6 +49,8 @@ class Supervisor:
     """Whether to end everything immediately, without braking."""
     others: Sequence[tuple[Child, RunMonitor]] = ()
     """Further robots. The run ends with the first robot."""
+    presence: RunPresence | None = None
+    """Publishes the roster; None: without a roster."""
 
     def run(self) -> int:
         """Returns the robot's exit code, or 0 if stopped. All processes have ended when this returns or raises.
@@ -63,6 +68,8 @@ class Supervisor:
             if not self.stopped():
                 for child in self._robots:
                     child.begin()
+                if self.presence is not None:
+                    self.presence.begin()
             return self._run_until_end()
         finally:
             self._end()
@@ -114,7 +121,9 @@ class Supervisor:
             if child.exit_code is not None:
                 self._restart(child)
             elif child.essential and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
-                child.kill()  # the next turn restarts it
+                child.kill(f"hung: no heartbeat for {_HUNG_SECONDS:.0f} s")  # the next turn restarts it
+        if self.presence is not None:
+            self.presence.turn()
         self.on_turn()
 
     def _restart(self, child: Child) -> None:
@@ -127,11 +136,16 @@ class Supervisor:
             raise InputError(child.last_text())
         if child.exit_code != _BAD_INPUT or any(robot.has_begun for robot in self._robots):
             child.restart_if_due()
+            # A loop without its filter or policy only brakes; other processes are missed, and the drive goes on.
+            if child.given_up and (child in self._robots or (child.essential and child.name not in _BY_PRODUCTS)):
+                raise SafedpaError(f"{child.name}: not restarted any more, {child.cause}")
         elif child.essential:
             raise InputError(child.last_text())
 
     def _end(self) -> None:
         """Stops the robots, then ends robots, services, and last recorder and router."""
+        if self.presence is not None:
+            self.presence.end()
         self._brake()
         for child in self._robots:
             child.terminate()

@@ -31,6 +31,8 @@ KINDS = MappingProxyType(
         "process.started": "A process joined the bus.",
         "process.ended": "A process shuts down in order; the sentence names the signal.",
         "child.restarted": "The supervisor restarts a process that died, or that it killed because it hung.",
+        "child.given_up": "A process ended too often and is not restarted any more; the sentence has the cause.",
+        "roster.changed": "A robot or service of the run is missing, has returned, or was dismissed by a person.",
         "robot.met": "A service receives the first state of a robot.",
         "robot.restarted": "A robot sends a new epoch: it was restarted.",
         "robot.forgotten": "A robot was silent for so long that a service drops its data.",

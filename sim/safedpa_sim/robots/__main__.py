@@ -18,6 +18,7 @@ from safedpa.bus.service.process import (
     run_process,
 )
 from safedpa.dynamics.user_files import load_user_files
+from safedpa.errors import RecordingError
 from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.car.loads import LOADS
 from safedpa_sim.robots.car.robot import CHANGES
@@ -110,7 +111,11 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         if not stop():
             loop.brake(publish=False)  # after the summary: a run of N seconds reports the ticks of N seconds
         if options.summary is not None:
-            write_summary(summary, options.summary)
+            try:
+                write_summary(summary, options.summary)
+            except RecordingError as error:  # the drive is over: a full disk must not let it begin again
+                sys.stderr.write(f"safedpa-robot: {error}\n")
+                code = 1
         sys.stdout.write(json.dumps(summary) + "\n")
     return code
 

@@ -14,6 +14,8 @@ from safedpa.bus import (
     Message,
     ModelMessage,
     NominalMessage,
+    RosterEntry,
+    RosterMessage,
     ScanMessage,
     SetupMessage,
     StateMessage,
@@ -42,6 +44,14 @@ SAMPLES: dict[str, Message] = {
         load_pose=(0.1, -1.3, 0.7, 0.3, 0.2),
         goals_reached=3,
         collisions=1,
+    ),
+    "roster": RosterMessage(
+        **_STAMP,
+        source="5f2c",
+        entries=(
+            RosterEntry(kind="robot", name="r1", silent_for=0.05),
+            RosterEntry(kind="service", name="policy", silent_for=9.5, restarts=2, cause="killed by signal 9"),
+        ),
     ),
     "scan": ScanMessage(
         **_STAMP,

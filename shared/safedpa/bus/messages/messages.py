@@ -270,6 +270,8 @@ class HealthMessage(Message):
     latencies: Vector = ()
     """Robot: latency in s from publishing a state to accepting its action, by its own clock, for each tick since the
     last heartbeat (the newest 100 at most)."""
+    supervised: bool = False
+    """Whether a supervisor started this process: there must then be a roster on the bus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -386,3 +388,36 @@ class AskedMessage(Message):
     who: str = ""
     change: Count = 0
     """Number of the change that the answer is about."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RosterEntry:
+    """A robot or service that should be on the bus."""
+
+    kind: str
+    """``robot`` or ``service``."""
+    name: str
+    silent_for: Number = -1.0
+    """Age in s, at sending, of its last state (robot) or heartbeat (service); -1: none was received."""
+    restarts: Count = 0
+    cause: str = ""
+    """Why it ended last; empty: it never did."""
+    given_up: bool = False
+    """Whether it is no longer restarted, because it ended too often."""
+    dismissed_by: str = ""
+    """Who declared that it is not expected any more; empty: it is expected. Its return clears this."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RosterMessage(Message):
+    """Who should be on the bus, sent twice a second by a supervisor; or a dismissal, sent once by a person."""
+
+    source: str
+    """Random identifier of the supervisor's run; of a dismissal, of the command."""
+    entries: tuple[RosterEntry, ...] = ()
+    ended: bool = False
+    """Whether the supervisor ends its run in order: nothing of this source is expected any more."""
+    dismisses: tuple[str, ...] = ()
+    """Names of robots and services that are not expected any more until they return."""
+    who: str = ""
+    """Who dismisses them."""

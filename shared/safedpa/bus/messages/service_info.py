@@ -54,6 +54,19 @@ def _software() -> dict[str, str]:
     return found
 
 
+_SUPERVISED: list[bool] = []
+
+
+def mark_as_supervised() -> None:
+    """Declares that a supervisor started this process; its heartbeats report that from now on."""
+    _SUPERVISED.append(True)
+
+
+def is_supervised() -> bool:
+    """Whether a supervisor started this process."""
+    return bool(_SUPERVISED)
+
+
 @cache
 def software_version() -> str:
     """Returns the version of the installed package; empty if it is not installed."""

@@ -24,6 +24,7 @@ from safedpa.bus.messages.messages import (
     Message,
     ModelMessage,
     NominalMessage,
+    RosterMessage,
     ScanMessage,
     SetupMessage,
     StateMessage,
@@ -86,6 +87,7 @@ MODEL = Topic("model", ModelMessage, "diagnosis", "all", 0, _DOCUMENT_BYTES)
 TAKEOVER = Topic("takeover", TakeoverMessage, "*", "all", 0)
 ASKED = Topic("asked", AskedMessage, "diagnosis", "all", 0)
 SETUP = Topic("setup", SetupMessage, "*", "all", 0, _DOCUMENT_BYTES)
+ROSTER = Topic("roster", RosterMessage, "operator", "all", 40)
 
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in tuple(vars().values()) if isinstance(topic, Topic)}
 """Every topic, by name."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from safedpa.bus.monitor.fleet_state import FleetOverview, RobotOverview, ServiceOverview
+from safedpa.bus.monitor.roster import SILENT_SECONDS, SUPERVISOR, Member
 
-# Services send four heartbeats a second, the recorder two: three or more are missing.
-_SILENT_SECONDS = 1.5
 # Share of late ticks from which an alert is trouble: one in a hundred, 0.2 per second at 20 Hz.
 _LATE_SHARE = 0.01
 # Deficit from the promised coverage that counts: five standard deviations. Over 500 steps at 99 %, one is 0.4 %.
@@ -37,9 +36,8 @@ class Alert:
 
 def robot_alerts(robot: RobotOverview, now: float) -> list[Alert]:
     """Returns all alerts about one robot at time ``now`` [s], trouble first."""
-    own = robot.health.get("robot")
-    # The last heartbeat of a robot that was shut down properly: its silence is not trouble.
-    if own is not None and own[0].state == "braked" and robot.silent_for(now) > 0.5:
+    # The silence of a robot that was shut down properly is not trouble.
+    if robot.ended_in_order and robot.silent_for(now) > 0.5:
         return [Alert("attention", "was shut down", robot.name)]
     found, finding = [*_about_driving(robot, now), *_about_services(robot, now)], robot.finding
     if finding is not None and finding.stage not in ("learning", "watching"):
@@ -52,7 +50,8 @@ def fleet_alerts(fleet: FleetOverview) -> list[Alert]:
     now = fleet.clock()
     found = [alert for robot in fleet.robots.values() for alert in robot_alerts(robot, now)]
     found += [alert for service in fleet.services.values() for alert in _about_process(service, now, fleet)]
-    if fleet.robot not in ("*", *fleet.robots):
+    found = [*_about_roster(fleet, found, now), *found]
+    if fleet.robot not in ("*", *fleet.robots) and fleet.robot not in {alert.robot for alert in found}:
         found.append(Alert("trouble", "sends nothing", fleet.robot))
     if not any(service.name == "recorder" for service in fleet.services.values()):
         found.append(Alert("attention", "no recorder is running", service="recorder"))
@@ -63,9 +62,34 @@ def fleet_alerts(fleet: FleetOverview) -> list[Alert]:
     return sorted(found, key=lambda alert: (alert.level != "trouble", alert.robot))
 
 
+def _about_roster(fleet: FleetOverview, known: list[Alert], now: float) -> Iterator[Alert]:
+    """Reports members who are missing, unless an alert about them says so already, and who was dismissed."""
+    if fleet.is_unsupervised:
+        yield Alert("trouble", "no supervisor: nothing restarts a process that ends", service=SUPERVISOR)
+    reported = {(alert.robot, alert.service) for alert in known if alert.level == "trouble"}
+    for member in fleet.roster.members.values():
+        robot = member.name if member.kind == "robot" else ""
+        if robot and fleet.robot not in ("*", robot):
+            continue
+        if member.dismissed_by:
+            yield Alert("attention", f"{member.label}: dismissed by {member.dismissed_by}", robot)
+        elif member.kind == SUPERVISOR and member.is_missing(now):
+            sentence = f"supervisor: silent for {member.silent_for(now):.0f} s; nothing restarts a process that ends"
+            yield Alert("trouble", sentence, service=SUPERVISOR)
+        elif not _is_reported(member, reported) and (member.given_up or member.is_missing(now)):
+            name = "" if robot else f"{member.name}: "
+            yield Alert("trouble", name + member.sentence(now), robot, "" if robot else member.name)
+
+
+def _is_reported(member: Member, reported: set[tuple[str, str]]) -> bool:
+    if member.kind == "robot":
+        return any(robot == member.name for robot, _ in reported)
+    return any(service == member.name for _, service in reported)
+
+
 def _about_driving(robot: RobotOverview, now: float) -> Iterator[Alert]:
     state, verdict, name = robot.state, robot.verdict, robot.name
-    timeout = _SILENT_SECONDS if state is None else max(_SILENT_SECONDS, 5.0 * state.period)
+    timeout = SILENT_SECONDS if state is None else max(SILENT_SECONDS, 5.0 * state.period)
     # Everything else would follow from the silence and hide it.
     if robot.silent_for(now) > timeout:
         sentence = f"silent for {robot.silent_for(now):.0f} s"
@@ -124,7 +148,7 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
         heard = robot.health.get(service)
         if heard is None:
             yield Alert("trouble", f"{service}: no heartbeat", robot.name, service)
-        elif now - heard[1] > _SILENT_SECONDS:
+        elif now - heard[1] > SILENT_SECONDS:
             sentence = f"{service}: silent for {now - heard[1]:.0f} s"
             yield Alert("trouble", sentence, robot.name, service, f"{service} silent", now - heard[1])
         elif heard[0].state == "failing":
@@ -138,7 +162,7 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
 def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Alert]:
     # Services of the loop are reported per robot, in `_about_services`.
     name, health, reported = service.name, service.health, service.name not in _LOOP
-    if service.age(now) > _SILENT_SECONDS:
+    if service.age(now) > SILENT_SECONDS:
         if reported and not fleet.replaced(service):
             # A drive without a recording cannot be examined later; other processes are often stopped on purpose.
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"

@@ -15,11 +15,14 @@ from safedpa.bus.messages.messages import (
     FindingMessage,
     HealthMessage,
     Message,
+    RosterMessage,
     StateMessage,
     SurroundingsMessage,
     VerdictMessage,
 )
-from safedpa.bus.messages.topics import FINDING, HEALTH, NO_ROBOT, STATE, SURROUNDINGS, VERDICT
+from safedpa.bus.messages.topics import FINDING, HEALTH, NO_ROBOT, ROSTER, STATE, SURROUNDINGS, VERDICT
+from safedpa.bus.monitor.measurement_times import MeasurementTimes
+from safedpa.bus.monitor.roster import SILENT_SECONDS, Roster
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage
 
@@ -85,11 +88,15 @@ class RobotOverview:
     """Time [s] of the first message."""
     state: StateMessage | None = None
     state_at: float = 0.0
+    """Time [s] at which it was measured."""
     verdict: VerdictMessage | None = None
     verdict_at: float = 0.0
+    """Time [s] at which the state was measured that the verdict is about."""
     finding: FindingMessage | None = None
+    finding_at: float = 0.0
     seen: SurroundingsMessage | None = None
     """What its sensors perceive; None for a robot without sensors."""
+    seen_at: float = 0.0
     health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
     """By service: the newest heartbeat about this robot, and its time of arrival [s]."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -104,6 +111,13 @@ class RobotOverview:
     """Latencies in s from publishing a state to accepting its action, measured by the robot, newest last."""
     new_latencies: list[float] = field(default_factory=list)
     """The same since a reader last emptied the list; for histograms."""
+    times: MeasurementTimes = field(default_factory=MeasurementTimes)
+
+    @property
+    def ended_in_order(self) -> bool:
+        """Whether its last heartbeat says that it was shut down."""
+        own = self.health.get("robot")
+        return own is not None and own[0].state == "braked" and own[1] >= self.state_at
 
     def heard_at(self) -> float:
         """Returns the time [s] of the last message from the robot itself."""
@@ -125,16 +139,16 @@ class RobotOverview:
             self.latencies.extend(message.latencies)
             self.new_latencies.extend(message.latencies)
         elif isinstance(message, FindingMessage):
-            self.finding = message
+            self.finding, self.finding_at = message, self.times.of(message, at)
         elif isinstance(message, SurroundingsMessage):
-            self.seen = message
+            self.seen, self.seen_at = message, self.times.of(message, at)
 
     def _hear_state(self, message: StateMessage, at: float) -> None:
         # A robot repeats its state while it waits for an action; a repetition is not another tick.
         known = self.state
         if known is not None and (known.epoch, known.tick) == (message.epoch, message.tick):
             return
-        self.state, self.state_at = message, at
+        self.state, self.state_at = message, self.times.of(message, at)
         self.ticks += 1
         self.late_ticks += message.applied_by == "watchdog"
         self.recent_ticks.add(message.applied_by, at)
@@ -143,14 +157,15 @@ class RobotOverview:
         known = self.verdict
         if known is not None and (known.epoch, known.tick) == (message.epoch, message.tick):
             return
-        self.verdict, self.verdict_at = message, at
+        self.verdict, self.verdict_at = message, self.times.of(message, at)
         self.verdicts[message.status] += 1
         self.recent_verdicts.add(message.status, at)
 
-    def sources(self) -> dict[str, float | None]:
-        """Returns the age in s of the newest measurement of each source; None: no measurement arrived."""
+    def sources(self, now: float) -> dict[str, float | None]:
+        """Returns the age in s, at ``now``, of the newest measurement of each source; None: no measurement arrived."""
         names = () if self.state is None else self.state.sources
-        ages = () if self.seen is None else self.seen.ages
+        since = max(0.0, now - self.seen_at)
+        ages = () if self.seen is None else [age + since if age >= 0.0 else age for age in self.seen.ages]
         reported = dict(zip(names, ages, strict=False))
         return {name: reported[name] if reported.get(name, -1.0) >= 0.0 else None for name in names}
 
@@ -252,11 +267,13 @@ class ServiceOverview:
         return (last - first) / (end - begin) if end > begin else 0.0
 
 
-# A robot or process that was silent for this long has left; until then its silence is an alert.
+# A robot that was shut down, or a process with a successor, is left out after this time.
 _FORGET_SECONDS = 300.0
+# Silent robots and processes that are kept although they are on no roster. Any client of a plain-text bus may invent
+# names; the ones that are silent for longest are left out first.
+_MOST_SILENT = 1000
 # A service without a heartbeat about a robot for this long no longer serves it.
 _LEFT_SECONDS = 5.0
-_SILENT_SECONDS = 1.5
 
 
 @dataclass
@@ -269,27 +286,29 @@ class FleetOverview:
     robots: dict[str, RobotOverview] = field(default_factory=dict)
     services: dict[tuple[str, int], ServiceOverview] = field(default_factory=dict)
     """By service and pid."""
+    roster: Roster = field(default_factory=Roster)
+    """Who should be there."""
     refused: int = 0
     """Number of rejected messages."""
 
     def __post_init__(self) -> None:
-        topics = (STATE, VERDICT, HEALTH, FINDING, SURROUNDINGS)
+        topics = (STATE, VERDICT, HEALTH, FINDING, SURROUNDINGS, *((ROSTER,) if self.robot == "*" else ()))
         self._inbox = self.bus.inbox(topics, self.robot, keep_all=True, clock=self.clock)
         # Processes that serve no robot send their heartbeats under "-", which a subscription to one robot excludes.
         self._fleet_wide = None
         if self.robot != "*":
-            self._fleet_wide = self.bus.inbox((HEALTH,), NO_ROBOT, keep_all=True, clock=self.clock)
+            self._fleet_wide = self.bus.inbox((HEALTH, ROSTER), NO_ROBOT, keep_all=True, clock=self.clock)
         self.since = self.clock()
 
     @property
     def is_empty(self) -> bool:
         """Whether no message has arrived yet."""
-        return not self.robots and not self.services
+        return not self.robots and not self.services and not self.roster.members
 
     def replaced(self, service: ServiceOverview) -> bool:
         """Whether a process is silent and another one of the same service has sent a heartbeat since."""
         others = [known for known in self.services.values() if known.name == service.name and known.at > service.at]
-        return service.age(self.clock()) > _SILENT_SECONDS and bool(others)
+        return service.age(self.clock()) > SILENT_SECONDS and bool(others)
 
     def listen(self, wait: float) -> None:
         """Waits for ``wait`` [s], then handles all messages that arrived."""
@@ -309,6 +328,11 @@ class FleetOverview:
     def hear(self, item: ReceivedMessage) -> None:
         """Handles one message."""
         message = item.message
+        if isinstance(message, RosterMessage):
+            self.roster.hear(message, item.at)
+            if message.dismisses:
+                self._dismiss(message.dismisses)
+            return
         if isinstance(message, HealthMessage) and message.service != "robot":
             self._hear_service(item.robot, message, item.at)
         if item.robot == NO_ROBOT:
@@ -317,16 +341,53 @@ class FleetOverview:
         if known is None:
             known = self.robots[item.robot] = RobotOverview(item.robot, item.at)
         known.hear(message, item.at)
+        if isinstance(message, StateMessage):
+            self.roster.note("robot", item.robot, known.state_at, max(SILENT_SECONDS, 5.0 * message.period))
 
     def _hear_service(self, robot: str, message: HealthMessage, at: float) -> None:
         which = (message.service, message.pid)
         if which not in self.services:
             self.services[which] = ServiceOverview(*which, message, at)
         self.services[which].hear(robot, message, at)
+        self.roster.note("service", message.service, at)
+
+    @property
+    def is_unsupervised(self) -> bool:
+        """Whether a process reports that a supervisor started it, and no supervisor is or was on the bus."""
+        waited = self.clock() - self.since > SILENT_SECONDS
+        return waited and not self.roster.members and any(known.health.supervised for known in self.services.values())
+
+    def _dismiss(self, names: tuple[str, ...]) -> None:
+        """Leaves out silent robots and processes of these names."""
+        now = self.clock()
+        self.robots = {
+            name: known
+            for name, known in self.robots.items()
+            if name not in names or known.silent_for(now) <= SILENT_SECONDS
+        }
+        self.services = {
+            which: known
+            for which, known in self.services.items()
+            if known.name not in names or known.age(now) <= SILENT_SECONDS
+        }
 
     def _forget(self) -> None:
-        oldest = self.clock() - _FORGET_SECONDS
-        self.robots = {name: known for name, known in self.robots.items() if known.heard_at() >= oldest}
-        self.services = {which: known for which, known in self.services.items() if known.at >= oldest}
-        for service in self.services.values():
-            service.forget(self.clock() - _LEFT_SECONDS)
+        """Leaves out what ended in order or has a successor; everything else stays until it returns or is dismissed."""
+        now = self.clock()
+        for name, robot in list(self.robots.items()):
+            if robot.ended_in_order and robot.silent_for(now) > _FORGET_SECONDS:
+                del self.robots[name]
+        for which, service in list(self.services.items()):
+            service.forget(now - _LEFT_SECONDS)
+            if service.age(now) > _FORGET_SECONDS and self.replaced(service):
+                del self.services[which]
+        if len(self.robots) + len(self.services) > _MOST_SILENT:
+            self._bound(now)
+
+    def _bound(self, now: float) -> None:
+        silent = [(robot.heard_at(), name) for name, robot in self.robots.items() if robot.silent_for(now) > 60.0]
+        for _, name in sorted(silent)[: max(0, len(silent) - _MOST_SILENT)]:
+            del self.robots[name]
+        gone = [(service.at, which) for which, service in self.services.items() if service.age(now) > 60.0]
+        for _, which in sorted(gone)[: max(0, len(gone) - _MOST_SILENT)]:
+            del self.services[which]

@@ -21,6 +21,7 @@ from safedpa.bus.messages.topics import (
     MODEL,
     NO_ROBOT,
     NOMINAL,
+    ROSTER,
     SCAN,
     STAMP_BYTES,
     STATE,
@@ -223,6 +224,8 @@ def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
     """
     if robot == BUNDLE and not topic.bundles:
         return False
+    if topic is ROSTER:  # about the whole fleet, never about one robot
+        return role.name == topic.writer and robot in ("", NO_ROBOT)
     if not topic.per_service:
         return role.name == topic.writer and robot != NO_ROBOT
     return role.takes_over if topic is TAKEOVER else role.lives

@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import Final
 
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.service_info import software_version
+from safedpa.bus.messages.service_info import mark_as_supervised, software_version
 from safedpa.bus.security.certificates import Certificates, PemCredentials, protect_process_memory
 from safedpa.bus.security.connection_reaper import raise_descriptor_limit
 from safedpa.bus.transport.bus import Bus
@@ -207,6 +207,7 @@ def run_process(
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency))
     if options.supervised:
+        mark_as_supervised()
         threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
     try:
         code = work(options, stop)

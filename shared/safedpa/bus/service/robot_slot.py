@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from safedpa.bus.messages.messages import ComputedMessage, HealthMessage, Message, StateMessage, header
-from safedpa.bus.messages.service_info import software_version
+from safedpa.bus.messages.service_info import is_supervised, software_version
 from safedpa.bus.messages.topics import Topic
 from safedpa.bus.service.node import Inputs, Outputs, Stale
 
@@ -180,4 +180,5 @@ def heartbeat(service: str, slot: RobotSlot | None, unserved: HeartbeatCounts, m
         step_microseconds=counts.microseconds,
         model=model,
         software=software_version(),
+        supervised=is_supervised(),
     )

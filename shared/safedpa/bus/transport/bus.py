@@ -10,7 +10,7 @@ from typing import Any
 from safedpa.bus.messages.codec import Entry, decode, encode, pack_bundle, split_into_bundles
 from safedpa.bus.messages.messages import HealthMessage, Message, header
 from safedpa.bus.messages.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
-from safedpa.bus.messages.service_info import software_version
+from safedpa.bus.messages.service_info import is_supervised, software_version
 from safedpa.bus.messages.topics import BUNDLE, HEALTH, NO_ROBOT, Topic, key_of
 from safedpa.bus.transport.base import AbstractTransport
 from safedpa.bus.transport.inbox import Decode, Inbox, InboxReceiver, RequestOutcome
@@ -69,7 +69,8 @@ class Bus:
 
     def report_health(self, service: str, **fields: Any) -> None:
         """Publishes a heartbeat of this process that is about no robot, with further fields of ``HealthMessage``."""
-        message = HealthMessage(**header(), service=service, pid=os.getpid(), software=software_version(), **fields)
+        process = {"pid": os.getpid(), "software": software_version(), "supervised": is_supervised()}
+        message = HealthMessage(**header(), service=service, **process, **fields)
         self.publish(HEALTH, NO_ROBOT, message, service)
 
     def hold(self) -> None:

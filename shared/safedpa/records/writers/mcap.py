@@ -223,6 +223,8 @@ _TYPES: dict[str, dict[str, Any]] = {
     "Rows": {"type": "array", "items": _VECTOR},
     "tuple[str, ...]": {"type": "array", "items": {"type": "string"}},
 }
+_ENTRY = {item.name: _TYPES[str(item.type)] for item in fields(messages.RosterEntry)}
+_TYPES["tuple[RosterEntry, ...]"] = {"type": "array", "items": {"type": "object", "properties": _ENTRY}}
 
 
 def schema_of(kind: type[Message]) -> bytes:
