@@ -117,11 +117,11 @@ def barrier_residuals(
             if np.isfinite(seen).all():
                 found.setdefault(kind, []).append(seen)
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
-        _go_on(memory, tick, following)
+        continue_session(memory, tick, following)
     return {kind: np.array(rows) for kind, rows in found.items()}
 
 
-def _go_on(memory: RobotSession, tick: DriveTick, following: StateMessage | None) -> None:
+def continue_session(memory: RobotSession, tick: DriveTick, following: StateMessage | None) -> None:
     """Predicts the next state under the recorded action, as the filter would."""
     state = tick.state
     given = tick.latent if tick.latent is not None else Stale(LATENT, -1)

@@ -154,8 +154,12 @@ class GuardedSession(SessionMemory[StateT]):
         known = self._believed
         if predicted is None or known is None or len(predicted) != len(state.values):
             return ""
-        self.evidence = self._monitor.observe(state.values, known.values, predicted, self._free(state))
         gap = max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
+        # A robot without a safe standstill cannot wait for a confirmation: a source that pauses begins again.
+        if gap and not self.can_stop:
+            self._monitor.restart()
+            return ""
+        self.evidence = self._monitor.observe(state.values, known.values, predicted, self._free(state))
         why = self._monitor.problem(self.evidence, self.lost + gap)
         again = ", after its source restarted" if why and state.epoch != known.epoch else ""
         return why + again

@@ -60,6 +60,44 @@ EXPERIMENTS = (
         small=("--drives", "1", "--seconds", "1"),
     ),
     Experiment(
+        name="implausible-states",
+        help="""Drives of five robots whose measured state fails: jumps, restarts, freezes, drifts, turns, is lost.
+
+    Counts contacts above 0.05 m/s, stops for the right reason in time, false stops in healthy drives with noise and
+    30 % lost states, and the progress against a filter without the checks.""",
+        run=f"{__name__}.implausible_states:run",
+        parameters=(
+            repeated("--robot", "robots", "only this robot; repeatable", known=f"{__name__}.state_faults:ROBOTS"),
+            integer("--drives", 20, "drives per robot and fault", positive=True),
+            integer("--healthy", 20, "healthy drives per robot", positive=True),
+            integer("--first-seed", 0, "first of the evaluation seeds"),
+            number("--seconds", 8.0, "simulated time per drive", positive=True),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.implausible_states:report",
+        extras=("sim",),
+        small=("--drives", "1", "--healthy", "1", "--seconds", "2.5", "--robot", "car"),
+    ),
+    Experiment(
+        name="state-limits",
+        help="""Measures the limits of a plausible state in healthy drives, with loads, slip, wind and noise.
+
+    With --folder it writes one file per robot, as those that ship in safedpa/safety/named_state_limits.""",
+        run=f"{__name__}.state_limits:run",
+        parameters=(
+            repeated("--robot", "robots", "only this robot; repeatable", known=f"{__name__}.state_faults:ROBOTS"),
+            integer("--drives", 32, "drives per robot", positive=True),
+            number("--seconds", 15.0, "simulated time per drive", positive=True),
+            path("--folder", "also write NAME.toml into this folder", metavar="DIR"),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.state_limits:report",
+        extras=("sim",),
+        small=("--drives", "1", "--seconds", "1", "--robot", "car"),
+    ),
+    Experiment(
         name="safety",
         help="""Collisions with the filter and without.
 

@@ -6,20 +6,38 @@ have what a failed sensor, driver or clock would send. ``TRUTHS`` makes the five
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import cos, nan, sin
+from math import cos, isnan, nan, sin
 from typing import Any, Final, final
 
 import numpy as np
 
-from safedpa.bus import AbstractNode, ActionMessage, ScanMessage, StateMessage
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    NOMINAL,
+    VERDICT,
+    AbstractNode,
+    ActionMessage,
+    LatentMessage,
+    NominalMessage,
+    ScanMessage,
+    Stale,
+    StateMessage,
+    Topic,
+    VerdictMessage,
+)
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.defaults import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.session.state_limits import StateLimits
 from safedpa.systems import System
 from safedpa.systems.robots import robot_named
-from safedpa_lab.experiments.common.drives import LOADS, PERIOD, shipped_nodes
+from safedpa_lab.experiments.common.drives import LOADS, PERIOD
+from safedpa_sim.closed_loop import Tick
 from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.car.parameters import THROTTLE_CAR
 from safedpa_sim.robots.car.robot import CarRobot
@@ -29,7 +47,7 @@ from safedpa_sim.robots.pendulum.world import wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 
-__all__ = ["FAULTS", "NOISE", "ROBOTS", "FaultyState", "StateFault", "TrueRobot"]
+__all__ = ["FAULTS", "NOISE", "ROBOTS", "FaultyState", "StateFault", "TrueRobot", "drive_directly"]
 
 Plain = tuple[float, ...]
 
@@ -180,15 +198,14 @@ class TrueRobot:
     settings: str
     worlds: tuple[str, ...]
     make: Callable[[str, int], SimulatedRobot]
-    policy: str = ""
     stops: bool = True
     """Whether its backup brings it to rest."""
 
-    def nodes(self) -> list[AbstractNode]:
-        """Adaptation, policy and filter as they ship."""
+    def nodes(self, limits: StateLimits | str | None = None) -> list[AbstractNode]:
+        """Adaptation, policy and filter as they ship, with these limits of a plausible state."""
         model = load_model(self.model)
-        policy = (PolicyNode(model, self.policy),) if self.policy else ()
-        return shipped_nodes(model, settings_named(self.settings), *policy)
+        filtering = SafetyFilterNode(model, settings_named(self.settings), margin_for(model), limits=limits)
+        return [AdaptationNode(model), PolicyNode(model), filtering]
 
     @property
     def system(self) -> System:
@@ -229,3 +246,35 @@ ROBOTS: Final[Mapping[str, TrueRobot]] = {
         ),
     )
 }
+
+
+def drive_directly(robot: FaultyState, nodes: Sequence[AbstractNode], ticks: int) -> Iterator[Tick]:
+    """As ``drive``, without a bus, so that the filter's session gets lost states too (a bus carries none).
+
+    Without a state, adaptation and policy repeat their last answers.
+    """
+    adaptation, policy, filtering = nodes
+    latent: LatentMessage | None = None
+    nominal: NominalMessage | None = None
+    for _ in range(ticks):
+        state = robot.state_message()
+        if not isnan(sum(state.values)):
+            found = adaptation.step("r", state, {})[LATENT]
+            assert isinstance(found, LatentMessage)
+            latent = found
+            asked = policy.step("r", state, {LATENT: latent})[NOMINAL]
+            assert isinstance(asked, NominalMessage)
+            nominal = asked
+            adaptation.afterwards("r")
+        stamp: dict[str, Any] = {"tick": state.tick, "robot_time": state.robot_time}
+        inputs: dict[Topic, Any] = {
+            LATENT: Stale(LATENT, None) if latent is None else replace(latent, **stamp),
+            NOMINAL: Stale(NOMINAL, None) if nominal is None else replace(nominal, **stamp),
+        }
+        action = filtering.step("r", state, inputs)[ACTION]
+        verdict = filtering.afterwards("r")[VERDICT]
+        assert isinstance(action, ActionMessage)
+        assert isinstance(verdict, VerdictMessage)
+        refusal = robot.receive(action)
+        robot.advance()
+        yield Tick(state, verdict, refusal)
