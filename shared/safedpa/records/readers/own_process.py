@@ -133,10 +133,12 @@ def allow_for(size: int) -> None:
 
 def _libraries(path: Path) -> str:
     try:
+        if not path.is_file():  # opening a named pipe would wait for its writer
+            return " ".join((*_ROS, *_TABLE)) if path.is_dir() else ""
         with path.open("rb") as file:
             start = file.read(8)
-    except OSError:
-        return " ".join((*_ROS, *_TABLE)) if path.is_dir() else ""
+    except (OSError, ValueError):
+        return ""
     return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), _TABLE))
 
 

@@ -24,6 +24,8 @@ _NUMBER_BYTES = 8
 _EPISODE = "episode_index"
 """Column of a LeRobot dataset with the number of the episode."""
 _MAX_FILES = 10_000
+_MAGIC = (b"PAR1", b"PARE")
+"""The last bytes, also of an encrypted file."""
 
 
 def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -123,10 +125,19 @@ def open_parquet(path: Path) -> ParquetFile:
 
 
 def _footer_bytes(path: Path, size: int) -> int:
-    """Length of the footer, which is stored before the last four bytes; 0 if the file is too short."""
+    """Length of the footer, which is stored before the last four bytes; 0 if the file is too short.
+
+    Raises RunError if the file does not end as a Parquet file.
+    """
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
-        return int.from_bytes(file.read(8)[:4], "little") if size >= 12 else 0
+        length, magic = file.read(4), file.read(4)
+    if magic not in _MAGIC:
+        raise RunError(
+            f"{path}: is a Parquet file without its end: it is cut off after {size} bytes, and nothing can be read; "
+            "copy it again"
+        )
+    return int.from_bytes(length, "little") if size >= 12 else 0
 
 
 def _check_size(path: Path, file: ParquetFile, wanted: int) -> None:

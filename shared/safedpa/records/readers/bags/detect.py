@@ -23,6 +23,7 @@ from safedpa.records.readers.bags.topics import AbstractLog
 from safedpa.records.readers.bags.ulog import MAGIC as ULOG
 from safedpa.records.readers.bags.ulog import UlogLog
 from safedpa.records.readers.dialect import GZIP
+from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.parquet import is_dataset
 
 __all__ = ["kind_of", "topic_log"]
@@ -50,6 +51,7 @@ _OTHERS: tuple[tuple[bytes, str, str], ...] = (
 )
 
 
+@in_own_process
 def kind_of(path: Path) -> str:
     """Returns csv, parquet, arrays (NumPy or MATLAB), dataset (of LeRobot), mcap or topics.
 
