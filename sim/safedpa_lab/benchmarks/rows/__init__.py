@@ -32,6 +32,7 @@ ROWS: Final = {
     "car-steps": Listed("simulated car steps for training", 0.3),
     "point-steps": Listed("steps of the point robot", 0.3),
     "training": Listed("training data and phase 1a", 1.0),
+    "reading": Listed("reading of logs in a process of its own", 3.0),
     "diagnosis": Listed("diagnosis of 6 runs of 40 s", 3.0),
     "long-logs": Listed("diagnosis of ten hours at 100 Hz", 15.0, long=True),
     "start": Listed("start to the first tick and page, a comparison, imports, memory", 2.0),
