@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from safedpa.comparison.rollout_error import change_scale
 from safedpa.diagnosis.fit.cross_validation import HeldoutError, error_with
 from safedpa.diagnosis.fit.data_checks import data_at_horizon, displayed_windows, prepare_runs
 from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.trial import EffectTrial, fit_trial, trial_of, values_of, with_effect_at
+from safedpa.diagnosis.fit.trial import EffectTrial, fit_trial, start_models, trial_of, values_of, with_effect_at
 from safedpa.diagnosis.report_schema import FittedValue
 from safedpa.diagnosis.search.conditional import conditions_of
 from safedpa.diagnosis.search.conditional_screen import initial_law_values
@@ -47,13 +47,15 @@ def add_effect(
 ) -> Addition:
     """Fits one effect on top of a model and returns the errors after ``horizon`` [s] before and with it.
 
-    The data determine the horizon of the fit. With a ``law``, its borders or its rate of change are fitted too. Raises
-    InputError for an unknown effect, one that the model has, or a law that does not suit it; RunError for unusable
+    The parameters of the effects that the model has are fitted again, together with its free ones and the new ones: the
+    earlier effects have compensated for the one that was missing. The fit starts both from the given values and from
+    those fitted without the effect. The data determine its horizon. With a ``law``, its borders or its rate of change
+    are fitted too. Raises InputError for an unknown effect, one that the model has, or a law that does not suit it; RunError for unusable
     runs.
     """
-    item = effect(model.system.name, name)
+    item = effect(model.system.name, name).at_period(model.period)
     if name in {other.name for other in model.effects}:
-        raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
+        raise InputError(f"effect '{name}': the model has it already; refit fits it again")
     conditioned_item = item if law is None else conditioned(item, law, model.system)
     usable = prepare_runs(model, runs)
     evidence = data_at_horizon(usable.runs, usable.seconds)
@@ -67,8 +69,15 @@ def add_effect(
             f"runs: got {len(evidence.shooting.windows)} windows of {usable.seconds:g} s, wanted at least "
             f"{_MIN_WINDOWS}; record more"
         )
-    search = initial_search(model, evidence.shooting, evidence.heldout)
-    shooting, found = search.shooting, _fit_effect(search.current, item, conditioned_item, law, search.shooting).fit
+    marked = model.with_settings(
+        {path: replace(setting, free=True) for path, setting in model.settings.items() if not path.startswith("base.")}
+    )
+    search = initial_search(marked, evidence.shooting, evidence.heldout)
+    shooting = search.shooting
+    trials = [_fit_effect(search.current, item, conditioned_item, law, shooting)]
+    if marked.latent_names and law is None:
+        trials.append(fit_trial(search.current, [item], shooting, start_models(marked, [item])))
+    found = min(trials, key=lambda trial: trial.loss).fit
     for _ in range(_REFITS):
         found, shooting = relinearized(found, shooting)
     # As in a diagnosis: the windows fit the effect, the filter along whole recordings gives the reported values.
@@ -77,7 +86,10 @@ def add_effect(
     before = error_with(search.current.fit, search.shooting, shown)
     after = error_with(found, shooting, shown)
     sentences = "".join(one.sentence for one in conditions_of(found.model, [name]))
-    return Addition(found.model, values_of(final, shooting), before, after, sentences)
+    fitted = found.model.with_settings(
+        {path: replace(found.model.settings[path], free=setting.free) for path, setting in model.settings.items()}
+    )
+    return Addition(fitted, values_of(final, shooting), before, after, sentences)
 
 
 def _fit_effect(

@@ -111,7 +111,8 @@ def diagnose(
     unexplained, likely = found = _unmodelled(search, judge, library)
     sizes: Sequence[Detectable] = ()
     if judge.enough:
-        sizes = detectable_sizes(search.current, search.available, search.shooting, search.error)
+        common = [item for item in search.available if not item.rare]
+        sizes = detectable_sizes(search.current, common, search.shooting, search.error)
         sizes = with_manoeuvres(sizes, search.current, library)
     doubtful = doubtful_effects(search)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)

@@ -97,7 +97,7 @@ def fit_trials(
     """
     found = []
     for number, item in enumerate(items):
-        starts = _start_models(null.fit.model, [item])
+        starts = start_models(null.fit.model, [item])
         if item.name in before and before[item.name].fit.free[-len(item.parameters) :].all():
             settings = before[item.name].fit.model.settings
             # Values at a bound are a poor start: the bound was active for want of the effect added since.
@@ -120,7 +120,7 @@ def fit_trial(
     steps: int | None = None,
 ) -> EffectTrial:
     """Fits the effects on top of the null model, together with all parameters that the null fitted."""
-    models = list(starts) if starts is not None else _start_models(null.fit.model, items)
+    models = list(starts) if starts is not None else start_models(null.fit.model, items)
     chosen = best_start(models, shooting, null.fit.scale)
     # All parameters are refitted: those of the null have compensated for the missing effect.
     paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
@@ -150,7 +150,8 @@ def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Eff
     return EffectTrial(effects, found, heldout, explained, loss)
 
 
-def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
+def start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
+    """Returns the model with the effects at all values from which their fit may start."""
     grids = [initial_values(item) for item in items]
     if len(items) > 1:
         # About four starts per effect keep the product over a pair at sixteen or so.

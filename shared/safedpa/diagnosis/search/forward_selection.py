@@ -77,7 +77,7 @@ from safedpa.diagnosis.search.conditional import accept_law, add_conditions, reg
 from safedpa.diagnosis.search.final_parameters import with_final_values, with_model_uncertainty
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
-from safedpa.diagnosis.search.restarts import try_other_beginnings
+from safedpa.diagnosis.search.restarts import is_open, try_other_beginnings
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial, known_effects
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
@@ -105,17 +105,21 @@ def run_search(
 ) -> SearchState:
     """Refits the free parameters, adds effects until none passes, revises them, adds laws and fits final parameters."""
     search = initial_search(model, shooting, heldout)
-    search.library = library
-    _add_effects(search, report_progress, other_horizons)
-    report_progress(0, 3, f"revising the effects that were added; {_so_far(search)}")
-    # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
-    _revise(search)
 
     def complete(other: SearchState) -> None:
         _add_effects(other, report_progress, other_horizons)
+        report_progress(0, 3, f"revising the effects that were added; {_so_far(other)}")
+        # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
         _revise(other)
 
+    search.library = [item for item in library if not item.rare]
+    complete(search)
     try_other_beginnings(search, _promising_pairs, complete)
+    if len(search.library) < len(library) and is_open(search):
+        # Rare effects look like common ones to first order, so they are tried for what the common ones leave.
+        search.library = library
+        complete(search)
+        try_other_beginnings(search, _rare_effects, complete)
     report_progress(1, 3, f"where and when they act; {_so_far(search)}")
     if library and add_conditions(search):
         # A law explains part of the residual, which may reveal an effect that was hidden before.
@@ -304,6 +308,8 @@ def _first_confirmed(
 
 # Pairs that are fitted at one stage; the order to first order is reliable enough for the best to be among five.
 _FITTED_PAIRS = 5
+# Rare effects that are fitted from the first model.
+_FITTED_RARE = 4
 # Standard errors required at another horizon: Bonferroni's correction of 3 for four tests.
 _SURE = 3.4
 # Standard errors at the search's own horizon below which other horizons are not tried: there is no question open.
@@ -337,6 +343,13 @@ def _promising_pairs(search: SearchState) -> list[tuple[AbstractEffect, ...]]:
     columns, owners = _displacements(search.current, available, search.shooting)
     order = _ranked_pairs(search.current, columns, owners)[:_FITTED_PAIRS]
     return [(available[one], available[other]) for one, other in order]
+
+
+def _rare_effects(search: SearchState) -> list[tuple[AbstractEffect, ...]]:
+    """Returns the rare effects one by one, those that reduce the residual of the first model most first."""
+    trials = fit_trials(search.current, [item for item in search.available if item.rare], search.shooting, {})
+    by_name = {item.name: item for item in search.library}
+    return [(by_name[trial.effects[0]],) for trial in trials[:_FITTED_RARE]]
 
 
 def _displacements(

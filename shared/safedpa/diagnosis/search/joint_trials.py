@@ -6,8 +6,8 @@ several starts: the given values, the refitted ones and the usual ones. The firs
 window. It is nearly a regression of measured rates, which is almost linear in most parameters. Only then follow whole
 windows, twice, because starts and weights depend on the model.
 
-Combinations of effects that textbooks treat together follow from what the effects declare: the stage at which they
-apply, and the action or state that they change.
+Combinations of effects that textbooks treat together follow from what the effects declare: their partners, or the
+stage at which they apply.
 
 Source: Ljung, System Identification, 2nd ed., 1999, section 10.5 (local minima and initial parameter values).
 """
@@ -29,12 +29,12 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 from safedpa.effects.effect import Stage
 
-# Stages whose effects are commonly present together on one action or state.
+# Stages whose effects are commonly present together, for effects that declare no partners.
 _TEXTBOOK = (
-    (Stage.RESISTANCE, Stage.WEIGHT),  # viscous or quadratic and Coulomb friction, gravity and friction
-    (Stage.COMMAND_SCALE, Stage.COMMAND_LAG),
-    (Stage.COMMAND_DELAY, Stage.COMMAND_LAG),
-    (Stage.COMMAND_SCALE, Stage.COMMAND_STOPS),
+    {Stage.RESISTANCE, Stage.WEIGHT},  # viscous or quadratic and Coulomb friction, gravity and friction
+    {Stage.COMMAND_SCALE, Stage.COMMAND_LAG},
+    {Stage.COMMAND_DELAY, Stage.COMMAND_LAG},
+    {Stage.COMMAND_SCALE, Stage.COMMAND_STOPS},
 )
 # Starts of each effect: their product, for three starts of the base, is simulated once.
 _STARTS = 4
@@ -52,26 +52,14 @@ class JointTrial:
 
 
 def textbook_combinations(items: Sequence[AbstractEffect]) -> list[tuple[AbstractEffect, ...]]:
-    """Returns the pairs of effects on one action or state that textbooks treat together."""
-    return [pair for pair in combinations(items, 2) if _stages(pair) in _TEXTBOOK_SETS and _share_a_target(*pair)]
+    """Returns the pairs that textbooks treat together: those that the effects declare, or by their stages."""
+    return [pair for pair in combinations(items, 2) if _are_partners(*pair)]
 
 
-_TEXTBOOK_SETS = frozenset(frozenset(stages) for stages in _TEXTBOOK)
-
-
-def _stages(pair: Sequence[AbstractEffect]) -> frozenset[Stage]:
-    return frozenset(item.stage for item in pair)
-
-
-def _share_a_target(one: AbstractEffect, other: AbstractEffect) -> bool:
-    """Returns whether two effects declare a common action or state; those that declare none match all."""
-    ours, theirs = _targets(one), _targets(other)
-    return not ours or not theirs or not ours.isdisjoint(theirs)
-
-
-def _targets(item: AbstractEffect) -> frozenset[str]:
-    state = getattr(item, "state", "")
-    return frozenset((*getattr(item, "channels", ()), *([state] if state else [])))
+def _are_partners(one: AbstractEffect, other: AbstractEffect) -> bool:
+    if one.partners or other.partners:
+        return one.name in other.partners or other.name in one.partners
+    return {one.stage, other.stage} in _TEXTBOOK
 
 
 def fit_jointly(search: SearchState, items: Sequence[AbstractEffect]) -> JointTrial:

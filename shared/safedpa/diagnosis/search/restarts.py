@@ -52,7 +52,8 @@ def try_other_beginnings(
 ) -> None:
     """Repeats the search from combinations that explain more than its own effects; keeps the better result.
 
-    ``pairs`` proposes combinations for the first model; ``complete`` continues a search to its end.
+    ``pairs`` proposes combinations for the first model, next to those of textbooks while MUCH is missing. ``complete``
+    continues a search to its end.
     """
     if len(search.library) < 2 or search.region is not None or not is_open(search):
         return
@@ -70,7 +71,8 @@ def _combinations(
 ) -> Iterator[tuple[AbstractEffect, ...]]:
     tried: set[frozenset[str]] = {frozenset(search.added)}
     # The order by first derivatives is reliable about a sound base only.
-    textbook = textbook_combinations(search.library) if search.first_error.value > MUCH else []
+    common = [item for item in search.library if not item.rare]
+    textbook = textbook_combinations(common) if search.first_error.value > MUCH else []
     for items in (*textbook, *pairs(search.restarted())):
         names = frozenset(item.name for item in items)
         if names not in tried:
