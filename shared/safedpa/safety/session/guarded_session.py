@@ -85,6 +85,9 @@ class GuardedSession(SessionMemory[StateT]):
         """Why the backup acts instead of a decision about the nominal action; empty if it does not."""
         if self.latched:
             return f"the state is implausible, {self.latched}; confirm where the robot is to let it drive"
+        # Without a state to predict from, the filter itself refuses this one.
+        if self._believed is None:
+            return ""
         if self.problem and (self.lost * self.model.period > GRACE or self.problem != _LOST):
             return f"{self.problem}; predicted for {self.lost * self.model.period:.2g} s"
         return ""

@@ -158,12 +158,15 @@ class StateMonitor:
         )
 
 
-_CLOCK_INTERVALS: Final = 6
+_CLOCK_INTERVALS: Final = 5
+_FEWEST_SLOW: Final = 3
+_LONGEST_INTERVAL: Final = 1.5
+"""s between two states that show a rate: a longer one is a pause."""
 _FAST: Final = 1.5
 """Ratio of stamps to arrivals in each of the last intervals that is no jitter: a delayed message is followed by an
 early one."""
 _SLOW: Final = 0.5
-_SLOW_SECONDS: Final = 1.0
+_SLOW_SECONDS: Final = 0.8
 """A busy machine may run slowly for a moment, so a slow clock must last for this long."""
 
 
@@ -182,7 +185,7 @@ class ClockMonitor:
             return ""
         interval = stamp - last[0], arrived - last[1]
         # A clock that was set, or that has not advanced, shows no rate.
-        if not (0.0 < interval[0] < _SLOW_SECONDS and 0.0 < interval[1] < 2.0 * _SLOW_SECONDS):
+        if not (0.0 < interval[0] < _LONGEST_INTERVAL and 0.0 < interval[1] < _LONGEST_INTERVAL):
             self._intervals.clear()
             return ""
         self._intervals.append(interval)
@@ -194,7 +197,7 @@ class ClockMonitor:
             if not stamps < _SLOW * seconds:
                 break
             slow.append((stamps, seconds))
-            if len(slow) >= _CLOCK_INTERVALS - 3 and sum(seconds for _, seconds in slow) >= _SLOW_SECONDS:
+            if len(slow) >= _FEWEST_SLOW and sum(seconds for _, seconds in slow) >= _SLOW_SECONDS:
                 return self._sentence(slow)
         return ""
 

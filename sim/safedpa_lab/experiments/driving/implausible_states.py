@@ -58,7 +58,7 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     before, contacts, at_stop = truth.values, len(truth.collisions), (inf, inf)
     since = 0.0
     nodes, count = kind.nodes(SHIPPED_LIMITS if wanted.checked else None), round(wanted.seconds / truth.period)
-    # A bus carries no lost state, and waits for late inputs where the clock of a robot does not stand still.
+    # A bus carries no lost state, and a node waits for late inputs when the robot is not in lockstep.
     direct = wanted.lost_share > 0.0 or wanted.fault.kind in ("lost", "clock")
     for tick in drive_directly(source, nodes, count) if direct else drive(source, nodes, count):
         speed = hypot(*(before[index] for index in speeds))
@@ -128,7 +128,7 @@ def implausible_states(
 
 def _fault_row(robot: str, fault: StateFault, drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
     stopped = [one for one in drives if one["stopped"]]
-    right = [one for one in stopped if any(words in one["stopped"] for words in fault.reasons)]
+    right = [one for one in stopped if any(part in one["stopped"] for part in fault.reasons)]
     soon = [one for one in right if one["after_seconds"] <= _SOON or one["after_way"] <= _NEAR]
     return {
         "robot": robot,

@@ -74,7 +74,7 @@ class StateFault:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Words of the reasons that are right for it."""
+        """Parts of the reasons that are right for it."""
         return {
             "jump": ("jumped",),
             "restart": ("jumped",),
