@@ -1,5 +1,6 @@
 """One robot's messages to the filter's service, tick by tick, and its answers."""
 
+from functools import partial
 from typing import Any
 
 from safedpa.bus import (
@@ -22,6 +23,8 @@ from safedpa.safety.defaults import settings_named
 CAR, SETTINGS = load_model("car"), settings_named("car")
 LATE = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})
 ABSENT = Stale(LATENT, None)
+scripted_node = partial(SafetyFilterNode, limits=None)
+"""The filter's node, believing any state: the states of a script do not follow from one another."""
 
 
 def state_at(tick: int, values: tuple[float, ...] = (0.0, 0.0, 0.0, 0.5), **changed: Any) -> StateMessage:

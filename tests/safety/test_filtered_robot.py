@@ -15,6 +15,7 @@ from tests.safety.node_steps import (
     answer_to,
     asked,
     latent_at,
+    scripted_node,
     stamp,
     state_at,
     surroundings,
@@ -60,19 +61,19 @@ def obeyed(node: SafetyFilterNode, ticks: range, model: PhysicsModel = CAR, **ch
 # states and latents
 @pytest.mark.parametrize(("seconds", "good"), [(0.0, True), (1.0, True), (-1e-9, False), (1.0 + 1e-9, False)])
 def test_a_state_may_be_a_second_old_where_its_action_acts(seconds: float, good: bool) -> None:
-    verdict = answered(SafetyFilterNode(CAR, SETTINGS), 0, until_action=seconds)
+    verdict = answered(scripted_node(CAR, SETTINGS), 0, until_action=seconds)
     assert (verdict.status == "passed") is good
     assert ("wanted 0 to 1 s" in verdict.sentence) is not good
 
 
 def test_the_last_latent_stands_in_for_a_second_but_none_of_another_run_or_model() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     assert answered(node, 0).status == "passed"
     for tick in range(1, 24):
         verdict = asked(node, state_at(tick), ABSENT)
         assert verdict.status == ("passed" if tick <= 20 else "fallback"), tick
         assert ("the latent (none of the last second has arrived)" in verdict.sentence) is (tick > 20)
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     answered(node, 0)
     verdict = asked(node, state_at(1, epoch=2), ABSENT)
     assert (verdict.status, "none of the last second" in verdict.sentence) == ("fallback", True)
@@ -83,7 +84,7 @@ def test_the_last_latent_stands_in_for_a_second_but_none_of_another_run_or_model
 
 # predictions
 def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_each() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     for tick in range(9):
         state = state_at(tick)
         verdict = asked(node, state, latent_at(state))
@@ -94,7 +95,7 @@ def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_eac
 
 @pytest.mark.parametrize("model", [CAR, LATE])
 def test_a_state_of_another_size_is_predicted_instead_and_the_robot_brakes(model: PhysicsModel) -> None:
-    node = SafetyFilterNode(model, SETTINGS)
+    node = scripted_node(model, SETTINGS)
     before = obeyed(node, range(3), model)
     verdict = answered(node, 3, model, values=(0.0, 0.0, 0.0), applied=before.action)
     assert (verdict.status, "has 3 entries, wanted 4" in verdict.sentence) == ("fallback", True)
@@ -103,7 +104,7 @@ def test_a_state_of_another_size_is_predicted_instead_and_the_robot_brakes(model
 
 
 def test_a_first_action_of_another_size_teaches_nothing() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     assert "later than reported" not in answered(node, 0, applied=(0.1,)).sentence
 
 
@@ -115,14 +116,14 @@ def at_rest_with(applied: tuple[float, float], verdict: VerdictMessage) -> Any:
 
 @pytest.mark.parametrize(("last", "epoch", "tick"), [(5, 1, 8), (5, 1, 4), (7, 2, 8), (5, 2, 0)])
 def test_after_lost_ticks_or_a_restart_the_actuators_count_as_settled_at_what_is_applied(last, epoch, tick):
-    node = SafetyFilterNode(LATE, SETTINGS)
+    node = scripted_node(LATE, SETTINGS)
     obeyed(node, range(last - 4, last + 1), LATE)
     verdict = answered(node, tick, LATE, applied=(0.25, -0.1), epoch=epoch)
     np.testing.assert_allclose(verdict.predicted, at_rest_with((0.25, -0.1), verdict), atol=1e-12)
 
 
 def test_after_a_tick_that_taught_nothing_the_actuators_count_as_settled_at_the_watchdogs_action() -> None:
-    node = SafetyFilterNode(LATE, SETTINGS)
+    node = scripted_node(LATE, SETTINGS)
     verdict = answered(node, 3, LATE, applied=(0.1,))
     assert (verdict.status, verdict.predicted) == ("fallback", ())
     verdict = answered(node, 4, LATE, applied=(0.25, -0.1), applied_by="watchdog")
@@ -137,7 +138,7 @@ def test_after_a_tick_that_taught_nothing_the_actuators_count_as_settled_at_the_
     ids=str,
 )
 def test_a_prediction_is_compared_only_with_the_next_tick_of_the_filters_own_action(changed, compared):
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     before = answered(node, 3, values=AT_REST, **NEAR)
     assert before.coverage == -1.0
     verdict = answered(node, **{"tick": 4, "applied": before.action, "values": AT_REST, **NEAR, **changed})
@@ -154,7 +155,7 @@ def closer(node: SafetyFilterNode, ticks: range) -> VerdictMessage:
 
 
 def test_misses_widen_the_margin_and_a_failure_does_not_narrow_it_again() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     widened = closer(node, range(10))
     assert 0.0 < widened.coverage < 0.7
     assert widened.margin > SETTINGS.epsilon["obstacle"]
@@ -166,7 +167,7 @@ def test_misses_widen_the_margin_and_a_failure_does_not_narrow_it_again() -> Non
 
 
 def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     widened = closer(node, range(10))
     state = state_at(10, (0.0, 0.0, 0.0, 0.5), period=0.025)
     verdict = asked(node, state, latent_at(state))
@@ -190,7 +191,7 @@ def test_a_robot_stands_only_while_a_nominal_action_should_move_it(changed, nomi
     orders = StopOrders()
     if "order" in changed:
         orders.answer("r", Request(do=changed["order"], who="me"))
-    node = SafetyFilterNode(CAR, replace(SETTINGS, enabled=changed.get("enabled", True)), orders=orders)
+    node = scripted_node(CAR, replace(SETTINGS, enabled=changed.get("enabled", True)), orders=orders)
     for tick in range(5):
         state = state_at(tick, AT_REST, obstacles=((changed.get("obstacle", 6.0), 0.0, 0.1),))
         verdict = asked(node, state, latent_at(state), nominal)
@@ -201,7 +202,7 @@ def test_a_robot_stands_only_while_a_nominal_action_should_move_it(changed, nomi
 
 
 def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None:
-    node, sentences = SafetyFilterNode(CAR, SETTINGS), []
+    node, sentences = scripted_node(CAR, SETTINGS), []
     for tick in range(140):
         verdict = answered(node, tick, values=AT_REST, obstacles=((0.85, 0.0, 0.3),))
         sentences.append(verdict.sentence)
@@ -217,7 +218,7 @@ def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None
 
 
 def test_after_half_a_second_a_correction_that_moves_nothing_is_replaced_by_rest() -> None:
-    node, verdict, rests = SafetyFilterNode(CAR, SETTINGS), None, list[int]()
+    node, verdict, rests = scripted_node(CAR, SETTINGS), None, list[int]()
     for tick in range(24):
         applied = verdict.action if verdict else (0.0, 0.0)
         verdict = answered(node, tick, values=AT_REST, applied=applied, obstacles=((0.8, 0.0, 0.1),))
@@ -230,7 +231,7 @@ def test_after_half_a_second_a_correction_that_moves_nothing_is_replaced_by_rest
 
 @pytest.mark.parametrize(("speed", "still"), [(0.02, True), (-0.02, True), (0.021, False), (-0.021, False)])
 def test_a_braked_robot_is_at_rest_below_two_centimetres_a_second(speed: float, still: bool) -> None:
-    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0, (0.0, 0.0, 0.0, speed))
+    node, state = scripted_node(CAR, SETTINGS), state_at(0, (0.0, 0.0, 0.0, speed))
     assert not node.at_rest("r")
     asked(node, state, latent_at(state))
     assert not node.at_rest("r"), "the filter did not stop it"
@@ -240,7 +241,7 @@ def test_a_braked_robot_is_at_rest_below_two_centimetres_a_second(speed: float, 
 
 # failures and farewells
 def test_a_rescue_sends_an_action_and_a_verdict_that_promises_nothing() -> None:
-    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    node, state = scripted_node(CAR, SETTINGS), state_at(0)
     for known in (False, True, True):
         if known:
             asked(node, state, latent_at(state))
@@ -254,7 +255,7 @@ def test_a_rescue_sends_an_action_and_a_verdict_that_promises_nothing() -> None:
 
 
 def test_the_newest_state_and_model_are_known_until_the_robot_leaves() -> None:
-    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    node, state = scripted_node(CAR, SETTINGS), state_at(0)
     assert node.newest("r") is None
     asked(node, state, latent_at(state))
     assert node.newest("r") == state
@@ -274,7 +275,7 @@ MOVER = (0.75, 0.0, 0.25, 0.0, 0.0, 1.5)
 def pendulum_asked(nominal: Any) -> VerdictMessage:
     corridor: dict[str, Any] = {"corridor": (-1.0, 1.0), "obstacles": (), "field": (), "footprint": ()}
     state = state_at(0, (0.0, 0.0), applied=(0.0,), period=PENDULUM.period, **corridor)
-    node = SafetyFilterNode(PENDULUM, settings_named("pendulum"))
+    node = scripted_node(PENDULUM, settings_named("pendulum"))
     return answer_to(node, state, {LATENT: latent_at(state, PENDULUM), NOMINAL: nominal})
 
 
@@ -286,7 +287,7 @@ def test_without_a_nominal_action_a_robot_that_can_stand_is_stopped_and_another_
     nominal = NominalMessage(**stamp(state_at(0)), values=(0.1,), controller="test")
     verdict = pendulum_asked(nominal)
     assert (verdict.status, verdict.nominal) == ("passed", (0.1,))
-    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    node, state = scripted_node(CAR, SETTINGS), state_at(0)
     verdict = answer_to(node, state, {LATENT: latent_at(state), NOMINAL: Stale(NOMINAL, None)})
     assert verdict.status == "fallback"
     assert "the nominal action (" in verdict.sentence
@@ -294,7 +295,7 @@ def test_without_a_nominal_action_a_robot_that_can_stand_is_stopped_and_another_
 
 
 def test_a_robot_whose_speed_is_not_reported_has_none_to_lose() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     state = state_at(0, (0.0, 0.0, 0.0))
     assert asked(node, state, latent_at(state)).status == "fallback"
     assert node.at_rest("r")
@@ -302,7 +303,7 @@ def test_a_robot_whose_speed_is_not_reported_has_none_to_lose() -> None:
 
 @pytest.mark.parametrize(("speeds", "still"), [((0.0, 0.5), False), ((0.5, 0.0), False), ((0.0, 0.0), True)])
 def test_a_robot_is_at_rest_when_none_of_its_speeds_is_left(speeds: tuple[float, float], still: bool) -> None:
-    node = SafetyFilterNode(POINT, settings_named("point"))
+    node = scripted_node(POINT, settings_named("point"))
     state = state_at(0, (0.0, 0.0, 0.0, *speeds), period=POINT.period, applied=(0.0,) * len(POINT.system.action))
     assert answer_to(node, state, {LATENT: Stale(LATENT, None), NOMINAL: Stale(NOMINAL, None)}).status == "fallback"
     assert node.at_rest("r") is still
@@ -316,12 +317,12 @@ def test_it_decides_half_way_through_a_period_at_the_latest_with_a_latent_of_the
 
 def test_the_end_of_the_filter_stops_every_robot_until_the_next_one_starts(tmp_path: Path) -> None:
     orders = StopOrders(tmp_path / "orders.json")
-    node, state = SafetyFilterNode(CAR, SETTINGS, orders=orders), state_at(0)
+    node, state = scripted_node(CAR, SETTINGS, orders=orders), state_at(0)
     assert asked(node, state, latent_at(state)).status == "passed"
     node.begin_shutdown()
     verdict = asked(node, state_at(1), latent_at(state_at(1)))
     assert (verdict.status, verdict.action) == ("stopped", (0.0, 0.0))
-    again = SafetyFilterNode(CAR, SETTINGS, orders=StopOrders(tmp_path / "orders.json"))
+    again = scripted_node(CAR, SETTINGS, orders=StopOrders(tmp_path / "orders.json"))
     assert asked(again, state, latent_at(state)).status == "passed"
 
 
@@ -345,21 +346,21 @@ def ring(count: int) -> tuple[tuple[float, ...], ...]:
 )
 def test_a_mover_that_may_reach_the_robot_stops_it_where_nothing_is_missing(movers: Any, latent: bool, status: str):
     """With something missing the verdict says so: a stop for the mover would hide that the filter decides blindly."""
-    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), latent=latent, movers=movers)
+    verdict = sees(scripted_node(CAR, SETTINGS), sensing(), latent=latent, movers=movers)
     assert verdict.status == status
     assert ("mover 0" in verdict.sentence) is (status == "stopped")
 
 
 @pytest.mark.parametrize(("age", "old"), [(-1e-6, False), (1.0, False), (-2e-6, True), (1.0 + 1e-9, True)])
 def test_a_source_may_be_a_second_old(age: float, old: bool) -> None:
-    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), ages=(age,))
+    verdict = sees(scripted_node(CAR, SETTINGS), sensing(), ages=(age,))
     assert verdict.status == ("fallback" if old else "passed")
     assert ("a source is" in verdict.sentence) is old
 
 
 @pytest.mark.parametrize(("points", "remark"), [(64, ""), (65, "Of 65 points near it"), (70, "Of 70 points near it")])
 def test_points_beyond_sixty_four_are_reported_as_not_looked_at(points: int, remark: str) -> None:
-    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), points=ring(points))
+    verdict = sees(scripted_node(CAR, SETTINGS), sensing(), points=ring(points))
     assert ("near it, those with the least h were looked at." in verdict.sentence) is bool(remark)
     assert remark in verdict.sentence
     assert verdict.sentence == verdict.sentence.strip()
@@ -367,7 +368,7 @@ def test_points_beyond_sixty_four_are_reported_as_not_looked_at(points: int, rem
 
 @pytest.mark.parametrize("seen", [{"movers": (MOVER,)}, {"points": ring(70)}], ids=["mover", "points"])
 def test_a_robot_that_starts_again_without_sources_is_not_judged_by_what_it_saw(seen: dict[str, Any]) -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     sees(node, sensing(), **seen)
     again = sees(node, sensing(sources=(), epoch=2))
     assert (again.status, again.action) == ("passed", (0.2, 0.0))
@@ -376,7 +377,7 @@ def test_a_robot_that_starts_again_without_sources_is_not_judged_by_what_it_saw(
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_robot_with_sources_is_rescued_like_one_without(known: bool) -> None:
-    node, state = SafetyFilterNode(CAR, SETTINGS), sensing()
+    node, state = scripted_node(CAR, SETTINGS), sensing()
     if known:
         sees(node, state, points=ring(70))
     verdict = node.rescue("r", state, "the step raised")[VERDICT]

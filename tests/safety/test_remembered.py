@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
+from tests.safety.node_steps import CAR, SETTINGS, latent_at, scripted_node, stamp, state_at
 
 from safedpa.bus import LATENT, NOMINAL, VERDICT, NominalMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
@@ -145,7 +145,7 @@ def step(node: SafetyFilterNode, tick: int, robot: str = "r", **changed: Any) ->
 )
 def test_robots_of_one_model_rehearse_the_search_for_the_least_violation_once(verdicts, period, relaxed):
     """Two hundred that come at once would otherwise wait for one another; over another period each rehearses once."""
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     for tick in range(3):
         for robot in ("r", "s"):
             assert step(node, tick, robot, period=period).status != "relaxed"
@@ -160,19 +160,19 @@ def test_a_rehearsal_that_fails_costs_no_verdict_and_is_not_repeated(monkeypatch
         raise RuntimeError("cannot be written down")
 
     monkeypatch.setattr(PhysicsModel, "record_scalar_step", fails)
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     assert [step(node, tick).status for tick in range(3)] == ["passed"] * 3
     assert len(tried) == 1
 
 
 def test_nothing_is_rehearsed_where_nothing_is_decided_and_a_rehearsal_changes_no_later_decision(verdicts):
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     assert step(node, 0, values=(0.0, 0.0, 0.0)).status == "fallback", "a state of another size"
     assert len(verdicts) == 1
     step(node, 1)
     assert [verdict.status is Status.relaxed for verdict in verdicts] == [False, False, True]
     # At the model's own period one robot rehearses for all: the second robot's filter has not.
-    node = SafetyFilterNode(CAR, SETTINGS)
+    node = scripted_node(CAR, SETTINGS)
     for tick in range(3):
         one, other = (step(node, tick, robot, period=0.05) for robot in ("r", "s"))
         for name in ("status", "action", "slack", "h_next", "margin", "predicted", "sentence"):

@@ -3,18 +3,17 @@
 from dataclasses import replace
 from typing import Any
 
-from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
+from tests.safety.node_steps import CAR, SETTINGS, latent_at, scripted_node, stamp, state_at
 
 from safedpa.bus import LATENT, NOMINAL, NominalMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.runtime.robot_session import LastDecision, RobotSession
 from safedpa.safety import Verdict
 
 
 def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float] = (1.0, 0.1)) -> RobotSession:
     """After so many ticks; from the second on the robot did what the filter decided."""
-    node, applied = SafetyFilterNode(model, SETTINGS), (0.0, 0.0)
+    node, applied = scripted_node(model, SETTINGS), (0.0, 0.0)
     for tick in range(ticks):
         state = state_at(tick, applied=applied)
         latent = replace(latent_at(state), model=fingerprint(model), values=tuple(model.latent.tolist()))
