@@ -65,11 +65,11 @@ def test_the_page_shows_the_age_of_each_source_and_what_is_wrong_with_one() -> N
     page.take(state(), 0.0)
     page.take(replace(SEEN, problems=("the source laser is frozen",)), 0.0)
     text = page.page(0.5).text
-    assert "laser 0.05 s old" in text
+    assert "laser 0.55 s old" in text
     assert "the source laser is frozen" in text
     page.take(replace(SEEN, ages=(-1.0,)), 0.0)
     assert "laser no data" in page.page(0.5).text
-    assert "**Waiting for** the robot's states: silent for 9 s" in page.page(9.0).text
+    assert "**No state for 9 s" in page.page(9.0).text
     assert "laser no data" in page.page(9.0).text
 
 

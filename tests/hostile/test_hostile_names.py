@@ -93,7 +93,12 @@ def test_the_table_of_processes_shows_it_as_text(text: str) -> None:
         epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service="policy", pid=1, state=text, detail=text
     )
     watch: Any = SimpleNamespace(
-        state=None, verdict=None, finding=None, health={"policy": (message, 0.0)}, silent_for=lambda _: 0.0
+        state=None,
+        verdict=None,
+        finding=None,
+        health={"policy": (message, 0.0)},
+        silent_for=lambda _: 0.0,
+        ages=lambda: (None, None),
     )
     policy, robot = (Child(name, "", (), Path("log")) for name in ("policy", "robot"))
     shown = drawn(render_view(watch, [robot, policy], [text], [text]))

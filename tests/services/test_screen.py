@@ -64,29 +64,50 @@ def test_the_table_shows_whether_each_process_is_alive(watch, clock, silent, cod
     child = child_of(tmp_path, code, heartbeat=heartbeat, restarts=2)
     (row,) = [line.split() for line in drawn(watch, child) if "policy" in line]
     assert row[1:3] == [shown, "4711"]
-    assert row[3:] == (["2"] if silent is None else ["31", "5", "3", "42", "us", "2"])
+    counts = ["31", "5", "3", "42", "us", f"{silent:.1f}", "s", "2"] if silent is not None else ["2"]
+    assert row[3:] == counts
 
 
-def test_the_headline_waits_for_the_robot_and_then_shows_its_state(watch, tmp_path):
+def see(watch, clock, **messages):
+    """Lets the monitor receive messages now."""
+    for name, message in messages.items():
+        setattr(watch, name, message)
+        setattr(watch, f"{name}_at", clock())
+
+
+def test_the_headline_waits_for_the_robot_and_then_shows_its_state(watch, clock, tmp_path):
     assert drawn(watch, child_of(tmp_path))[0] == "waiting for the robot"
-    watch.state = state_of(1.0, 2.0, 0.0, -0.75, robot_time=1.0, goals_reached=3, collisions=2)
-    assert drawn(watch, child_of(tmp_path))[0].rstrip() == "    1.0 s  -0.75 m/s  goals 3  collisions 2"
-    watch.verdict = verdict_of("corrected", h_now=-0.256, margin=0.0304, microseconds=81.0)
-    assert drawn(watch, child_of(tmp_path))[0].endswith("corrected h -0.26  margin 0.030  81 us")
-    watch.state = state_of(0.5, 0.0, corridor=(0.1, 0.1))
+    see(watch, clock, state=state_of(1.0, 2.0, 0.0, -0.75, robot_time=1.0, goals_reached=3, collisions=2))
+    shown = "1.0 s  -0.75 m/s  goals 3  collisions 2  0.0 s old"
+    assert drawn(watch, child_of(tmp_path))[0].rstrip() == f"No verdict yet; the robot brakes. Last:     {shown}"
+    see(watch, clock, verdict=verdict_of("corrected", h_now=-0.256, margin=0.0304, microseconds=81.0))
+    assert drawn(watch, child_of(tmp_path))[0].endswith("corrected h -0.26  margin 0.030  81 us  0.0 s old")
+    see(watch, clock, state=state_of(0.5, 0.0, corridor=(0.1, 0.1)))
     assert "+28.6 degrees" in drawn(watch, child_of(tmp_path))[0]
-    watch.state = state_of(0.5, 0.0)
+    see(watch, clock, state=state_of(0.5, 0.0))
     assert "+0.50  goals" in drawn(watch, child_of(tmp_path))[0]
 
 
-def test_the_reason_of_a_stop_and_a_finding_are_shown(watch, tmp_path):
-    watch.verdict = verdict_of("corrected")
+@pytest.mark.parametrize("silent", [1.0, 7.0, 300.0])
+def test_the_headline_is_the_present_and_old_values_come_after_it_with_their_age(watch, clock, silent, tmp_path):
+    see(watch, clock, state=state_of(), verdict=verdict_of("passed", stationary_reason="a wall", stationary_for=9.0))
+    clock.now += silent
+    (line, *others) = drawn(watch, child_of(tmp_path))
+    assert line.startswith(f"No state for {silent:.0f} s; the robot has ended, hangs or is cut off, and brakes by itself.")
+    assert line.count("s old") == 2
+    assert not any("stationary" in other for other in others), "no cause of a present stop is known"
+    see(watch, clock, state=state_of())
+    assert drawn(watch, child_of(tmp_path))[0].startswith(f"No verdict for {silent:.0f} s; the robot brakes. Last: ")
+
+
+def test_the_reason_of_a_stop_and_a_finding_are_shown(watch, clock, tmp_path):
+    see(watch, clock, verdict=verdict_of("corrected"))
     assert not [line for line in drawn(watch, child_of(tmp_path)) if "stands for" in line]
-    watch.verdict = verdict_of("corrected", stationary_for=7.0, stationary_reason="the wall is near")
-    watch.finding = finding_of("raised")
+    stood = verdict_of("corrected", stationary_for=7.0, stationary_reason="the wall is near")
+    see(watch, clock, verdict=stood, finding=finding_of("raised"))
     lines = [line.rstrip() for line in drawn(watch, child_of(tmp_path))]
     assert "stationary for 7 s, the wall is near" in lines
-    assert "model aaaaaaaa  raised: it is raised" in lines
+    assert "model aaaaaaaa  raised: it is raised  0.0 s old" in lines
     assert lines[-2:] == ["a hint", "a warning"]
 
 

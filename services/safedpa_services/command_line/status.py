@@ -202,6 +202,7 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
         "coverage": verdict.coverage if verdict and verdict.coverage >= 0.0 else None,
         "promised": verdict.promised if verdict and verdict.promised >= 0.0 else None,
         "rate": round(robot.recent_ticks.rate(now), 2),
+        "period": state.period if state else 0.0,
         "wanted_rate": round(1.0 / state.period, 2) if state else None,
         "lockstep": state.lockstep if state else None,
         "time": state.robot_time if state else None,

@@ -10,6 +10,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from safedpa.bus.monitor import is_stale
+
 _COLOURS = {
     "well": "green",
     "attention": "yellow",
@@ -26,6 +28,7 @@ _COLOURS = {
     "candidates": "yellow",
 }
 _FEWEST_ROWS = 5
+_OLD_FINDING_SECONDS = 5.0
 Row = dict[str, Any]
 
 
@@ -44,9 +47,29 @@ def _number(name: str, form: str, scale: float = 1.0) -> Callable[[Row], str]:
     return lambda row: "" if row[name] is None else format(row[name] if scale == 1.0 else scale * row[name], form)
 
 
+def _verdict(row: Row) -> str:
+    """Returns the verdict, or how long there has been none."""
+    age = row["verdict_age"]
+    return "" if age is None else f"{age:.0f} s ago" if is_stale(age, row["period"]) else str(row["verdict"])
+
+
+def _present(form: str, name: str) -> Callable[[Row], str]:
+    """Returns a column of the verdict's values; an old verdict has none."""
+    return lambda row: "" if is_stale(row["verdict_age"], row["period"]) else _number(name, form)(row)
+
+
 def _model(row: Row) -> str:
     models = row["models"]
     return str(models.get("safety_filter") or next(iter(models.values()), ""))
+
+
+def _held(row: Row) -> str:
+    return "" if is_stale(row["verdict_age"], row["period"]) else _number("coverage", ".1f", 100.0)(row)
+
+
+def _diagnosis(row: Row) -> str:
+    age = row["diagnosis_age"]
+    return "" if age is None else f"{age:.0f} s ago" if age > _OLD_FINDING_SECONDS else str(row["diagnosis"])
 
 
 def _sources(row: Row) -> str:
@@ -67,14 +90,14 @@ _ROBOTS = (
     _TableColumn("robot", 12, lambda row: row["robot"], left=True),
     _TableColumn("health", 9, lambda row: row["health"], left=True),
     _TableColumn("Hz", 5, _number("rate", ".1f")),
-    _TableColumn("verdict", 9, lambda row: row["verdict"], left=True),
-    _TableColumn("h", 6, _number("h", "+.2f")),
+    _TableColumn("verdict", 9, _verdict, left=True),
+    _TableColumn("h", 6, _present("+.2f", "h")),
     _TableColumn("corr %", 6, _number("corrected", ".1f", 100.0)),
     _TableColumn("fall %", 6, _number("fallback", ".1f", 100.0)),
     _TableColumn("late %", 6, _number("late", ".2f", 100.0)),
     _TableColumn("p99 ms", 6, _number("sense_to_act_p99", ".1f", 1e3), 90),
-    _TableColumn("held %", 6, _number("coverage", ".1f", 100.0), 100),
-    _TableColumn("diagnosis", 10, lambda row: row["diagnosis"], 115, left=True),
+    _TableColumn("held %", 6, _held, 100),
+    _TableColumn("diagnosis", 10, _diagnosis, 115, left=True),
     _TableColumn("age s", 5, _number("age", ".2f"), 125),
     _TableColumn("of Hz", 5, _number("wanted_rate", ".0f"), 135),
     _TableColumn("p50 ms", 6, _number("sense_to_act_p50", ".1f", 1e3), 145),
@@ -195,7 +218,8 @@ def _hidden_robots(rest: Sequence[Row]) -> list[Text]:
     late = max(row["late"] for row in rest)
     slowest = max((row["sense_to_act_p99"] or 0.0) for row in rest)
     reported_slowest = f", p99 at most {1e3 * slowest:.1f} ms" if slowest else ""
-    least = min((row["h"] for row in rest if row["h"] is not None), default=0.0)
+    present = [row["h"] for row in rest if row["h"] is not None and not is_stale(row["verdict_age"], row["period"])]
+    least = min(present, default=0.0)
     numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %{reported_slowest}"
     return [Text(f"{len(rest)} further robots ({counts}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
 

@@ -114,7 +114,7 @@ _REPORTED_REFUSALS = 20
 
 KEYFRAME_SECONDS = 1.0
 _QUIET_SECONDS = 10.0
-"""Without any message for this long, no further keyframe is drawn."""
+"""Without any message for this long, no further keyframe is drawn, except for the text page with its ages."""
 
 Scene = tuple[float, float, float, float]
 """Bounds of the shown field: lowest x, highest x, lowest y, highest y [m]; for a pendulum of its phase plane [rad]."""
@@ -126,6 +126,8 @@ class _RobotDisplay:
     throttle: DrawingThrottle = field(default_factory=DrawingThrottle)
     epoch: int | None = None
     refused: int = 0
+    headline: str = ""
+    """The headline of the page that was drawn last."""
     newest: dict[str, float] = field(default_factory=dict)
     """By topic: time of its last frame [s]. Keyframes are drawn at that time, so that none precedes a later change."""
 
@@ -160,12 +162,14 @@ class FleetView:
             else:
                 frames.append(self._refuse(item, now) if isinstance(item, RejectedMessage) else self._take(item))
         for name, robot in self._robots.items():
-            silent = robot.view.health.silences(now)
+            silent = robot.view.silences(now)
             if silent:
                 frames.append(self._frame(name, HEALTH, self._time.now(now), silent))
-        if now >= self._next_keyframe and now - self._heard < _QUIET_SECONDS:
+        if now >= self._next_keyframe:
             self._next_keyframe = now + KEYFRAME_SECONDS
-            frames += self._keyframes(now)
+            frames += self._keyframes(now) if now - self._heard < _QUIET_SECONDS else self._pages(now)
+        else:
+            frames += self._pages(now, changed=True)
         return [frame for frame in frames if frame.entries]
 
     def end(self, sentence: str, now: float) -> list[TimelineFrame]:
@@ -270,6 +274,17 @@ class FleetView:
                 for topic, entries in robot.view.keyframe().items()
                 if topic in robot.newest
             ]
+        return [*frames, *self._pages(now)]
+
+    def _pages(self, now: float, *, changed: bool = False) -> list[TimelineFrame]:
+        """Returns the text page of every robot; with ``changed``, of those whose headline has changed."""
+        frames = []
+        for name in self.fields:
+            robot = self._robots[name]
+            headline = robot.view.now.headline(now)
+            if changed and headline == robot.headline:
+                continue
+            robot.headline = headline
             page = TimelineEntry(("now",), robot.view.now.page(now))
             frames.append(TimelineFrame(max(robot.newest.values(), default=0.0), _under(name, [page])))
         return frames

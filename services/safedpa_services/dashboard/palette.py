@@ -21,6 +21,8 @@ _SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILION, YELLOW, INK, BLUE)
 UNKNOWN_STATUS: Final = GREY
 RED: Final = 0xFF2D2DFF
 
+NO_VERDICT: Final = "none"
+"""Shown in place of a status while there is no recent verdict."""
 VERDICT_COLOURS: Final = {
     Status.passed.value: GREEN,
     Status.corrected.value: SKY,
@@ -29,6 +31,7 @@ VERDICT_COLOURS: Final = {
     Status.fallback.value: VERMILION,
     Status.disabled.value: PURPLE,
     Status.stopped.value: YELLOW,
+    NO_VERDICT: GREY,
 }
 HEALTH_COLOURS: Final = {"ready": SKY, "running": GREEN, "failing": VERMILION, "silent": GREY}
 IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILION, "none": GREY}

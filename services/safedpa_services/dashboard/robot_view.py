@@ -29,7 +29,7 @@ from safedpa_services.dashboard.curves import (
 from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.histories import FindingHistory, HealthHistory, ResidualHistory
 from safedpa_services.dashboard.now_page import NowPage
-from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, INK, UNKNOWN_STATUS, VERDICT_COLOURS
+from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, INK, NO_VERDICT, UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.pendulum import phase_point, phase_state, sector_entries, wind_entry
 from safedpa_services.dashboard.shapes import Note, States, StateSet, TimelineEntry, drawable
 from safedpa_services.dashboard.world import body_entries, holding_entry, scene_entries, seen_entries
@@ -65,12 +65,23 @@ class RobotView:
         """Returns the current entries that are otherwise drawn on change only, by topic, for viewers that join late."""
         in_force = [TimelineEntry(("verdict", "in_force"), States(self._in_force))] if self._in_force else []
         status = [TimelineEntry(("verdict", "filter"), States(self._status))] if self._status else []
+        # The end of a verdict has the time of the silences; at the verdict's own time it would replace the verdict.
+        ended = self._status == NO_VERDICT
         return {
             STATE.name: [*self._scenery, *in_force],
-            VERDICT.name: status,
+            VERDICT.name: [] if ended else status,
             FINDING.name: self._findings.lanes(),
-            HEALTH.name: self.health.lanes(),
+            HEALTH.name: [*self.health.lanes(), *(status if ended else [])],
         }
+
+    def silences(self, now: float) -> list[TimelineEntry]:
+        """Returns the entries of what fell silent since the last call: services, the verdict, and the robot."""
+        entries = self.health.silences(now)
+        if self.now.headline(now) and self._status not in ("", NO_VERDICT):
+            self._status = NO_VERDICT
+            entries.append(TimelineEntry(("verdict", "filter"), States(NO_VERDICT)))
+            entries.append(TimelineEntry(("log",), Note(self.now.headline(now), UNKNOWN_STATUS, "WARN")))
+        return entries
 
     def start(self) -> list[TimelineEntry]:
         """Returns the static entries with names and colours."""

@@ -90,6 +90,12 @@ class RunMonitor:
             return False
         return len(state.values) != 4 or bool(state.corridor) or abs(state.values[3]) <= _STATIONARY_SPEED
 
+    def ages(self) -> tuple[float | None, float | None]:
+        """Returns the ages [s] of the newest state and verdict, counted from the measurement; None: none arrived."""
+        now = time.monotonic()
+        of_state = None if self.state_at is None else max(0.0, now - self.state_at)
+        return of_state, None if self.verdict_at is None else max(0.0, now - self.verdict_at)
+
     def silent_for(self, service: str) -> float:
         """Returns the time since the last heartbeat [s]; infinite before the first."""
         return time.monotonic() - self.health[service][1] if service in self.health else float("inf")

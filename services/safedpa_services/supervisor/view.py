@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Sequence
 
 from rich.console import Group
@@ -10,10 +11,13 @@ from rich.table import Table
 from rich.text import Text
 
 from safedpa.bus import StateMessage
+from safedpa.bus.monitor import age_text, headline, is_stale
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
 _SILENT_SECONDS = 1.0
+_OLD_FINDING_SECONDS = 5.0
+"""Findings arrive once a second of robot time."""
 _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "violated": "bold red"}
 _COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
 
@@ -39,24 +43,32 @@ def _hint_style(hint: str) -> str:
 def _stationary(watch: RunMonitor) -> list[Text]:
     """Returns how long the robot has been stationary and why, if the verdict reports a reason."""
     verdict = watch.verdict
-    if verdict is None or not verdict.stationary_reason:
+    if verdict is None or not verdict.stationary_reason or is_stale(watch.ages()[1]):
         return []
     return [Text(f"stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}", style="yellow")]
 
 
 def _headline(watch: RunMonitor) -> Text:
-    state, verdict = watch.state, watch.verdict
-    if state is None:
+    """Returns the present first; then the newest values with their ages, dim if they are old."""
+    state, verdict, (state_age, verdict_age) = watch.state, watch.verdict, watch.ages()
+    if state is None or state_age is None:
         return Text("waiting for the robot")
-    line = Text.assemble(
+    now = headline(state_age, verdict_age, state.period)
+    line = Text.assemble((f"{now[:1].upper()}{now[1:]}. ", "bold red")) if now else Text()
+    values = Text.assemble(
         (f"{state.robot_time:7.1f} s  ", "bold"),
         f"{_motion(state)}  goals {state.goals_reached}  ",
         (f"collisions {state.collisions}  ", "bold red" if state.collisions else "green"),
+        (f"{age_text(state_age)}  ", "dim"),
     )
-    if verdict is not None:
-        line.append(f"{verdict.status:<9} ", style=_COLOURS.get(verdict.status, ""))
-        line.append(f"h {verdict.h_now:+.2f}  margin {verdict.margin:.3f}  {verdict.microseconds:.0f} us")
-    return line
+    if verdict is not None and verdict_age is not None:
+        values.append(f"{verdict.status:<9} ", style=_COLOURS.get(verdict.status, ""))
+        values.append(f"h {verdict.h_now:+.2f}  margin {verdict.margin:.3f}  {verdict.microseconds:.0f} us")
+        values.append(f"  {age_text(verdict_age)}", style="dim")
+    if now:  # nothing old in the colours of the present
+        line.append("Last: ", style="dim").append(values.plain, style="dim")
+        return line
+    return values
 
 
 def _motion(state: StateMessage) -> str:
@@ -73,13 +85,17 @@ def _finding(watch: RunMonitor) -> Text:
     finding = watch.finding
     if finding is None:
         return Text("")
+    age = max(0.0, time.monotonic() - (watch.finding_at or 0.0))
     colour = "green" if finding.stage in ("learning", "watching") else "yellow"
-    return Text.assemble((f"model {finding.model}  ", "bold"), (f"{finding.stage}: {finding.sentence}", colour))
+    style = "dim" if age > _OLD_FINDING_SECONDS else colour
+    return Text.assemble(
+        (f"model {finding.model}  ", "bold"), (f"{finding.stage}: {finding.sentence}", style), f"  {age_text(age)}"
+    )
 
 
 def _processes(watch: RunMonitor, children: Sequence[Child]) -> Table:
     table = Table(box=None, pad_edge=False)
-    for column in ("process", "state", "pid", "steps", "stale", "refused", "last step", "restarts", ""):
+    for column in ("process", "state", "pid", "steps", "stale", "refused", "last step", "age", "restarts", ""):
         table.add_column(column, justify="right" if column in ("pid", "steps", "stale", "refused") else "left")
     for child in children:
         table.add_row(*_row(watch, child))
@@ -100,7 +116,8 @@ def _row(watch: RunMonitor, child: Child) -> tuple[str | Text, ...]:
         state = Text(known[0].state, style="red" if known[0].state == "failing" else "green")
     first, restarts = (child.name, state, str(child.pid)), str(child.restarts)
     if known is None:
-        return (*first, "", "", "", "", restarts, "")
+        return (*first, "", "", "", "", "", restarts, "")
     message = known[0]
     counts = (str(message.steps), str(message.stale), str(message.refused))
-    return (*first, *counts, f"{message.step_microseconds:.0f} us", restarts, Text(message.detail[:60]))
+    age = f"{watch.silent_for(child.name):.1f} s"
+    return (*first, *counts, f"{message.step_microseconds:.0f} us", age, restarts, Text(message.detail[:60]))

@@ -8,6 +8,7 @@ monitor sends no commands, and no service waits for it. Read ``fleet_state.py`` 
 from safedpa.bus.monitor.alerts import Alert, fleet_alerts, robot_alerts
 from safedpa.bus.monitor.fleet_state import FleetOverview, RobotOverview, ServiceOverview, SlidingCounter
 from safedpa.bus.monitor.measurement_times import MeasurementTimes
+from safedpa.bus.monitor.present import age_text, headline, is_stale
 from safedpa.bus.monitor.roster import SILENT_SECONDS, Incident, Member, Roster
 
 __all__ = [
@@ -21,6 +22,9 @@ __all__ = [
     "Roster",
     "ServiceOverview",
     "SlidingCounter",
+    "age_text",
     "fleet_alerts",
+    "headline",
+    "is_stale",
     "robot_alerts",
 ]

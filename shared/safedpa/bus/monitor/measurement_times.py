@@ -40,7 +40,9 @@ class MeasurementTimes:
 
     def _of_state(self, message: StateMessage, at: float) -> float:
         key = (message.epoch, message.tick)
-        if key in self._ticks:  # a robot repeats its state while it waits for an action
+        if message.lockstep:  # the robot's clock stands while it waits for an action, and the state is still the present
+            return self._keep(key, at)
+        if key in self._ticks:
             return self._ticks[key]
         epoch, published, arrived = self._last
         difference = at - message.publish_time
@@ -48,7 +50,10 @@ class MeasurementTimes:
         known = self._offset is not None and epoch == message.epoch and message.publish_time > published
         offset = min(difference, (self._offset or 0.0) + _DRIFT * (at - arrived)) if known else difference
         self._offset, self._last = offset, (message.epoch, message.publish_time, at)
-        self._ticks[key] = measured = min(at, message.publish_time + offset)
+        return self._keep(key, min(at, message.publish_time + offset))
+
+    def _keep(self, key: tuple[int, int], measured: float) -> float:
+        self._ticks[key] = measured
         if len(self._ticks) > _RETAINED_TICKS:
             self._ticks.popitem(last=False)
         return measured
