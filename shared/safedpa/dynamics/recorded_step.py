@@ -167,7 +167,7 @@ def record_own_step(
     """Returns the recorded functions of a user's equations, or None if they cannot be recorded.
 
     They are compiled to C if ``native`` and a compiler is present. As soon as anything that the equations read besides
-    their arguments changes (``watched``), the functions raise ArithmeticError: the caller then uses the equations themselves.
+    their arguments changes (``watched``), the functions raise ArithmeticError, and the caller uses the equations.
     """
     first, second = _taped(equations, names), _taped(equations, names)
     # random numbers, or a counter: a recording would freeze the first run

@@ -120,6 +120,11 @@ for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "
     setattr(Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
 
 
+for _name, _form in {**dict.fromkeys(("sin", "cos", "tan", "tanh", "exp", "sqrt")), "arctan": "atan"}.items():
+    # NumPy calls a method of an object by the name of its function: np.sin(number) is recorded, too
+    setattr(Recorded, _name, lambda self, form=_form or _name: self.tape.record(form, self))
+
+
 def name_of(operand: Any) -> str:
     """Returns the variable's name, or a constant as source that gives back its exact value."""
     if isinstance(operand, Recorded):

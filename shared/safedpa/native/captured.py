@@ -61,7 +61,7 @@ class Captured:
     @property
     def values(self) -> tuple[Any, ...]:
         """The values, to be compared with those of another time; objects by their identity."""
-        return tuple(value if isinstance(value, _CONTENTS) else id(value) for _, value in self._readers)
+        return tuple(_hashable(value) for _, value in self._readers)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy reads again."""
@@ -86,6 +86,15 @@ class Captured:
 
 
 _CONTENTS: Final = (*_PLAIN, tuple)
+
+
+def _hashable(value: Any) -> Any:
+    """Returns the value, or the identity of an object or of a tuple of such, whose entries are followed one by one."""
+    try:
+        hash(value)
+    except TypeError:
+        return id(value)
+    return value if isinstance(value, _CONTENTS) else id(value)
 
 
 def _contents_of(array: Any) -> Callable[[], Any]:

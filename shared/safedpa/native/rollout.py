@@ -76,9 +76,8 @@ class RecordedItems:
 @final
 @dataclass(frozen=True)
 class FoundMinimum:
-    """The path (k, states), the minimum (m,), its points as chord and share (m,), and the size (m,) of each h."""
+    """The minimum (m,) of each h, its points as chord and share (m,), and the size (m,) of each h."""
 
-    path: Floats
     values: Floats
     chords: NDArray[np.int32]
     shares: Floats
@@ -166,12 +165,16 @@ class RolloutKernel:
     def minimum(self, origin: Floats | None, state: Floats, time: float) -> FoundMinimum | None:
         """H at ``state`` (states,); the path begins with ``origin`` if given. None if a state is not finite."""
         work = self._workspace()
-        count = self.functions.call_rollout(work.reference, work.begin(origin, state, time))
-        if count < 0:
+        if self.functions.call_rollout(work.reference, work.begin(origin, state, time)) < 0:
             return None
-        path, found = work.path[:count].copy(), work.found.copy()
-        path.flags.writeable = False
-        return FoundMinimum(path, found[0], work.points.copy(), found[1], found[2])
+        found = work.found.copy()
+        return FoundMinimum(found[0], work.points.copy(), found[1], found[2])
+
+    def path(self, origin: Floats | None, state: Floats, time: float) -> Floats | None:
+        """The states (k, states) from ``origin``, if given, and ``state`` on; None if one is not finite."""
+        work = self._workspace()
+        count = self.functions.call_rollout(work.reference, work.begin(origin, state, time))
+        return None if count < 0 else work.path[:count].copy()
 
     def h_near(self, at: FoundMinimum, origin: Floats | None, state: Floats, time: float) -> Floats | None:
         """h_i (m,) at the same points of the path from another state. None if a state is not finite."""
@@ -196,15 +199,20 @@ class RolloutKernel:
         failed = self.functions.call_lie_differences(work.reference, work.begin(origin, state, time), columns)
         return None if failed else work.out[: self.count * columns].reshape(self.count, columns).copy()
 
-    def gradient(self, at: FoundMinimum, has_origin: bool, time: float) -> Floats | None:
-        """d(H)/d(x) (m, states) by the chain rule; None if a derivative is not known or the backup is a function."""
+    def gradient(self, at: FoundMinimum, origin: Floats | None, state: Floats, time: float) -> Floats | None:
+        """d(H)/d(x) (m, states) at ``state`` by the chain rule.
+
+        None if a derivative is not known, if the backup is a function, or if a state is not finite.
+        """
         if not self.has_gradient:
             return None
         work = self._workspace()
+        has_origin = work.begin(origin, state, time)
+        count = self.functions.call_rollout(work.reference, has_origin)
+        if count < 0:
+            return None
         work.set_points(at)
-        work.call.u.time = time
-        work.path[: len(at.path)] = at.path
-        self.functions.call_gradient(work.reference, int(has_origin), len(at.path))
+        self.functions.call_gradient(work.reference, has_origin, count)
         return work.out[: self.count * self.states].reshape(self.count, self.states).copy()
 
     def _workspace(self) -> _Workspace:

@@ -111,7 +111,7 @@ def why_not_recorded(error: BaseException) -> str:
         file = str(Path(frame.filename).resolve()) if Path(frame.filename).exists() else frame.filename
         if not file.startswith(_PACKAGE) and "site-packages" not in file:
             line = (frame.line or linecache.getline(frame.filename, frame.lineno or 0)).strip()
-            return f"{Path(frame.filename).name} line {frame.lineno}: {line}: {reason}"
+            return f"{Path(frame.filename).name} line {frame.lineno}, '{line}': {reason}"
     return reason
 
 

@@ -60,7 +60,7 @@ class BackupRollout:
     """x[t+1] = step(x[t], backup(x[t])); ``backup`` is a function of the state (states,), or one action (actions,)."""
 
     def __init__(
-        self, model: Model, backup: Callable[[FloatArray], ArrayLike] | ArrayLike, latent: ArrayLike | None = None
+        self, model: Model, backup: Callable[..., ArrayLike] | ArrayLike, latent: ArrayLike | None = None
     ) -> None:
         self.prediction = prediction_of(model)
         self._free = None if latent is None else _flat("latent", latent)

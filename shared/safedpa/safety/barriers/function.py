@@ -51,8 +51,8 @@ class FunctionBarrier(AbstractBarrier):
 
     def __init__(
         self,
-        h: Callable[[FloatArray], ArrayLike],
-        gradient: Callable[[FloatArray], ArrayLike] | None = None,
+        h: Callable[..., ArrayLike],
+        gradient: Callable[..., ArrayLike] | None = None,
         names: Sequence[str] = ("h",),
         kind: str = "function",
         reads: Sequence[str] = (),

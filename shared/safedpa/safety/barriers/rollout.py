@@ -52,6 +52,10 @@ class RolloutBarrier(AbstractBarrier):
     ``latent``: the model's, for all ticks; a filter whose latent is estimated online gets a new barrier with each
     decision.
 
+    A ``backup(x, operations)``, an ``h(x, operations)`` and a ``step(x, a, operations)`` compute with the elementwise
+    functions that they are given. If all three do so (or are a model with rates over ``operations``, a constant backup,
+    a barrier that is an equation), the rollout is compiled to C; ``not_compiled`` says why not.
+
     The minimum is exact, not smoothed; its gradient is that of h at the minimising point. It is computed by the
     recorded equations if the model has them, the backup is constant and h has a gradient; otherwise by unit-free
     central differences of the whole path up to that point. Of two equal minima the earlier one counts. The filter
@@ -74,8 +78,8 @@ class RolloutBarrier(AbstractBarrier):
     def __init__(
         self,
         model: Model,
-        backup: Callable[[FloatArray], ArrayLike] | ArrayLike,
-        h: Callable[[FloatArray], ArrayLike] | AbstractBarrier,
+        backup: Callable[..., ArrayLike] | ArrayLike,
+        h: Callable[..., ArrayLike] | AbstractBarrier,
         horizon: int,
         names: Sequence[str] = ("h",),
         kind: str = "rollout",
@@ -106,11 +110,11 @@ class RolloutBarrier(AbstractBarrier):
         return self._compiled.reason
 
     def h(self, state: FloatArray) -> FloatArray:  # noqa: D102
-        return self._checked_minimum(state).minimum.values
+        return self._checked_minimum(state).values
 
     def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:  # noqa: D102
         rollout = self._checked_minimum(state)
-        return rollout.minimum.values, self.gradient_at(rollout)
+        return rollout.values, self.gradient_at(rollout)
 
     def lie_derivative(self, state: FloatArray, directions: FloatArray) -> FloatArray:
         """As in every barrier; without recorded equations, differences along the directions."""
@@ -146,14 +150,15 @@ class RolloutBarrier(AbstractBarrier):
         return np.asarray(np.maximum(known - further.min(axis=0), 0.0))
 
     def minimum_at(self, origin: FloatArray | None, state: FloatArray) -> Rollout:
-        """H at ``state`` (states,) with its path and minimising points; the path begins with ``origin`` if given."""
+        """H at ``state`` (states,) and its minimising points; the path begins with ``origin`` if given."""
         kernel = self._compiled.kernel(len(state))
+        # None: a state is not finite, which the implementation in NumPy reports
         found = None if kernel is None else kernel.minimum(origin, state, self._compiled.time)
-        if found is not None:
-            points = tuple(zip(found.chords.tolist(), found.shares.tolist(), strict=True))
-            return Rollout(origin, fixed(state), list(found.path), PathMinimum(found.values, points, found.size), found)
+        return Rollout(origin, fixed(state), found or self._found_by_numpy(origin, state))
+
+    def _found_by_numpy(self, origin: FloatArray | None, state: FloatArray) -> PathWithMinimum:
         path = self._path_from(origin, state, self.horizon)
-        return Rollout(origin, fixed(state), path, minimum_along(self._h_of, path, always=int(origin is not None)))
+        return PathWithMinimum(path, minimum_along(self._h_of, path, always=int(origin is not None)))
 
     def _checked_minimum(self, state: FloatArray) -> Rollout:
         """H at a state that is asked for alone: as at every decision, the kernel is compared with the functions."""
@@ -165,8 +170,9 @@ class RolloutBarrier(AbstractBarrier):
         exact = self._gradient_by_chain_rule(rollout)
         if exact is not None:
             return exact
-        motion = np.ptp(np.array(rollout.path), axis=0)
-        size = rollout.minimum.size
+        path = self._path_from(rollout.origin, rollout.state, self.horizon)
+        motion = np.ptp(np.array(path), axis=0)
+        size = rollout.found.size if isinstance(rollout.found, FoundMinimum) else rollout.found.minimum.size
         return central_differences(lambda near: self._h_near(rollout, near), rollout.state, motion, size)
 
     def lie_derivative_at(self, rollout: Rollout, directions: FloatArray) -> FloatArray:
@@ -174,13 +180,11 @@ class RolloutBarrier(AbstractBarrier):
         exact = self._gradient_by_chain_rule(rollout)
         if exact is not None:
             return np.asarray(exact @ directions)
-        kernel = self._compiled.kernel(len(rollout.state))
-        if kernel is not None and rollout.found is not None:
-            found = kernel.lie_differences(
-                rollout.found, rollout.origin, rollout.state, directions, self._compiled.time
-            )
-            if found is not None:
-                return found
+        kernel, found = self._compiled.kernel(len(rollout.state)), rollout.found
+        if kernel is not None and isinstance(found, FoundMinimum):
+            quick = kernel.lie_differences(found, rollout.origin, rollout.state, directions, self._compiled.time)
+            if quick is not None:
+                return quick
         derivatives = np.zeros((len(self.names), directions.shape[1]))
         for index, direction in enumerate(directions.T):
             if direction.any():
@@ -191,20 +195,27 @@ class RolloutBarrier(AbstractBarrier):
 
     def _gradient_by_chain_rule(self, rollout: Rollout) -> FloatArray | None:
         """The gradient by the chain rule, if both h and the model have derivatives."""
-        kernel = self._compiled.kernel(len(rollout.state))
-        if kernel is not None and rollout.found is not None and self._knows_gradient:
-            return kernel.gradient(rollout.found, rollout.origin is not None, self._compiled.time)
+        if not self._knows_gradient:
+            return None
+        kernel, found = self._compiled.kernel(len(rollout.state)), rollout.found
+        if isinstance(found, FoundMinimum):
+            exact = (
+                None if kernel is None else kernel.gradient(found, rollout.origin, rollout.state, self._compiled.time)
+            )
+            if exact is not None or not self.loop.constant:
+                return exact
+            found = self._found_by_numpy(rollout.origin, rollout.state)
         first = int(rollout.origin is not None)
-        derivatives = self.loop.sensitivities(rollout.path[first:]) if self._knows_gradient else None
+        derivatives = self.loop.sensitivities(found.path[first:])
         if derivatives is None:
             return None
         # ``origin`` is measured and does not move with the state: its sensitivity is 0.
         sensitivities = [*([np.zeros_like(derivatives[0])] * first), *derivatives]
         rows = []
-        for row, (k, share) in enumerate(rollout.minimum.points):
+        for row, (k, share) in enumerate(found.minimum.points):
             ahead = sensitivities[k]
             change = ahead if share == 0.0 else (1.0 - share) * ahead + share * sensitivities[k + 1]
-            rows.append(self._h.h_and_grad(chord_point(rollout.path, (k, share)))[1][row] @ change)
+            rows.append(self._h.h_and_grad(chord_point(found.path, (k, share)))[1][row] @ change)
         return np.array(rows)
 
     def _h_of(self, state: FloatArray) -> FloatArray:
@@ -217,11 +228,14 @@ class RolloutBarrier(AbstractBarrier):
 
     def _h_near(self, rollout: Rollout, state: FloatArray) -> FloatArray:
         """h_i (m,) at the same points of the path from another state."""
-        kernel, points = self._compiled.kernel(len(state)), rollout.minimum.points
-        if kernel is not None and rollout.found is not None:
-            found = kernel.h_near(rollout.found, rollout.origin, state, self._compiled.time)
-            if found is not None:
-                return found
+        kernel, found = self._compiled.kernel(len(state)), rollout.found
+        if isinstance(found, FoundMinimum):
+            near = None if kernel is None else kernel.h_near(found, rollout.origin, state, self._compiled.time)
+            if near is not None:
+                return near
+            points = tuple(zip(found.chords.tolist(), found.shares.tolist(), strict=True))
+        else:
+            points = found.minimum.points
         # Only as many ticks as the furthest point needs; the rest of the path has no influence on the difference.
         last = max(k + (share > 0.0) for k, share in points) - (rollout.origin is not None)
         path = self._path_from(rollout.origin, state, max(last, 0))
@@ -235,15 +249,26 @@ class RolloutBarrier(AbstractBarrier):
 
 @final
 @dataclass(frozen=True, eq=False)
+class PathWithMinimum:
+    """A path and the minimum on it, from the implementation in NumPy."""
+
+    path: list[FloatArray]
+    minimum: PathMinimum
+
+
+@final
+@dataclass(frozen=True, eq=False)
 class Rollout:
-    """H at a state: the path and its minimum."""
+    """H at a state, from the compiled kernel or from NumPy."""
 
     origin: FloatArray | None
     state: FloatArray
-    path: list[FloatArray]
-    minimum: PathMinimum
-    found: FoundMinimum | None = None
-    """The same from a compiled kernel."""
+    found: FoundMinimum | PathWithMinimum
+
+    @property
+    def values(self) -> FloatArray:
+        """H (m,)."""
+        return self.found.values if isinstance(self.found, FoundMinimum) else self.found.minimum.values
 
 
 @final
@@ -257,7 +282,7 @@ class _RolloutFrom(AbstractBarrier):
 
     def h(self, state: FloatArray) -> FloatArray:
         # A copy: the caller may write into it, and the rollout is cached.
-        return self._rollout_at(state).minimum.values.copy()
+        return self._rollout_at(state).values.copy()
 
     def h_and_grad(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self.h(state), self._barrier.gradient_at(self._rollout_at(state))

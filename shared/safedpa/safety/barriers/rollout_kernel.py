@@ -20,7 +20,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
 from safedpa.native.library import remark
-from safedpa.native.rollout import RecordedItems, RolloutKernel
+from safedpa.native.rollout import FoundMinimum, RecordedItems, RolloutKernel
 from safedpa.native.tracing import OverNumpy, Recording, record, takes_operations, why_not_recorded
 from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed
 from safedpa.safety.barriers.base import AbstractBarrier
@@ -260,14 +260,15 @@ class CompiledRollout:
         return (h.shared, h.each) if isinstance(h, AbstractEquationBarrier) else ((), ((),))
 
     def _agrees_at(self, kernel: RolloutKernel, state: FloatArray) -> bool:
-        found = kernel.minimum(None, state, self.time)
-        if found is None:
+        path = kernel.path(None, state, self.time)
+        if path is None:
             return True  # the implementation in NumPy answers, and reports it
-        found.chords[:], found.shares[:] = 0, 0.0
-        h = kernel.h_near(found, None, state, self.time)
+        none = np.zeros(kernel.count)
+        start = FoundMinimum(none, none.astype(np.int32), none, none)
+        h = kernel.h_near(start, None, state, self.time)
         own = fixed(state)
         after = self._loop.after(own, self._loop.action(own))
-        return h is not None and _agrees(found.path[1], after) and _agrees(h, self._h.h(own))
+        return h is not None and _agrees(path[1], after) and _agrees(h, self._h.h(own))
 
     def __getstate__(self) -> dict[str, Any]:
         """A loaded library cannot be pickled; the receiving process compiles it again, or finds it in the cache."""

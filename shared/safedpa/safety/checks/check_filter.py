@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.backup import backup_issues, horizon_issues
 from safedpa.safety.checks.barriers import (
@@ -74,6 +75,9 @@ def check_filter(
     - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
     - a gradient that contradicts its own h; anything that raises, is not finite, or that the filter refuses.
 
+    As a note it names what prevents a ``RolloutBarrier`` from being compiled: a function without ``operations``, or the
+    line that branches on a number.
+
     A report without issues says nothing about other states. Raises InputError for a wrong shape, or without barriers.
 
     Example:
@@ -105,7 +109,16 @@ def check_filter(
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is checked
         notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), notice)], len(rows))
-    return FilterReport(issues, len(probes))
+    return FilterReport(issues, len(probes), _not_compiled(checked.barriers.parts))
+
+
+def _not_compiled(parts: Sequence[AbstractBarrier]) -> list[str]:
+    """The line that prevents a rollout from being compiled; it then takes a hundred times as long."""
+    return [
+        f"Note ({', '.join(part.names[:4])}): computed by NumPy instead of compiled C: {part.not_compiled}"
+        for part in parts
+        if isinstance(part, RolloutBarrier) and part.not_compiled
+    ]
 
 
 def _checked_rows(states: ArrayLike) -> FloatArray:

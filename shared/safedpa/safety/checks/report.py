@@ -34,7 +34,8 @@ class FilterIssue:
 class FilterReport(Sequence[FilterIssue]):
     """All issues; empty, and so false, if none was found. ``print(report)`` lists them.
 
-    ``states`` is the number of states that were probed. See ``check_filter``.
+    ``states`` is the number of states that were probed; ``notes`` are remarks that are no issues, such as the line that
+    prevents a barrier from being compiled. See ``check_filter``.
 
     Example:
 
@@ -45,8 +46,8 @@ class FilterReport(Sequence[FilterIssue]):
         ['margin']
     """
 
-    def __init__(self, issues: Sequence[FilterIssue], states: int) -> None:
-        self.issues, self.states = tuple(issues), states
+    def __init__(self, issues: Sequence[FilterIssue], states: int, notes: Sequence[str] = ()) -> None:
+        self.issues, self.states, self.notes = tuple(issues), states, tuple(notes)
         """``states``: number of states that were probed."""
 
     def __repr__(self) -> str:
@@ -75,8 +76,8 @@ class FilterReport(Sequence[FilterIssue]):
     def __str__(self) -> str:
         # The number of states shows how much the absence of issues means.
         if not self.issues:
-            return f"No issue at {self.states} states."
-        return "\n".join(f"- {issue}" for issue in self.issues)
+            return "\n".join([f"No issue at {self.states} states.", *self.notes])
+        return "\n".join([*(f"- {issue}" for issue in self.issues), *self.notes])
 
 
 def collect(subject: str, names: Sequence[str], cases: Mapping[int, tuple[float, str]]) -> list[FilterIssue]:
