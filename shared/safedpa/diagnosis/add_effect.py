@@ -50,8 +50,8 @@ def add_effect(
     The parameters of the effects that the model has are fitted again, together with its free ones and the new ones: the
     earlier effects have compensated for the one that was missing. The fit starts both from the given values and from
     those fitted without the effect. The data determine its horizon. With a ``law``, its borders or its rate of change
-    are fitted too. Raises InputError for an unknown effect, one that the model has, or a law that does not suit it; RunError for unusable
-    runs.
+    are fitted too. Raises InputError for an unknown effect, one that the model has, or a law that does not suit it;
+    RunError for unusable runs.
     """
     item = effect(model.system.name, name).at_period(model.period)
     if name in {other.name for other in model.effects}:
