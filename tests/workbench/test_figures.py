@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.messages import finding_of, state_of, verdict_of
 
 from safedpa_services.workbench.live.panels import drive_table, error_bars, error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.live.store import RobotHistory, TimelineMark
@@ -88,14 +89,20 @@ def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_
 
 def test_the_table_of_a_drive_is_empty_until_a_robot_is_heard_and_then_has_its_clock_goals_and_room():
     history = RobotHistory("r1")
-    assert drive_table(history) == ""
-    history.state = SimpleNamespace(robot_time=41.6, goals_reached=3, collisions=1)
-    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", drive_table(history))
-    assert rows == [("clock", "42 s"), ("goals reached", "3"), ("collisions", "1"), ("model in use", "unknown")]
-    history.verdict = SimpleNamespace(h_now=0.256, margin=0.0304)
-    history.finding = SimpleNamespace(model="0123456789abcdef", band=0.0)
-    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", drive_table(history))
-    assert rows[3:] == [("model in use", "01234567"), ("barrier h", "0.26"), ("margin", "0.030")]
+    assert drive_table(history, 9.0) == ""
+    history.update(state_of(robot_time=41.6, goals_reached=3, collisions=1), 9.0)
+    cell = "<td>(.*?)</td>"
+    rows = re.findall(f"<tr>{cell}{cell}{cell}", drive_table(history, 9.2))
+    assert rows == [(*row, "0.2 s old") for row in (("clock", "42 s"), ("goals reached", "3"), ("collisions", "1"))]
+    history.update(verdict_of("passed", h_now=0.256, margin=0.0304), 9.0)
+    history.update(finding_of("watching", model="0123456789abcdef"), 9.0)
+    rows = re.findall(f"<tr>{cell}{cell}{cell}", drive_table(history, 16.0))
+    assert {age for _, _, age in rows} == {'<b class="old">7.0 s old</b>'}
+    assert [row[:2] for row in rows[3:]] == [
+        ("model in use", "01234567"),
+        ("barrier h", "0.26 m"),
+        ("margin", "0.030 m"),
+    ]
 
 
 @pytest.mark.parametrize(("yaw", "turned"), [(0.0, 90.0), (np.pi / 2.0, 0.0), (np.pi, -90.0), (-np.pi / 4.0, 135.0)])

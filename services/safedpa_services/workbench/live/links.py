@@ -69,7 +69,7 @@ class LiveLink(AbstractLink):
     """The connection to a bus."""
 
     def __init__(self, bus: Bus) -> None:
-        super().__init__(f"fleet {bus.fleet}")
+        super().__init__("one fleet" if bus.fleet == "fleet" else f"fleet {bus.fleet}")
         self._bus = bus
         self._inbox = bus.inbox((STATE, VERDICT, FINDING, MODEL, TAKEOVER, HEALTH))
 

@@ -11,6 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from safedpa.bus import Answer, Request
+from safedpa.bus.monitor import age_text
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.workbench.live.links import AbstractLink, QueryResult
 from safedpa_services.workbench.live.panels import (
@@ -149,16 +150,19 @@ class LivePage(AbstractTab):
             self._show_problem(link.store.last_refusal and f"Refused: {link.store.last_refusal}")
             return
         finding = history.finding
-        self._verdict.set_content(escaped(_capitalized(finding.sentence) if finding else "No finding yet."))
+        now = time.monotonic()
+        present = history.headline(now)
+        found = _capitalized(finding.sentence) if finding else "No finding yet."
+        self._verdict.set_content(escaped(present or found))
         latest = history.problems[-1] if history.problems else ""
-        self._show_problem(history.silence_message(time.monotonic()) or history.mismatch() or latest)
-        deadlock = history.deadlock_message()
+        self._show_problem(history.silence_message(now) or history.mismatch() or latest)
+        deadlock = history.deadlock_message(now)
         self._deadlock.set_visibility(bool(deadlock))
         self._deadlock.set_content(escaped(deadlock))
-        self._filter.set_content(escaped(history.verdict.sentence if history.verdict else ""))
+        self._filter.set_content(escaped(_filter_sentence(history, now)))
         self._where_text.set_content(escaped(_where_text(history)))
         self._legend.set_content(field_legend(self._theme))
-        self._drive.set_content(drive_table(history))
+        self._drive.set_content(drive_table(history, now))
         self._field.update_figure(field_figure(history, self._theme))
         self._show_error(history)
         usual = "All services switch to an accepted model at the same tick."
@@ -307,6 +311,15 @@ def _where_text(history: RobotHistory) -> str:
         return ""
     where = f"{finding.where}; " if finding.where else ""
     return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin"
+
+
+def _filter_sentence(history: RobotHistory, now: float) -> str:
+    """Returns the filter's sentence; an old one as the last one, with its age."""
+    _, age = history.ages(now)
+    if history.verdict is None or age is None:
+        return ""
+    sentence = f"{history.verdict.sentence} ({age_text(age)})"
+    return f"Last verdict: {sentence}" if history.headline(now) else sentence
 
 
 def _capitalized(sentence: str) -> str:

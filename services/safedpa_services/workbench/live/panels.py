@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from safedpa.bus.monitor import age_text
 from safedpa.diagnosis.report_schema import Candidate, FittedValue
 from safedpa.live.search_jobs import named_candidate
 from safedpa_services.workbench.live.store import RobotHistory
@@ -16,6 +17,8 @@ from safedpa_services.workbench.panels.elements import escaped
 from safedpa_services.workbench.panels.theme import ColourTheme, axis, curve, figure, markers, vertical_line
 from safedpa_services.workbench.session.candidate_cards import CandidateCard, make_card
 
+_OLD_SECONDS = 2.0
+"""Age beyond which a value is marked: the diagnosis reports once a second."""
 _MEDIAN_OF = 5
 """Number of latest errors whose median is shown as the present error."""
 
@@ -54,22 +57,32 @@ def field_legend(theme: ColourTheme) -> str:
     return f"{spans}<span>★ goal</span>"
 
 
-def drive_table(history: RobotHistory) -> str:
-    """HTML table with the robot's clock, goals, collisions, model, h and margin."""
+def drive_table(history: RobotHistory, now: float) -> str:
+    """HTML table with the robot's clock, goals, collisions, model, h and margin, and their ages at ``now`` [s]."""
     state = history.state
     if state is None:
         return ""
-    model = history.finding.model[:8] if history.finding is not None else "unknown"
-    verdict = history.verdict
+    verdict, (state_age, verdict_age) = history.verdict, history.ages(now)
     rows = [
-        ("clock", f"{state.robot_time:.0f} s"),
-        ("goals reached", f"{state.goals_reached}"),
-        ("collisions", f"{state.collisions}"),
-        ("model in use", escaped(model)),
+        ("clock", f"{state.robot_time:.0f} s", state_age),
+        ("goals reached", f"{state.goals_reached}", state_age),
+        ("collisions", f"{state.collisions}", state_age),
     ]
+    if history.finding is not None and history.diagnosis_heard_at is not None:
+        rows.append(("model in use", escaped(history.finding.model[:8]), max(0.0, now - history.diagnosis_heard_at)))
     if verdict is not None:
-        rows += [("barrier h", f"{verdict.h_now:.2f}"), ("margin", f"{verdict.margin:.3f}")]
-    return '<table class="states">' + "".join(f"<tr><td>{k}</td><td>{v}</td></tr>" for k, v in rows) + "</table>"
+        unit = " rad" if state.corridor else " m" if state.field else ""
+        rows.append(("barrier h", f"{verdict.h_now:.2f}{unit}", verdict_age))
+        rows.append(("margin", f"{verdict.margin:.3f}{unit}", verdict_age))
+    cells = (f"<tr><td>{k}</td><td>{v}</td><td>{_age(age)}</td></tr>" for k, v, age in rows)
+    return '<table class="states">' + "".join(cells) + "</table>"
+
+
+def _age(age: float | None) -> str:
+    """Returns an age [s] as a cell; an old value is marked."""
+    if age is None:
+        return ""
+    return f'<b class="old">{age_text(age)}</b>' if age > _OLD_SECONDS else age_text(age)
 
 
 def change_lines(history: RobotHistory) -> str:

@@ -18,6 +18,7 @@ from safedpa.bus import (
     TakeoverMessage,
     VerdictMessage,
 )
+from safedpa.bus.monitor import MeasurementTimes, headline, is_stale
 from safedpa.errors import InputError
 from safedpa.limits import parse_json
 from safedpa.safety.deadlock.detector import Stand, record_deadlock, what_to_do
@@ -68,7 +69,10 @@ class RobotHistory:
     error_before_change: float | None = None
     """Error before the last model change: the median over the last seconds before it."""
     heard_at: float = 0.0
-    """Time of the last state message, s by this machine's clock."""
+    """Time at which the last state was measured, s by this machine's clock."""
+    verdict_at: float | None = None
+    """The same of the state that the last verdict is about; None if there was none."""
+    times: MeasurementTimes = field(default_factory=MeasurementTimes)
     diagnosis_heard_at: float | None = None
     """Time of the last finding message, s by this machine's clock; None if there was none."""
     problems: deque[str] = field(default_factory=lambda: deque(maxlen=5))
@@ -81,7 +85,7 @@ class RobotHistory:
         if isinstance(message, StateMessage):
             self._state(message, at)
         elif isinstance(message, VerdictMessage):
-            self.verdict = message
+            self.verdict, self.verdict_at = message, self.times.of(message, at)
             self._update_deadlocks(message)
             if len(message.predicted) != 1:  # a single state is the next one, not a path
                 self.predicted_path = message.predicted
@@ -99,7 +103,7 @@ class RobotHistory:
             self._restart(message.epoch)
         if not self.path or message.robot_time > self.path[-1][0]:  # in lockstep a waiting robot repeats its state
             self.path.append((message.robot_time, message.values))
-        self.state, self.heard_at = message, at
+        self.state, self.heard_at = message, self.times.of(message, at)
 
     def _update_deadlocks(self, verdict: VerdictMessage) -> None:
         known = len(self.deadlocks)
@@ -178,10 +182,20 @@ class RobotHistory:
         listed = ", ".join(f"{name} {value[:8]}" for name, value in present.items())
         return f"The services use different models ({listed}); the filter uses its fallback where they matter."
 
-    def deadlock_message(self) -> str:
-        """How long the robot has been stationary, why, and what to do; empty unless motion is requested."""
+    def ages(self, now: float) -> tuple[float | None, float | None]:
+        """Ages of the latest state and verdict at ``now``, s by this machine's clock; None if there was none."""
+        of_state = None if self.state is None else max(0.0, now - self.heard_at)
+        return of_state, None if self.verdict_at is None else max(0.0, now - self.verdict_at)
+
+    def headline(self, now: float) -> str:
+        """What is wrong with the robot's messages at ``now``; empty if they are recent."""
+        sentence = headline(*self.ages(now), 0.0 if self.state is None else self.state.period)
+        return f"{self.name}: {sentence}." if sentence else ""
+
+    def deadlock_message(self, now: float) -> str:
+        """How long the robot has been stationary, why, and what to do; empty unless motion is requested now."""
         verdict = self.verdict
-        if verdict is None or not verdict.stationary_reason:
+        if verdict is None or not verdict.stationary_reason or is_stale(self.ages(now)[1]):
             return ""
         message = f"{self.name} has been stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}."
         return f"{message} {what_to_do(verdict.stationary_reason)}".rstrip()
@@ -197,9 +211,9 @@ class RobotHistory:
 
     def silence_message(self, at: float) -> str:
         """Names the sender that is silent at time ``at`` [s by this machine's clock]; empty if there is none."""
-        if at - self.heard_at > _SILENCE_SECONDS:
-            since = f"{self.name} sent its last message {at - self.heard_at:.0f} s ago"
-            return f"{since}: its drive has ended, or the connection is lost. {self.summary()}"
+        present = self.headline(at)
+        if present:
+            return f"{present} {self.summary()}"
         if self.diagnosis_heard_at is None:
             return "No message from a diagnosis. The page shows the robot alone, which does not need the diagnosis."
         if at - self.diagnosis_heard_at > _SILENCE_SECONDS:

@@ -40,7 +40,8 @@ class MeasurementTimes:
 
     def _of_state(self, message: StateMessage, at: float) -> float:
         key = (message.epoch, message.tick)
-        if message.lockstep:  # the robot's clock stands while it waits for an action, and the state is still the present
+        # In lockstep the robot waits for an action and repeats its state, which is still the present.
+        if message.lockstep:
             return self._keep(key, at)
         if key in self._ticks:
             return self._ticks[key]
