@@ -1,4 +1,4 @@
-"""Reads ROS 1 bags of format 2.0 sequentially: without their index, and up to a truncation.
+"""Reads ROS 1 bags of format 2.0 sequentially: without their index, and past damage.
 
 Format (wiki.ros.org/Bags/Format/2.0): a record is a header and data, each after its length. A header consists of
 ``name=value`` fields, each after its length; ``op`` is the kind of record. Chunks contain connections and messages.
@@ -7,13 +7,16 @@ Format (wiki.ros.org/Bags/Format/2.0): a record is a header and data, each after
 from __future__ import annotations
 
 import bz2
+import contextlib
+import io
+import re
 import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import IO
 
 from safedpa.errors import RunError
-from safedpa.limits import limit, readable, too_much
+from safedpa.limits import LimitError, limit, readable, too_much
 from safedpa.records.readers.bags.messages import AbstractBag, DeclaredTopic
 from safedpa.records.readers.own_process import allow_for
 from safedpa.records.run import Finding
@@ -24,7 +27,16 @@ __all__ = ["Ros1Bag"]
 MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+_INDEX = struct.Struct("<Q")
+_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
+_USED = (_MESSAGE, _CHUNK, _CONNECTION)
+_OPERATION = re.compile(rb"\x04\0\0\0op=[\x02\x05\x07]")
+"""The field of a header with the kind of a record."""
+_MAX_FIELDS_BYTES = 512
+"""Longest header that is looked for after damage; that of a connection has the topic."""
+_PIECE_BYTES = 1 << 20
+_MAX_DAMAGES = 1000
+"""Damaged places after which a file is given up."""
 _MAX_HEADER_BYTES = 1 << 20
 """Largest header of a record; long message definitions are in the data of a connection."""
 
@@ -37,35 +49,64 @@ class Ros1Bag(AbstractBag):
         self._names: dict[int, str] = {}
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """Yields (topic, receipt time in ns, encoded message) in file order; stops at damage, with a finding."""
+        """Yields (topic, receipt time in ns, encoded message) in file order, without damaged records.
+
+        Reading continues at the next whole record; the damage is a finding.
+        """
         size = self.path.stat().st_size
         if size > limit("bag_bytes"):
             raise too_much("bag_bytes", f"{size} bytes", str(self.path))
-        budget = max(limit("expansion_free_bytes"), size * limit("expansion"))
+        budget, damage, last = max(limit("expansion_free_bytes"), size * limit("expansion")), list[int](), None
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RunError(f"{self.path}: is no ROS 1 bag of format 2.0; 'rosbag fix' converts older ones")
-            while True:
-                at = file.tell()
+            self._read_connections_at_end(file, size)
+            following: int | None = len(MAGIC)
+            while following is not None:
+                at = file.seek(following)
                 try:
                     head = _record(file, size)
                     if head is None:
-                        return
+                        break
                     fields, length = head
-                    operation = fields[b"op"][0] if fields.get(b"op") else 0
-                    if operation == _CHUNK:
-                        data = self._unpack_chunk(fields, file.read(length), budget)
+                    following = file.tell() + length
+                    data = file.read(length) if fields.get(b"op") in _USED else b""
+                    if fields.get(b"op") == _CHUNK:
+                        data = self._unpack_chunk(fields, data, budget)
                         budget -= len(data)
-                        yield from self._in_chunk(data, topics)
-                    elif operation == _MESSAGE:  # in bags without chunks
-                        yield from self._message(fields, file.read(length), topics)
-                    elif operation == _CONNECTION:
-                        self._connection(fields, file.read(length))
+                        found = self._in_chunk(data, topics, damage, at)
                     else:
-                        file.seek(length, 1)
-                except (_DamageError, struct.error, KeyError, OSError, EOFError, ValueError, RuntimeError):
-                    self.findings.append(_damaged(at, size))
-                    return
+                        found = self._in_record(fields, data, topics)
+                    for message in found:
+                        last = message[1] if not damage else last
+                        yield message
+                except _DAMAGE:
+                    damage.append(at)
+                    following = _next_record(file, at, size) if len(damage) < _MAX_DAMAGES else None
+        if damage:
+            self.findings.append(_damage_finding(damage, following is None, size, last))
+
+    def _in_record(
+        self, fields: dict[bytes, bytes], data: bytes, topics: Collection[str] | None
+    ) -> Iterator[tuple[str, int, bytes]]:
+        operation = fields.get(b"op")
+        if operation == _MESSAGE:
+            yield from self._message(fields, data, topics)
+        elif operation == _CONNECTION:
+            self._connection(fields, data)
+
+    def _read_connections_at_end(self, file: IO[bytes], size: int) -> None:
+        """Reads the connections that the index at the end lists: those inside a damaged chunk are lost."""
+        try:
+            file.seek(len(MAGIC))
+            head = _record(file, size)
+            if head is None:
+                return
+            file.seek(_INDEX.unpack(head[0][b"index_pos"])[0])
+            while (head := _record(file, size)) is not None and head[0].get(b"op") == _CONNECTION:
+                self._connection(head[0], file.read(head[1]))
+        except _DAMAGE:
+            return
 
     def _unpack_chunk(self, fields: dict[bytes, bytes], packed: bytes, budget: int) -> bytes:
         """Unpacks a chunk; never produces more than its declared size, which must fit the remaining ``budget``."""
@@ -92,21 +133,28 @@ class Ros1Bag(AbstractBag):
             raise _DamageError
         return data
 
-    def _in_chunk(self, data: bytes, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
+    def _in_chunk(
+        self, data: bytes, topics: Collection[str] | None, damage: list[int], chunk: int
+    ) -> Iterator[tuple[str, int, bytes]]:
+        """Messages of a chunk, without damaged records: ``damage`` gets the byte of the ``chunk`` for each."""
         at, size = 0, len(data)
         while at < size:
-            (length,) = _LENGTH.unpack_from(data, at)
-            body = at + 4 + length
-            fields = _fields(data[at + 4 : body])
-            (count,) = _LENGTH.unpack_from(data, body)
-            at = body + 4 + count
-            if at > size:
-                raise _DamageError
-            operation = fields[b"op"][0]
-            if operation == _MESSAGE:
-                yield from self._message(fields, data[body + 4 : at], topics)
-            elif operation == _CONNECTION:
-                self._connection(fields, data[body + 4 : at])
+            begin = at
+            try:
+                (length,) = _LENGTH.unpack_from(data, at)
+                body = at + 4 + length
+                fields = _fields(data[at + 4 : body])
+                (count,) = _LENGTH.unpack_from(data, body)
+                at = body + 4 + count
+                if at > size or b"op" not in fields:
+                    raise _DamageError
+                yield from self._in_record(fields, data[body + 4 : at], topics)
+            except _DAMAGE:
+                following = _next_record(io.BytesIO(data), begin, size)
+                if following is None or len(damage) >= _MAX_DAMAGES:
+                    raise
+                damage.append(chunk)
+                at = following
 
     def _message(
         self, fields: dict[bytes, bytes], data: bytes, topics: Collection[str] | None
@@ -115,7 +163,7 @@ class Ros1Bag(AbstractBag):
         name = self._names.get(number)
         if name is None:
             raise _DamageError
-        if topics is None or name in topics:
+        if self.is_chosen(name, topics):
             seconds, nanoseconds = _TIME.unpack(fields[b"time"])
             yield name, seconds * 1_000_000_000 + nanoseconds, data
 
@@ -126,21 +174,16 @@ class Ros1Bag(AbstractBag):
         if len(self._names) >= limit("bag_topics") and number not in self._names:
             raise too_much("bag_topics", len(self._names) + 1, str(self.path))
         kind = readable(plain_type(about[b"type"].decode("utf-8", "replace")))
-        declared = DeclaredTopic(
-            kind, "ros1", about.get(b"message_definition", b"").decode("utf-8", "replace"), "ros1msg"
-        )
-        before = self.declared.get(name)
-        if before is not None and before.type != kind:
-            raise RunError(
-                f"{self.path}: topic '{readable(name)}' has two types, {before.type} and {kind}; filter the bag first: "
-                "rosbag filter IN.bag OUT.bag EXPRESSION"
-            )
-        self._names[number] = name
-        self.declared[name] = declared
+        text = about.get(b"message_definition", b"").decode("utf-8", "replace")
+        self._names[number] = self.declare(name, DeclaredTopic(kind, "ros1", text, "ros1msg"))
 
 
 class _DamageError(Exception):
     pass
+
+
+_DAMAGE = (_DamageError, struct.error, KeyError, OSError, EOFError, ValueError, RuntimeError)
+"""Exceptions that reading damaged bytes can raise."""
 
 
 def _record(file: IO[bytes], size: int) -> tuple[dict[bytes, bytes], int] | None:
@@ -152,6 +195,8 @@ def _record(file: IO[bytes], size: int) -> tuple[dict[bytes, bytes], int] | None
     if length > _MAX_HEADER_BYTES:
         raise _DamageError
     fields = _fields(file.read(length))
+    if not fields:  # a hole of zeros looks like empty records
+        raise _DamageError
     (count,) = _LENGTH.unpack(file.read(4))  # raises struct.error if the header ends beyond the file
     if file.tell() + count > size:
         raise _DamageError
@@ -174,7 +219,53 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _damaged(at: int, size: int) -> Finding:
-    return Finding(
-        "cut_off", f"the bag is cut off or damaged at byte {at} of {size}; read up to there, the rest ignored"
-    )
+def _next_record(file: IO[bytes], at: int, size: int) -> int | None:
+    """Byte at which the next record that is used begins after a damaged one; None if there is none.
+
+    If the damaged record ends before another one, that follows. Else a record is recognised by its field ``op``, and by
+    a header in which that field is whole.
+    """
+    file.seek(at)
+    with contextlib.suppress(*_DAMAGE):
+        head = _record(file, size)
+        if head is not None and head[0].get(b"op") in _USED:
+            end = file.seek(head[1], 1)
+            if end == size or _is_record(file, end, size):
+                return end
+    place = at + 1
+    while place < size:
+        file.seek(place)
+        piece = file.read(_PIECE_BYTES)
+        for found in _OPERATION.finditer(piece):
+            for start in range(max(at + 1, place + found.start() - _MAX_FIELDS_BYTES), place + found.start() - 3):
+                if _is_record(file, start, size, place + found.end()):
+                    return start
+        if len(piece) < _PIECE_BYTES:
+            return None
+        place += _PIECE_BYTES - _MAX_FIELDS_BYTES
+    return None
+
+
+def _is_record(file: IO[bytes], at: int, size: int, within: int = 0) -> bool:
+    """Whether a record begins at a byte, whose header contains the byte before ``within``."""
+    file.seek(at)
+    start = file.read(4)
+    if len(start) < 4 or (within and not within <= at + 4 + _LENGTH.unpack(start)[0] <= within + _MAX_FIELDS_BYTES):
+        return False
+    file.seek(at)
+    try:
+        head = _record(file, size)
+    except (*_DAMAGE, LimitError):
+        return False
+    return head is not None and len(head[0].get(b"op", b"")) == 1
+
+
+def _damage_finding(damage: list[int], is_last: bool, size: int, last: int | None) -> Finding:
+    """The finding for damaged records; ``is_last``: nothing follows the last one; ``last``: time before the first."""
+    start = None if last is None else last / 1e9
+    more = f" and at {len(damage) - 1} later places" if len(damage) > 1 else ""
+    if is_last:
+        text = f"the bag is cut off or damaged at byte {damage[0]} of {size}{more}; whole records are read"
+        return Finding("cut_off", text, start_t=start)
+    text = f"the bag is damaged at byte {damage[0]} of {size}{more}; the damaged records are left out"
+    return Finding("damaged", text, len(damage), start)
