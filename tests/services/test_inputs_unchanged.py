@@ -20,6 +20,7 @@ COMMANDS = (  # a command line, and what it leaves behind
     ("diagnose model.toml drive.csv --check", ""),
     ("rehearse model.toml drive.csv --effect quadratic_drag", ""),
     ("add model.toml quadratic_drag drive.csv --out more.toml", "more.toml"),
+    ("refit model.toml drive.csv --free base.speed_gain --out more.toml", "more.toml"),
     ("predict model.toml drive.csv --horizon 1 --out predicted.csv", "predicted.csv"),
     ("calibrate recording.mcap --model model.toml --out margin.toml", "margin.toml"),
     ("columns drive.csv --robot car", ""),
@@ -27,7 +28,7 @@ COMMANDS = (  # a command line, and what it leaves behind
     ("replay recording.mcap --out replayed.mcap", "replayed.mcap"),
     ("effects --robot car", ""),
 )
-LONG = ("diagnose model.toml drive.csv --columns", "rehearse", "add")
+LONG = ("diagnose model.toml drive.csv --columns", "rehearse", "add", "refit")
 """Beginnings of those that search or fit for seconds."""
 
 

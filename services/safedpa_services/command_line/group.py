@@ -17,12 +17,13 @@ from safedpa.limits import readable
 
 COMMANDS = (
     "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
-    "dismiss", "effects", "export", "go", "init", "migrate", "predict", "rehearse", "reject", "replay", "roll-back",
-    "ros", "screenshot", "sense", "serve", "status", "stop", "train", "up", "workbench",
+    "dismiss", "effects", "export", "go", "init", "migrate", "predict", "refit", "rehearse", "reject", "remove",
+    "replay", "roll-back", "ros", "screenshot", "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """Each is the click command ``command`` of the module of its name in this package, imported when it is called."""
 _IN_SHARED_MODULES = {
     "accept": "change_requests", "reject": "change_requests", "roll-back": "change_requests",
+    "refit": "refit", "remove": "refit",
     "dismiss": "stop_orders", "go": "stop_orders", "stop": "stop_orders",
 }  # fmt: skip
 """Commands of which several are in one module, each under its own name."""

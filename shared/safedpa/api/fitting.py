@@ -64,7 +64,8 @@ class FittedModel(AbstractPlottedResult):
 
     def __str__(self) -> str:
         change = f" ({100 * (self.after / self.before - 1):+.1f} %)" if self.before > 0 else ""
-        what = f" with {self.effect}" if self.effect else ""
+        there = any(item.name == self.effect for item in self.model.effects)
+        what = f" {'with' if there else 'without'} {self.effect}" if self.effect else ""
         error = f"held-out error after {self.horizon:g} s: {self.before:.4g} before, {self.after:.4g}{what}{change}"
         values = [value_text(path, value) for path, value in self.parameters.items()]
         return "\n".join([*([self.sentence] if self.sentence else []), *values, error])
@@ -173,7 +174,7 @@ def remove(
     out: str | Path | None = None,
     force: bool = False,
 ) -> FittedModel:
-    """Removes one effect from a model, fits the remaining free parameters, and compares the errors.
+    """Removes one effect from a model, fits the free parameters and the other effects again, and compares the errors.
 
     Arguments are as in ``add``. Raises InputError for an effect that the model does not have, RunError for unusable
     recordings.
@@ -192,10 +193,20 @@ def remove(
     _check_out(out, files_of(model, runs, columns, effects), force)
     rest = {path: setting for path, setting in loaded.settings.items() if path.split(".")[0] != effect}
     kept = [item for item in loaded.effects if item.name != effect]
-    without = PhysicsModel(loaded.base, kept, rest, loaded.period, loaded.holds)
+    # The other effects have compensated for this one, or the one for them.
+    marked = {path: replace(setting, free=setting.free or path[:5] != "base.") for path, setting in rest.items()}
+    without = PhysicsModel(loaded.base, kept, marked, loaded.period, loaded.holds)
     step = first_step(without, runs_of(runs, loaded, columns), horizon)
     fitted = with_final(step)
-    made = FittedModel(fitted.model, effect, given_error(loaded, step), fitted.error.value, horizon, fitted.values)
+    settings = {path: replace(fitted.model.settings[path], free=setting.free) for path, setting in rest.items()}
+    made = FittedModel(
+        fitted.model.with_settings(settings),
+        effect,
+        given_error(loaded, step),
+        fitted.error.value,
+        horizon,
+        fitted.values,
+    )
     return _saved(made, out)
 
 
