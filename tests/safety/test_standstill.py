@@ -198,27 +198,28 @@ def verdict(time: float, stationary_for: float, why: str) -> VerdictMessage:
     )  # fmt: skip
 
 
-def test_stands_are_collected_one_by_one_and_the_newest_reason_counts() -> None:
+def test_stands_are_collected_one_by_one_and_the_reason_of_the_longest_part_counts() -> None:
     found: list[Stand] = []
     reported = (
         (3.0, 3.0, ""),
         (5.05, 5.05, "boxed in"),
-        (5.1, 5.1, "dead band"),
+        (5.1, 5.1, "dead band: it does not move"),
         (6.0, 0.0, ""),
         (20.0, 6.0, "margin"),
     )
     for item in reported:
         record_deadlock(found, verdict(*item))
     assert found == [
-        {"from": 0.0, "seconds": 5.1, "reason": "dead band"},
-        {"from": 14.0, "seconds": 6.0, "reason": "margin"},
+        {"from": 0.0, "seconds": 5.1, "reason": "boxed in", "reasons": {"boxed in": 5.05, "dead band": 0.05}},
+        {"from": 14.0, "seconds": 6.0, "reason": "margin", "reasons": {"margin": 6.0}},
     ]
 
 
 def test_stands_are_one_where_they_began_together() -> None:
     found: list[Stand] = []
     record_deadlock(found, verdict(20.0000008, 6.0000004, "margin"))
-    assert found == [{"from": 14.0, "seconds": 6.0, "reason": "margin"}], "to a millionth of a second"
+    (stand,) = found
+    assert (stand["from"], stand["seconds"], stand["reason"]) == (14.0, 6.0, "margin"), "to a millionth of a second"
     found.clear()
     for time, stationary_for in ((6.0, 6.0), (6.001, 6.0), (20.0000008, 6.0000004), (20.5, 6.5), (21.0, 6.5)):
         record_deadlock(found, verdict(time, stationary_for, "margin"))

@@ -450,7 +450,10 @@ def _report(summary: dict[str, Any]) -> None:
             f"in {summary['watchdog_ticks']} ticks ({share:.1f} %) no action arrived: the robot braked by itself"
         )
     for stand in summary["standstills"]:
-        print_plain(f"stationary for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        first = stand["reason"].partition(":")[0]
+        others = [f"{kind} for {seconds:.0f} s" for kind, seconds in stand["reasons"].items() if kind != first]
+        also = f" (also {', '.join(others)})" if others else ""
+        print_plain(f"stationary for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}{also}")
     for incident in summary["incidents"]:
         until = "" if incident["returned"] else " until the end"
         print_plain(f"{incident['name']}: silent for {incident['seconds']:.1f} s{until}")

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import hypot
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from safedpa.systems import System
 
@@ -29,8 +29,8 @@ __all__ = [
     "what_to_do",
 ]
 
-Stand = dict[str, float | str]
-"""``from`` [s, robot time], ``seconds``, ``reason``."""
+Stand = dict[str, Any]
+"""``from`` [s, robot time], ``seconds``, ``reason``, and ``reasons``: the seconds of each reason."""
 
 
 class StandReport(Protocol):
@@ -153,6 +153,8 @@ class DeadlockDetector:
         """Why the robot is stationary; empty for the first ``reported_after`` seconds."""
         if self.seconds <= self.reported_after:
             return ""
+        if status in ("fallback", "stopped"):
+            return "no decision: the backup action holds it"
         driven = self._driven_motion > _MIN_DRIVEN_SHARE * self._nominal_motion
         violated = status in ("relaxed", "violated")
         # A dead band explains a stand only if the filter let the action through, or the action sent should have moved
@@ -162,8 +164,6 @@ class DeadlockDetector:
         ):
             return "dead band: the model says that such an action moves it, and it does not move"
         active_names = " and ".join(active) if active else "the barriers"
-        if status in ("fallback", "stopped"):
-            return "no decision: the backup action holds it"
         if violated or margin_binds:
             return f"margin: {active_names} leave less room than the margin asks for"
         return f"boxed in: {active_names} allow no action that would move it"
@@ -184,13 +184,21 @@ class DeadlockDetector:
 
 
 def record_deadlock(found: list[Stand], verdict: StandReport) -> None:
-    """Adds the stand that a verdict reports to those found, or extends the last one with the newest reason."""
+    """Adds the stand that a verdict reports to those found, or extends the last one.
+
+    ``reason`` is the one that held for the longest part of the whole stand, and not the newest: when the cause is over,
+    a robot that begins to move reports other reasons. ``reasons`` has the seconds of each, by its first word.
+    """
     if not verdict.stationary_reason:
         return
-    start = round(verdict.robot_time - verdict.stationary_for, 6)
-    reported: Stand = {"from": start, "seconds": round(verdict.stationary_for, 6), "reason": verdict.stationary_reason}
+    start, seconds = round(verdict.robot_time - verdict.stationary_for, 6), round(verdict.stationary_for, 6)
     # The same start to within a millisecond is the same stand: later verdicts report it again with more seconds.
-    if found and abs(float(found[-1]["from"]) - start) < 1e-3:
-        found[-1] = reported
-    else:
-        found.append(reported)
+    if not found or abs(found[-1]["from"] - start) >= 1e-3:
+        found.append({"from": start, "seconds": 0.0, "reason": "", "reasons": {}})
+    stand = found[-1]
+    kind = verdict.stationary_reason.partition(":")[0]
+    before = max(stand["reasons"], key=stand["reasons"].get, default="")
+    stand["reasons"][kind] = round(stand["reasons"].get(kind, 0.0) + max(0.0, seconds - stand["seconds"]), 6)
+    if kind == before or not before or stand["reasons"][kind] > stand["reasons"][before]:
+        stand["reason"] = verdict.stationary_reason
+    stand["from"], stand["seconds"] = start, seconds
