@@ -104,6 +104,17 @@ def test_stamps_half_a_second_apart_are_two_clocks(rows_late: float, other_late:
         assert [reported in sentence for sentence in found] == [True] * bool(reported)
 
 
+def test_a_command_without_a_stamp_belongs_to_the_row_of_its_time_if_its_receipt_is_rounded() -> None:
+    """Commands and rows are of one time; every other command has no stamp, and receipts were kept as float64."""
+    seconds = [1_700_000_000 + 0.05 * row for row in range(40)]
+    rows, commands = at(seconds, late=0.003), at(seconds, late=-0.001)
+    rounding = 256 * np.arange(-20, 20) // 20
+    unstamped = np.where(np.arange(40) % 2, 0, commands.stamp)
+    motor = replace(commands, receipt=commands.receipt + rounding, stamp=unstamped)
+    found = table(columns(), joint=rows, motor=motor)
+    assert found.columns["motor:x"].tolist() == list(range(40))
+
+
 def test_rows_by_receipt_ignore_the_stamps() -> None:
     found = table(columns(", hold = 9", "receipt"), joint=at([0, 1], late=7.0), motor=at([6.5]))
     assert found.columns["joint:@receipt"].tolist() == [7.0, 8.0]

@@ -249,7 +249,8 @@ def _time(series: Series, bad: BoolArray, level: FloatArray) -> NDArray[np.int64
     own = (series.receipt - series.stamp) * 1e-9 - level
     known = ~bad & np.isfinite(own)
     offset = float(np.median(own[known])) if known.any() else 0.0
-    delay = np.round((np.nan_to_num(level) + offset) * 1e9).astype(np.int64)
+    # receipts that were kept as float64 are inexact by 256 ns, and a command belongs to the row of its own time
+    delay = np.round((np.nan_to_num(level) + offset) * 1e9).astype(np.int64) + _SAME
     return np.where(bad, series.receipt - delay, series.stamp)
 
 
@@ -259,8 +260,8 @@ def _bad_stamp_finding(topic: str, series: Series, time: NDArray[np.int64], bad:
     first = int(np.flatnonzero(bad)[0])
     count = int(bad.sum())
     stamp = series.stamp[first] / 1e9
-    text = f"{topic}: {count} of {count_text(len(bad), 'message has', 'messages have')} a stamp of another clock "
-    text += f"({stamp:.3f} s)" if stamp else "(0)"
+    text = f"{topic}: {count} of {count_text(len(bad), 'message has', 'messages have')} "
+    text += f"a stamp of another clock ({stamp:.3f} s)" if stamp else "no stamp (0)"
     done = "their time of receipt was taken instead"
     return [finding("bad_stamp", text, count, time[first] / 1e9, done)]
 
