@@ -60,7 +60,9 @@ class WorkbenchPage(AbstractTab):
             self._prediction = PredictionPanel(self._start_at, self._worst)
             self._error_map = ErrorMapPanel(self._set_axes, self._select, self._start_near, self._select_cell)
             self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
-            self._error_reduction = ErrorReductionPanel(self._look_at, self._undo, self._controller.save)
+            self._error_reduction = ErrorReductionPanel(
+                self._look_at, self._undo, self._controller.save, self._controller.remove
+            )
 
     def close(self) -> None:
         """Called when the tab was closed; the controller keeps running."""

@@ -1,7 +1,6 @@
-"""Interactive diagnosis: the user adds one effect at a time from a ranked list.
+"""Interactive diagnosis: the user adds one effect at a time from a ranked list, and may remove any of them.
 
-The steps are those of ``diagnose``, but the user may choose another effect than the best one. Exchanges and removals
-are left to the user.
+The steps are those of ``diagnose``, but the user may choose another effect than the best one.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from safedpa.comparison.rollout_error import rollout_error
 from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, displayed_windows, prepare_runs
-from safedpa.diagnosis.fit.least_squares import relinearized
+from safedpa.diagnosis.fit.least_squares import fit, relinearized
 from safedpa.diagnosis.fit.trial import fit_trials, values_of
 from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, Unexplained
 from safedpa.diagnosis.residuals.unmodelled import find_unexplained_structure
@@ -125,6 +124,28 @@ def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -
         raise InputError(f"effect '{name}': not among the candidates; {did_you_mean(name, tried)}")
     search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
     accept_trial(search, tried[name])
+    for _ in range(_REFITS):
+        search.set_model(*relinearized(search.current.fit, search.shooting))
+    found = replace(step, search=search)
+    return replace(found, improved=found.error.improved_runs(step.error))
+
+
+def without_effect(step: StepwiseModel, name: str) -> StepwiseModel:
+    """Removes one effect of the model and fits all other fitted parameters again.
+
+    Raises InputError for an effect that the model does not have.
+    """
+    before = step.search.current.fit
+    names = [item.name for item in before.model.effects]
+    if name not in names:
+        raise InputError(f"effect '{name}': the model does not have it; {did_you_mean(name, names)}")
+    kept = [item for item in before.model.effects if item.name != name]
+    settings = {path: value for path, value in before.model.settings.items() if path.split(".")[0] != name}
+    model = PhysicsModel(before.model.base, kept, settings, before.model.period, before.model.holds)
+    search = replace(_copied(step.search), candidates=[])
+    search.added = [one for one in search.added if one != name]
+    paths = [path for path in before.paths if path in settings]
+    search.set_model(fit(model, paths, search.shooting, before.scale), search.shooting)
     for _ in range(_REFITS):
         search.set_model(*relinearized(search.current.fit, search.shooting))
     found = replace(step, search=search)

@@ -15,12 +15,19 @@ from safedpa_services.workbench.session.session import Session
 class ErrorReductionPanel:
     """Shows a bar for each version; a click on it shows that version in the other columns."""
 
-    def __init__(self, on_look: Callable[[int], None], on_undo: Callable[[], Any], on_save: Callable[[], Any]) -> None:
-        self._on_look = on_look
+    def __init__(
+        self,
+        on_look: Callable[[int], None],
+        on_undo: Callable[[], Any],
+        on_save: Callable[[], Any],
+        on_remove: Callable[[str], Any],
+    ) -> None:
+        self._on_look, self._on_remove = on_look, on_remove
         with panel(4, "The error falls"):
             text("on data that the fit did not see", "quiet")
             self._stages = ui.element("ol").classes("stages").props('aria-label="versions of the model"')
             with ui.element("div").classes("bottom"):
+                self._effects = ui.element("div").props('role=list aria-label="effects of the model"')
                 self._numbers = ui.html(sanitize=False)
                 self._states = ui.html(sanitize=False)
                 self._message = text("", "quiet").props("aria-live=polite")
@@ -51,12 +58,25 @@ class ErrorReductionPanel:
                     with bar:
                         ui.html(_stage(version.label, version.error, width, number), sanitize=False)
         self._undo.set_enabled(bool(session.decisions))
+        self._show_effects(session)
         numbers = parameter_lines(session.shown_version.values)
         lines = "".join(f"<div>{escaped(line)}</div>" for line in numbers)
         self._numbers.set_content(f'<div class="quiet">fitted parameters</div>{lines}' if numbers else "")
         self._states.set_content(_states(session))
         improved = session.shown_version.improved
         self._message.set_content(f"better in {improved.replace('/', ' of ')} recordings" if improved else "")
+
+    def _show_effects(self, session: Session) -> None:
+        """Lists the effects of the present version, each with a button that removes it."""
+        doubtful = session.doubtful_effects()
+        self._effects.clear()
+        with self._effects:
+            for item in session.present.model.effects:
+                with ui.element("div").classes("row").props("role=listitem"):
+                    text(item.name.replace("_", " "))
+                    if item.name in doubtful:
+                        text("within two deviations of no effect", "problem")
+                    button("Remove", lambda name=item.name: self._on_remove(name), hint=f"remove {item.name}")
 
 
 def _stage(label: str, error: float, width: float, number: int) -> str:

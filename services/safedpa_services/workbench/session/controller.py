@@ -142,6 +142,10 @@ class SessionController:
             session.decisions.append((do, effect, session.number))
             return True
         version = session.present
+        if do == "removed":
+            without = version.step, effect, session.runs, session.horizon
+            taken = await self._run_job(f"{title}: fitting without {effect}", jobs.remove_effect, *without)
+            return self._took(session, taken)
         found = await self._run_job(f"{title}: searching", jobs.search, version.step, session.runs, session.horizon)
         if session is not self.session:
             return False
@@ -150,8 +154,12 @@ class SessionController:
         if taken is None:
             arguments = version.step, found.proposal, effect, session.runs, session.horizon
             taken = await self._run_job(f"{title}: fitting {effect}", jobs.add_candidate, *arguments)
+        return self._took(session, taken)
+
+    def _took(self, session: Session, version: jobs.SessionVersion) -> bool:
+        """Makes a version the present one; returns False if other inputs were opened meanwhile."""
         if session is self.session:
-            session.add(taken)
+            session.add(version)
             self._notify("versions")
         return session is self.session
 
@@ -215,6 +223,23 @@ class SessionController:
             return  # another tab decided first
         session.add(version)
         self._after_decision("versions")
+
+    async def remove(self, effect: str) -> None:
+        """Removes an effect of the model: the version without it becomes the present one."""
+        session = self._editable_session()
+        if session is None or not effect:
+            return
+        self.cancel()  # a search after the present version would be of no use
+        before = session.present
+        try:
+            arguments = before.step, effect, session.runs, session.horizon
+            version = await self._run_job(f"fitting without {effect}", jobs.remove_effect, *arguments)
+        except SafedpaError as error:
+            self._fail(error)
+            return
+        if session is self.session and session.present is before:  # else another tab decided first
+            session.add(version)
+            self._after_decision("versions")
 
     def reject(self, effect: str) -> None:
         """Removes a candidate from the list."""

@@ -65,9 +65,9 @@ def _with_given_free_parameters(model: PhysicsModel, given: PhysicsModel) -> Phy
 
 SESSION_FILE = "session.json"
 Decision = tuple[str, str]
-"""("added" or "rejected", effect)."""
+"""("added", "removed" or "rejected", effect)."""
 _FORMAT = 1
-_DECISIONS = ("added", "rejected")
+_DECISIONS = ("added", "removed", "rejected")
 _MAX_FOLDERS = 1000
 
 

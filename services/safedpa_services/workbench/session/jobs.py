@@ -9,7 +9,14 @@ from typing import Any
 
 from safedpa.comparison.comparison import EVERY, Comparison, compare_model
 from safedpa.comparison.rollout_error import RolloutError, rollout_error
-from safedpa.diagnosis.interactive import RankedCandidates, StepwiseModel, first_step, proposal, with_candidate
+from safedpa.diagnosis.interactive import (
+    RankedCandidates,
+    StepwiseModel,
+    first_step,
+    proposal,
+    with_candidate,
+    without_effect,
+)
 from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, Unexplained
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
@@ -21,6 +28,10 @@ _MAX_WINDOWS = 2500
 """Windows that are compared and drawn; for longer recordings the starts are spaced farther apart."""
 _FITTED_CANDIDATES = 4
 """Best candidates that the search also fits fully: their values are final and adding them takes no time."""
+
+
+REMOVED = "\N{MINUS SIGN} "
+"""Begins the label of a version from which an effect was removed."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +108,14 @@ def add_candidate(
     """Returns the version with one candidate added; raises InputError for an unknown name."""
     report_progress(0.1)
     return _version_with(pickle.loads(step), pickle.loads(proposed), name, runs, horizon)
+
+
+def remove_effect(
+    step: bytes, name: str, runs: Sequence[Run], horizon: float, report_progress: ReportProgress
+) -> SessionVersion:
+    """Returns the version without one effect, fitted again; raises InputError for one that it does not have."""
+    report_progress(0.1)
+    return _version(f"{REMOVED}{name}", without_effect(pickle.loads(step), name), runs, horizon)
 
 
 def compare_for_page(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> Comparison:

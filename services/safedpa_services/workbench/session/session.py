@@ -20,7 +20,7 @@ from safedpa_services.workbench.session.candidate_cards import (
     unexplained_sentence,
     verdict_sentence,
 )
-from safedpa_services.workbench.session.jobs import SearchResult, SessionVersion
+from safedpa_services.workbench.session.jobs import REMOVED, SearchResult, SessionVersion
 from safedpa_services.workbench.session.selection import (
     ErrorMap,
     Selection,
@@ -51,7 +51,7 @@ class Session:
     """Number of the version that the page shows; None for the present one."""
     axes: tuple[str, str] = field(init=False)
     decisions: list[tuple[str, str, int]] = field(default_factory=list)
-    """The user's decisions in order: ("added" or "rejected", effect, version number)."""
+    """The user's decisions in order: ("added", "removed" or "rejected", effect, version number)."""
 
     def __post_init__(self) -> None:
         self.base = len(self.versions)
@@ -130,8 +130,9 @@ class Session:
         return None if self.proposed is None else self.proposed.fitted.get(effect)
 
     def add(self, version: SessionVersion) -> None:
-        """Makes the version with an added candidate the present one."""
-        self.decisions.append(("added", version.label.removeprefix("+ "), self.number))
+        """Makes the version with an added candidate, or without a removed effect, the present one."""
+        what = "removed" if version.label.startswith(REMOVED) else "added"
+        self.decisions.append((what, version.label.removeprefix("+ ").removeprefix(REMOVED), self.number))
         self.versions.append(version)
         self.shown = None
 
@@ -154,7 +155,20 @@ class Session:
         self.rejected.pop(self.number, None)
         self.versions.pop()
         self.shown = None
-        return f"{effect} was removed again."
+        return f"{effect} is in the model again." if what == "removed" else f"{effect} was removed again."
+
+    def doubtful_effects(self) -> tuple[str, ...]:
+        """Effects of the present version whose fitted parameters lie within two deviations of no effect."""
+        version, found = self.present, []
+        for item in version.model.effects:
+            shifts = [
+                (abs(value.value - p.neutral), value.std)
+                for p in item.parameters
+                if p.neutral is not None and (value := version.values.get(f"{item.name}.{p.name}")) is not None
+            ]
+            if shifts and all(std is not None and shift <= 2.0 * std for shift, std in shifts):
+                found.append(item.name)
+        return tuple(found)
 
     # where it fails
 
