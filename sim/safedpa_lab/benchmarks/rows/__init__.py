@@ -24,6 +24,7 @@ class Listed(NamedTuple):
 ROWS: Final = {
     "filter": Listed("one decision of the safety filter", 9.0),
     "decision-parts": Listed("where the time of one decision goes", 0.8),
+    "own-models": Listed("one decision with a user's own model and RolloutBarrier", 5.0),
     "sensed": Listed("one decision among what a laser sees, and from a scan to an action", 1.0),
     "adaptation": Listed("one step of the learned adaptation", 0.2),
     "batch": Listed("many robots through adaptation, policy and filter in one process", 1.0),
