@@ -6,10 +6,12 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import fsspec
 import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 from pyarrow import parquet
 
 from safedpa.errors import RunError
@@ -151,3 +153,27 @@ def test_the_episodes_of_a_dataset_are_segments(tmp_path: Path) -> None:
         file.unlink()
     with pytest.raises(RunError, match="is a LeRobot dataset without data"):
         load_run(tmp_path, CAR)
+
+
+class Bucket(MemoryFileSystem):
+    """A store in memory under the address of one in the cloud."""
+
+    protocol = "hf"
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return f"/{path.removeprefix('hf://').strip('/')}"
+
+
+def test_a_folder_is_read_by_its_url() -> None:
+    fsspec.register_implementation("hf", Bucket, clobber=True)
+    bucket = fsspec.filesystem("hf")
+    columns = pa.table({name: DRIVE[:, k] for k, name in enumerate(NAMES)})
+    with bucket.open("/set/data/chunk-000/a.parquet", "wb") as file:
+        parquet.write_table(columns, file)
+    with bucket.open("/set/meta/info.json", "w") as file:
+        file.write("{}")
+    assert_whole(load_run("hf://set", CAR))
+    assert raw_rows("hf://set").names == NAMES
+    with pytest.raises(RunError, match=r"^hf://other: cannot be read"):
+        load_run("hf://other", CAR)

@@ -9,20 +9,22 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import RunError, SafedpaError, did_you_mean, near_files
 from safedpa.extras import need
-from safedpa.limits import limit, too_much
+from safedpa.limits import limit, readable, too_much
 from safedpa.records.run import Finding
 
 __all__ = ["Table", "regular_file", "require_columns", "require_file"]
 
 _URL = re.compile(r"(https?|s3|gs|gcs|az|abfss?|hdfs|s?ftp|hf):/{1,2}([^/].*)")
 """A URL, also if ``Path`` removed one of its slashes."""
+_MAX_FILES = 10_000
+"""Files of a folder that is downloaded; a dataset has one for each episode."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Table:
 def regular_file(path: Path) -> Iterator[Path]:
     """Yields the path itself, or a temporary file with the content of ``-`` (standard input), a named pipe or a URL.
 
-    A URL such as ``s3://`` or ``https://`` is opened by fsspec. Raises LimitError if the content is larger than a table
-    may be, and RunError for a URL that cannot be read.
+    A URL such as ``s3://`` or ``https://`` is opened by fsspec; with ``s3://`` and the like also a folder. Raises
+    LimitError if the content is larger than a table may be, and RunError for a URL that cannot be read.
     """
     url = _url_of(path)
     if not url and str(path) != "-" and not path.is_fifo():
@@ -62,18 +64,19 @@ def regular_file(path: Path) -> Iterator[Path]:
             _download(url, copy)
         else:
             with sys.stdin.buffer if str(path) == "-" else path.open("rb") as source:
-                _copy(source, copy, str(path))
+                _copy(source, copy, str(path), limit("table_bytes"))
         yield copy
 
 
-def _copy(source: IO[bytes], copy: Path, name: str) -> None:
-    left = limit("table_bytes")
+def _copy(source: IO[bytes], copy: Path, name: str, left: int) -> int:
+    """Copies at most ``left`` bytes; returns how many are left."""
     with copy.open("wb") as target:
         while piece := source.read(1 << 20):
             left -= len(piece)
             if left < 0:
                 raise too_much("table_bytes", "more", name)
             target.write(piece)
+    return left
 
 
 def _url_of(path: Path) -> str:
@@ -87,13 +90,32 @@ def _download(url: str, copy: Path) -> None:
     import fsspec
 
     try:
-        with fsspec.open(url, "rb") as source:
-            _copy(source, copy, url)
+        store, place = fsspec.core.url_to_fs(url)
+        if not url.startswith("http") and store.isdir(place):  # a web server lists no folders
+            _download_folder(url, store, place, copy)
+            return
+        with store.open(place, "rb") as source:
+            _copy(source, copy, url, limit("table_bytes"))
     except SafedpaError:
         raise
     except Exception as error:  # each store raises its own kinds
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise RunError(f"{url}: cannot be read ({reason}); check the address, or name a file") from error
+
+
+def _download_folder(url: str, store: Any, place: str, folder: Path) -> None:
+    """Copies the files of a folder, such as a rosbag2 or a dataset; raises RunError for too many of them."""
+    left, names = limit("table_bytes"), store.find(place)
+    if len(names) > _MAX_FILES:
+        raise RunError(f"{url}: has {len(names)} files, wanted at most {_MAX_FILES}; name one of them")
+    for name in names:
+        parts = name.removeprefix(place).strip("/").split("/")
+        if ".." in parts:
+            raise RunError(f"{url}: has a file named '{readable(name)}'; wanted names inside the folder")
+        copy = folder.joinpath(*parts)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        with store.open(name, "rb") as source:
+            left = _copy(source, copy, url, left)
 
 
 def require_file(path: Path) -> None:
