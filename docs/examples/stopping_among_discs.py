@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from safedpa.safety import FilterSettings, RolloutBarrier, SafetyFilter, check_filter
+from safedpa.safety import FilterSession, FilterSettings, RolloutBarrier, SafetyFilter, check_filter
 
 PERIOD, STRONGEST = 0.05, 1.0  # s, m/s2
 DISCS = np.array([[1.5, 0.2, 0.4], [1.0, 1.5, 0.4]])  # x, y, radius in m
@@ -38,10 +38,11 @@ def main() -> str:
         action_low=(-STRONGEST, -STRONGEST), action_high=(STRONGEST, STRONGEST), eta=0.2, epsilon=0.002
     )
     safe = SafetyFilter(model, [barrier], settings, backup=barrier.backup)
-    report = check_filter(safe, [[0.0, 0.0, 0.0, 0.0], [0.3, 0.1, 0.5, 0.0]])
+    session = FilterSession(safe, period=PERIOD, states=4)  # brakes along the prediction if the state is lost
+    report = check_filter(session, [[0.0, 0.0, 0.0, 0.0], [0.3, 0.1, 0.5, 0.0]])
     x, least = np.zeros(4), np.inf
     for _ in range(80):
-        verdict = safe.decide(x, nominal=[1.0, 0.1])
+        verdict = session.decide(x, nominal=[1.0, 0.1])
         x = A @ x + B @ verdict.action
         least = min(least, room(x).min())
     return f"{report}\nAt {x[0]:.2f}, {x[1]:.2f} m after {80 * PERIOD:g} s; least room {100 * least:.1f} cm.\n"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from safedpa.arrays import FloatArray
@@ -9,7 +12,10 @@ from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.checks.probes import ROUNDING, FilterUnderTest, Probe
 from safedpa.safety.checks.report import FilterIssue, collect, format_vector
 
-__all__ = ["backup_issues", "horizon_issues"]
+__all__ = ["backup_issues", "horizon_issues", "lost_state_issues"]
+
+_LOST_TICKS = 100
+"""Ticks without a state that are rolled out: 5 s at 20 Hz."""
 
 
 def backup_issues(checked: FilterUnderTest, probes: list[Probe], *, can_stop: bool) -> list[FilterIssue]:
@@ -97,3 +103,57 @@ def horizon_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filter
                 issues.append(FilterIssue("horizon", part.names, notice))
                 break
     return issues
+
+
+def lost_state_issues(checked: FilterUnderTest, probes: list[Probe], *, can_stop: bool) -> list[FilterIssue]:
+    """A backup that brakes by the state, while the action without a state lets the robot coast into a barrier.
+
+    Both are rolled out from states inside h >= epsilon / eta: h must not fall below 0 without a state if it does not
+    with one.
+    """
+    if not can_stop or checked.safe.tools.backup is None:
+        return []
+    worst: dict[int, tuple[float, str]] = {}
+    for probe in [one for one in probes if one.inside][:_LOST_PROBES]:
+        blind = _blind_action(checked)
+        if np.array_equal(blind, checked.backup(probe.state)):
+            continue
+        least = _least_h(checked, probe.state, partial(_always, blind))
+        hit = np.flatnonzero((least < 0.0) & (_least_h(checked, probe.state, checked.backup) >= 0.0))
+        for row in hit.tolist():
+            if -least[row] > worst.get(row, (0.0, ""))[0]:
+                notice = (
+                    f"got {format_vector(blind)} when the state is lost, which takes h to {least[row]:.3g} from "
+                    f"{format_vector(probe.state)}, where the backup with a state stays at h >= 0; decide through a "
+                    "FilterSession, which brakes along the predicted state"
+                )
+                worst[row] = float(-least[row]), notice
+    return collect("lost state", checked.barriers.names, worst)
+
+
+_LOST_PROBES = 8
+"""States from which a lost state is rolled out: each takes up to twice as many evaluations as there are ticks."""
+
+
+def _blind_action(checked: FilterUnderTest) -> FloatArray:
+    """What the filter falls back to without a state (actions,)."""
+    verdict = checked.safe.decide(None, checked.safe.settings.resting_action, checked.latent, barriers=checked.barriers)
+    return np.array(verdict.action)
+
+
+def _always(action: FloatArray, state: FloatArray) -> FloatArray:
+    del state
+    return action
+
+
+def _least_h(checked: FilterUnderTest, state: FloatArray, action: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """The least h (m,) along the rollout of an action chosen at each state."""
+    low, high = checked.bounds
+    least = checked.h(state)
+    for _ in range(_LOST_TICKS):
+        following = checked.next_state(state, np.clip(action(state), low, high))
+        least = np.minimum(least, checked.h(following))
+        if np.array_equal(following, state):
+            break
+        state = following
+    return least

@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
-from safedpa.safety.checks.backup import backup_issues, horizon_issues
+from safedpa.safety.checks.backup import backup_issues, horizon_issues, lost_state_issues
 from safedpa.safety.checks.barriers import (
     condition_issues,
     flat_issues,
@@ -29,6 +29,7 @@ from safedpa.safety.checks.probes import FilterUnderTest, Probe, collect_probes
 from safedpa.safety.checks.report import FilterIssue, FilterReport
 from safedpa.safety.checks.time import time_issues
 from safedpa.safety.filter import SafetyFilter
+from safedpa.safety.session.filter_session import FilterSession
 from safedpa.safety.validation import checked_output
 
 __all__ = ["check_filter"]
@@ -48,7 +49,7 @@ _CHECKS: Final[tuple[Callable[[FilterUnderTest, list[Probe]], list[FilterIssue]]
 
 
 def check_filter(
-    safe: SafetyFilter,
+    safe: SafetyFilter | FilterSession,
     states: ArrayLike,
     *,
     barriers: Sequence[AbstractBarrier] | None = None,
@@ -69,7 +70,8 @@ def check_filter(
     - states inside h >= epsilon / eta at which no action satisfies every constraint, and whether that is because the
       action influences h only after more than one tick (relative degree above one, a delay);
     - a backup out of bounds, one that differs from a ``RolloutBarrier``'s, or that violates a constraint; a horizon
-      that ends before the backup has come to rest;
+      that ends before the backup has come to rest; a fallback without a state that lets the robot coast
+      (not with a ``FilterSession`` in place of the filter);
     - obstacles thinner than a tick's travel: h falls between two ticks by more than epsilon / eta;
     - an h that is flat at some states, and an entry of the action that moves no h, so that the robot stalls;
     - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
@@ -87,8 +89,11 @@ def check_filter(
         >>> print(safedpa.check_filter(safe, [[0.0, 0.0], [0.1, 0.0]], latent=model.latent, can_stop=False))
         No issue at ... states.
     """
+    # A session brakes along the predicted state when it loses the measured one.
+    predicts = isinstance(safe, FilterSession)
+    safe = safe.filter if isinstance(safe, FilterSession) else safe
     if not isinstance(safe, SafetyFilter):
-        raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter")
+        raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter, or a FilterSession")
     if period is not None and not 0.0 < period < inf:
         raise InputError(f"period: got {period!r}, wanted a finite number of seconds > 0")
     rows = _checked_rows(states)
@@ -104,7 +109,9 @@ def check_filter(
     try:
         probes = collect_probes(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
-        issues += backup_issues(checked, probes, can_stop=can_stop)
+        wrong = backup_issues(checked, probes, can_stop=can_stop)
+        # A backup that is wrong in itself is reported alone.
+        issues += wrong or ([] if predicts else lost_state_issues(checked, probes, can_stop=can_stop))
         issues += [] if period is None else time_issues(checked, probes, period)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is checked
         notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"

@@ -18,8 +18,8 @@ class FilterIssue:
     """One issue: its ``subject``, and a ``sentence`` with what was got, what was wanted and what to do."""
 
     subject: str
-    """``failure``, ``margin``, ``scale``, ``relative degree``, ``conditions``, ``stall``, ``backup``, ``horizon``,
-    ``ticks``, ``flat``, ``gradient`` or ``time``."""
+    """``failure``, ``margin``, ``scale``, ``relative degree``, ``conditions``, ``stall``, ``backup``, ``lost state``,
+    ``horizon``, ``ticks``, ``flat``, ``gradient`` or ``time``."""
     names: tuple[str, ...]
     """Names of the barriers concerned, if any."""
     sentence: str

@@ -35,6 +35,10 @@ GRACE: Final = 0.2
 """Time [s] for which a robot without a state follows its nominal action, with a margin that grows."""
 _LONGEST_LOSS: Final = 10.0
 """Time [s] after which a prediction says nothing any more; the robot is at rest by then, or cannot stop."""
+_SAME_AGE: Final = 1e-6
+"""Share of a period by which the ages of two states may differ by rounding."""
+_LONGEST_SHARE: Final = 3.0
+"""Periods between two measurements that are predicted by one step."""
 _AT_REST: Final = 0.01
 """Share of the fastest motion since the state was lost below which the robot counts as stationary."""
 
@@ -45,6 +49,8 @@ class _Believed(NamedTuple):
     epoch: int
     tick: int
     values: Plain
+    until_action: float
+    """As in the state message [s]: how old the measurement was."""
 
 
 class GuardedSession(SessionMemory[StateT]):
@@ -90,7 +96,7 @@ class GuardedSession(SessionMemory[StateT]):
             return ""
         if self.problem and (self.lost * self.model.period > GRACE or self.problem != _LOST):
             return f"{self.problem}; predicted for {self.lost * self.model.period:.2g} s"
-        return ""
+        return self.delayed
 
     def confirm(self) -> None:
         """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
@@ -119,14 +125,17 @@ class GuardedSession(SessionMemory[StateT]):
         predicted = self._predicted(state) if known is not None else None
         if usable and not self.latched and self.limits is not None:
             self.latched = late or self._implausible(state, predicted)
+            # A frozen state was believed for some periods: the robot is where the commands took it since.
+            if self.latched and self.evidence is not None and any(self.evidence.unanswered.values()):
+                predicted = self._monitor.free or predicted
         if usable and not self.latched:
             if self._monitor.accept(state.values, self.evidence):
                 self._free_memory = None
             self.lost, self._fastest = 0, 0.0
-            self._believed = _Believed(state.epoch, state.tick, state.values)
+            self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)
         elif predicted is not None and known is not None:
             self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
-            self._believed = _Believed(state.epoch, state.tick, predicted)
+            self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
             # The fields of a state message are checked; only its values change.
             state = replace(state, values=predicted)  # type: ignore[type-var]
         self._accepted = state
@@ -180,7 +189,12 @@ class GuardedSession(SessionMemory[StateT]):
             if following is None:
                 return None
             values, memory = following
-        return values
+        # A source that measures at other moments than the ticks: the time between two measurements is no period.
+        later = (known.until_action - state.until_action) / self.model.period
+        if self.lost or ticks != 1 or abs(later) <= _SAME_AGE:
+            return values
+        share = min(max(1.0 + later, 0.0), _LONGEST_SHARE)
+        return tuple([before + share * (now - before) for before, now in zip(known.values, values, strict=True)])
 
     def _free(self, state: StateT) -> Plain:
         """The prediction since the position last changed, one period further; empty if there is none."""

@@ -158,16 +158,19 @@ class StateMonitor:
         )
 
 
-_CLOCK_INTERVALS: Final = 5
-_FEWEST_SLOW: Final = 3
+_FEWEST_INTERVALS: Final = 3
 _LONGEST_INTERVAL: Final = 1.5
 """s between two states that show a rate: a longer one is a pause."""
 _FAST: Final = 1.5
-"""Ratio of stamps to arrivals in each of the last intervals that is no jitter: a delayed message is followed by an
-early one."""
+"""Ratio of stamps to arrivals that is no jitter if every interval shows it: a delayed message is followed by an early
+one."""
+_FAST_SECONDS: Final = 0.2
+"""Time [s] by the stamps for which they must be fast: messages may arrive in bursts."""
 _SLOW: Final = 0.5
 _SLOW_SECONDS: Final = 0.8
-"""A busy machine may run slowly for a moment, so a slow clock must last for this long."""
+"""Time [s] of arrivals for which stamps must be slow: a busy machine may be slow for a moment."""
+_REMEMBERED: Final = 512
+"""Intervals: more than a second of the fastest sources."""
 
 
 @final
@@ -176,7 +179,7 @@ class ClockMonitor:
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
-        self._intervals: deque[tuple[float, float]] = deque(maxlen=64)
+        self._intervals: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
 
     def observe(self, stamp: float, arrived: float) -> str:
         """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
@@ -189,16 +192,18 @@ class ClockMonitor:
             self._intervals.clear()
             return ""
         self._intervals.append(interval)
-        newest = list(self._intervals)[-_CLOCK_INTERVALS:]
-        if len(newest) == _CLOCK_INTERVALS and all(stamps > _FAST * seconds for stamps, seconds in newest):
-            return self._sentence(newest)
-        slow = list[tuple[float, float]]()
-        for stamps, seconds in reversed(self._intervals):
-            if not stamps < _SLOW * seconds:
+        return self._wrong(_FAST, _FAST_SECONDS, fast=True) or self._wrong(_SLOW, _SLOW_SECONDS, fast=False)
+
+    def _wrong(self, ratio: float, wanted: float, *, fast: bool) -> str:
+        """The sentence if all intervals of the last ``wanted`` [s] are beyond the ratio; empty otherwise."""
+        seconds, found = 0.0, list[tuple[float, float]]()
+        for stamps, arrivals in reversed(self._intervals):
+            if not (stamps > ratio * arrivals if fast else stamps < ratio * arrivals):
                 break
-            slow.append((stamps, seconds))
-            if len(slow) >= _FEWEST_SLOW and sum(seconds for _, seconds in slow) >= _SLOW_SECONDS:
-                return self._sentence(slow)
+            found.append((stamps, arrivals))
+            seconds += stamps if fast else arrivals
+            if seconds >= wanted and len(found) >= _FEWEST_INTERVALS:
+                return self._sentence(found)
         return ""
 
     def _sentence(self, intervals: list[tuple[float, float]]) -> str:
