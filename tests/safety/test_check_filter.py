@@ -20,6 +20,7 @@ from safedpa.safety import (
     AbstractBarrier,
     CorridorBarrier,
     FilterReport,
+    FilterSession,
     FilterSettings,
     FunctionBarrier,
     HigherOrderBarrier,
@@ -106,7 +107,7 @@ def test_the_point_robot_is_fine() -> None:
     assert not isinstance(barriers, str)
     states = random.uniform((-0.4, -0.4, -3, -0.3, -0.3), (0.4, 0.4, 3, 0.3, 0.3), (6, 5))
     safe = SafetyFilter.for_model(model, settings, barriers, backup=scene.backup)
-    found = check_filter(safe, states, latent=latent, ticks=24)
+    found = check_filter(FilterSession(safe), states, latent=latent, ticks=24)
     assert not found, str(found)
 
 

@@ -1,0 +1,228 @@
+"""What a session remembers: it believes plausible states, predicts lost ones, and reports why a robot stays."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa import InputError
+from safedpa.safety import (
+    Evidence,
+    FilterSession,
+    FilterSettings,
+    FunctionBarrier,
+    SafetyFilter,
+    StateLimits,
+    check_filter,
+    limits_from_evidence,
+)
+from safedpa.safety.session.plausibility import ClockMonitor
+from safedpa.systems import System, Variable
+
+PERIOD = 0.05
+A = np.array([[1.0, PERIOD], [0.0, 1.0]])
+B = np.array([[0.5 * PERIOD**2], [PERIOD]])
+MASS = System(
+    "mass", (Variable("x", "m", -50.0, 50.0), Variable("v", "m/s", -5.0, 5.0)), (Variable("a", "m/s2", -2.0, 2.0),)
+)
+LIMITS = StateLimits(jump={"m": 0.05, "m/s": 0.3}, drift={"m": 0.08}, unanswered={"m": 0.05})
+
+
+def brake(x: Any) -> list[float]:
+    return [0.0 if x is None else float(np.clip(-x[1] / PERIOD, -2.0, 2.0))]
+
+
+def filter_of_the_mass() -> SafetyFilter:
+    """A wall at 3 m; h is the room that is left after braking."""
+    wall = FunctionBarrier(lambda x: 3.0 - x[0] - 0.1 * max(x[1], 0.0) - max(x[1], 0.0) ** 2 / 3.6, kind="wall")
+    settings = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon={"wall": 0.01})
+    return SafetyFilter(lambda x: (A @ x, B), [wall], settings, backup=brake)
+
+
+def session_of_the_mass(limits: StateLimits | None = LIMITS) -> FilterSession:
+    return FilterSession(filter_of_the_mass(), period=PERIOD, system=MASS, limits=limits)
+
+
+def drive(
+    decide: Callable[..., Any], measure: Callable[[int, np.ndarray], Any], ticks: int = 160
+) -> Iterator[tuple[int, np.ndarray, Any]]:
+    """The true state and the verdict of each tick; the nominal action asks for full thrust towards the wall."""
+    x = np.zeros(2)
+    for tick in range(ticks):
+        verdict = decide(measure(tick, x), [2.0])
+        yield tick, x, verdict
+        x = A @ x + B @ verdict.action
+
+
+def from_tick(begin: int, wrong: Callable[[int, np.ndarray], Any]) -> Callable[[int, np.ndarray], Any]:
+    return lambda tick, x: wrong(tick - begin, x) if tick >= begin else x
+
+
+FAULTS: dict[str, tuple[int, Callable[[int, np.ndarray], Any], tuple[str, ...]]] = {
+    "jump": (20, lambda _, x: x - [0.8, 0.0], ("jumped by 0.8 m",)),
+    "restart": (20, lambda k, x: x - [0.9, 0.0], ("jumped",)),
+    "frozen while moving": (20, lambda k, x: np.array([0.9, 1.9]), ("jumped", "does not change", "rates differ")),
+    "frozen at rest": (0, lambda k, x: np.zeros(2), ("does not change although the commands should have moved it",)),
+    "drift": (20, lambda k, x: x - [0.05 * PERIOD * k, 0.0], ("its position and its rates differ",)),
+    "speed": (20, lambda k, x: x * [1.0, 0.5], ("jumped by",)),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_state_that_contradicts_the_ones_before_stops_the_robot_until_it_is_confirmed(fault: str) -> None:
+    begin, wrong, reasons = FAULTS[fault]
+    session, furthest, speed = session_of_the_mass(), 0.0, 0.0
+    for tick, x, verdict in drive(session.decide, from_tick(begin, wrong)):
+        assert session.latched == "" or tick >= begin
+        assert not session.latched or verdict.status.value == "fallback"
+        furthest, speed = max(furthest, x[0]), x[1]
+    assert any(reason in session.latched for reason in reasons), session.latched
+    assert furthest < 3.0
+    assert abs(speed) < 0.01
+    session.confirm()
+    assert session.decide([0.0, 0.0], [1.0]).status.value == "passed"
+    assert session.decide([0.00125, 0.05], [1.0]).status.value == "passed"
+
+
+def test_without_limits_the_same_faults_are_believed_and_hit_the_wall() -> None:
+    session = session_of_the_mass(None)
+    assert max(x[0] for _, x, _ in drive(session.decide, from_tick(20, FAULTS["jump"][1]))) > 3.0
+
+
+def test_healthy_states_are_decided_as_without_a_session() -> None:
+    session, plain = session_of_the_mass(), filter_of_the_mass()
+    for _, x, verdict in drive(session.decide, lambda _, x: x):
+        assert verdict.action.tolist() == plain.decide(x, [2.0]).action.tolist()
+    assert (session.latched, session.problem, session.lost) == ("", "", 0)
+
+
+@pytest.mark.parametrize("seconds", [0.25, 1.0, 5.0])
+@pytest.mark.parametrize("nothing", [None, [np.nan, np.nan]])
+def test_a_lost_state_is_predicted_and_the_robot_brakes_along_it(seconds: float, nothing: Any) -> None:
+    """Lost where the mass must brake to stay clear of the wall; the plain filter lets it coast."""
+    first, last = 30, 30 + round(seconds / PERIOD)
+
+    def measured(tick: int, x: np.ndarray) -> Any:
+        return nothing if first <= tick < last else x
+
+    session = session_of_the_mass()
+    found = list(drive(session.decide, measured))
+    assert max(x[0] for _, x, _ in found) < 3.0
+    assert found[-1][1][0] > 2.5, "it drives on when the state is back"
+    assert session.latched == ""
+    if seconds > 1.0:
+        assert max(x[0] for _, x, _ in drive(filter_of_the_mass().decide, measured)) > 3.0
+        assert abs(found[last - 1][1][1]) < 0.01, "at rest before the state returns"
+
+
+def test_the_margin_grows_with_each_lost_state() -> None:
+    session = session_of_the_mass()
+    session.decide([0.0, 0.5], [0.0])
+    grown = []
+    for _ in range(3):
+        session.decide(None, [0.0])
+        grown.append(session.epsilon["wall"])
+    assert grown == pytest.approx([0.02, 0.03, 0.04])
+
+
+def test_a_session_that_never_had_a_state_takes_the_fallback() -> None:
+    verdict = session_of_the_mass().decide(None, [1.0])
+    assert (verdict.status.value, verdict.action.tolist()) == ("fallback", [0.0])
+
+
+def test_a_unicycle_with_a_plain_distance_is_reported_within_two_seconds() -> None:
+    def affine(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return x.copy(), PERIOD * np.array([[np.cos(x[2]), 0.0], [np.sin(x[2]), 0.0], [0.0, 1.0]])
+
+    ahead = FunctionBarrier(lambda x: np.hypot(x[0] - 2.0, x[1]) - 0.5, kind="disc")
+    settings = FilterSettings(action_low=(-1.0, -2.0), action_high=(1.0, 2.0), epsilon={"disc": 0.01})
+    session = FilterSession(SafetyFilter(affine, [ahead], settings), period=PERIOD, states=3)
+    x, slow, reported = np.zeros(3), 0.0, -1.0
+    for tick in range(200):
+        verdict = session.decide(x, [1.0, 0.0])
+        f, g = affine(x)
+        following = f + g @ verdict.action
+        if not slow and np.hypot(*(following - x)[:2]) < 0.1 * PERIOD:
+            slow = tick * PERIOD
+        if reported < 0.0 and session.stationary_because:
+            reported = tick * PERIOD
+            assert "boxed in" in verdict.reason
+        x = following
+    assert 0.0 <= reported - slow <= 2.0
+
+
+# clocks
+@pytest.mark.parametrize(("rate", "wrong"), [(0.3, True), (3.0, True), (0.8, False), (1.0, False), (1.25, False)])
+def test_stamps_at_another_rate_than_the_arrivals_stop_the_robot(rate: float, wrong: bool) -> None:
+    session, ticks = session_of_the_mass(), 0
+    while not session.latched and ticks < 100:
+        session.decide([0.0, 0.0], [0.0], time=PERIOD * ticks, arrived=7.0 + PERIOD * ticks / rate)
+        ticks += 1
+    assert ("its stamps advance" in session.latched) is wrong
+    assert not wrong or ticks * PERIOD <= 0.4
+
+
+@given(st.lists(st.floats(0.0, 0.3), min_size=20, max_size=60), st.integers(1, 8))
+def test_late_messages_and_bursts_are_no_other_rate(late: list[float], burst: int) -> None:
+    """Each message arrives after its measurement, up to 0.3 s late and never before an earlier one."""
+    monitor, arrived = ClockMonitor(), 0.0
+    for tick, seconds in enumerate(late):
+        sent = PERIOD * (burst * (tick // burst) + burst)
+        arrived = max(arrived + 1e-4, sent + 0.1 * seconds)
+        if burst * PERIOD < 0.2:
+            assert monitor.observe(PERIOD * tick, arrived) == ""
+
+
+@pytest.mark.parametrize("stamps", [[0.0, 1e9, 1e9 + 0.05, 0.1, 0.15], [0.0] * 20, [5.0, 4.0, 3.0, 2.0, 1.0]])
+def test_a_clock_that_is_set_shows_no_rate(stamps: list[float]) -> None:
+    monitor = ClockMonitor()
+    assert not any(monitor.observe(stamp, PERIOD * tick) for tick, stamp in enumerate(stamps))
+
+
+# limits
+def test_limits_from_healthy_drives_believe_them_and_their_file_reads_back(tmp_path: Path) -> None:
+    rows = [Evidence({"m": size}, {"m": (2.0 * size, way)}, {"m": 0.0}) for size, way in ((0.01, 0.0), (0.02, 3.0))]
+    limits = limits_from_evidence(rows, reserve=1.0)
+    assert (limits.jump, limits.drift) == ({"m": 0.02}, {"m": 0.02})
+    assert limits.drift["m"] + limits.drift_share["m"] * 3.0 == pytest.approx(0.04)
+    file = tmp_path / "limits.toml"
+    file.write_text(limits.text("two states"), encoding="utf-8")
+    assert StateLimits.load(file) == limits
+
+
+@pytest.mark.parametrize(
+    ("text", "notice"),
+    [
+        ("format = 2\n", "format"),
+        ("format = 1\n[jumps]\nm = 1.0\n", "jumps: unknown key"),
+        ("format = 1\n[jump]\nm = -1.0\n", "wanted a number >= 0"),
+        ('format = 1\njump = "far"\n', "wanted numbers by unit"),
+    ],
+)
+def test_a_file_that_holds_no_limits_is_refused_by_key(text: str, notice: str, tmp_path: Path) -> None:
+    file = tmp_path / "limits.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=notice):
+        StateLimits.load(file)
+
+
+def test_the_bounds_of_a_system_imply_how_far_a_position_moves_in_a_period() -> None:
+    assert StateLimits.of_system(MASS, 0.1).jump == {"m": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "notice"), [({}, "period"), ({"period": -1.0}, "period"), ({"period": 0.1}, "states")]
+)
+def test_a_session_of_functions_asks_for_what_it_cannot_know(arguments: dict[str, float], notice: str) -> None:
+    with pytest.raises(InputError, match=notice):
+        FilterSession(filter_of_the_mass(), **arguments)  # type: ignore[arg-type]
+
+
+def test_a_fallback_that_coasts_without_a_state_is_an_issue_of_a_filter_and_none_of_a_session() -> None:
+    states = [[0.0, 0.0], [0.0, 1.0]]
+    assert "lost state" in check_filter(filter_of_the_mass(), states).subjects
+    assert "lost state" not in check_filter(session_of_the_mass(), states).subjects
