@@ -23,8 +23,9 @@ def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -
 
     Example: safedpa columns LOG --robot car > map.toml.
 
-    LOG is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. The map lists
-    topics, types, rates and fields as comments. It is a proposal: check every line before you use it.
+    LOG is a table (CSV, Parquet, NumPy .npz, MATLAB .mat, HDF5, a LeRobot dataset), a rosbag2 (MCAP, SQLite or folder),
+    a ROS 1 bag, or a PX4 flight log; a path, a URL, or - for standard input. The map lists topics, types, rates and
+    fields as comments. It is a proposal: check every line before you use it.
     """
     from safedpa.api.log_columns import columns
 

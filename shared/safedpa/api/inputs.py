@@ -34,8 +34,10 @@ Columns: TypeAlias = ColumnMap | _HasColumnMap | Mapping[str, Any] | str | Path 
 
 
 def read_log(log: str | Path, model: Model | System, columns: Columns = None) -> Run:
-    """Reads a recording: CSV, Parquet, ROS bag, PX4 flight log, or recording of the bus.
+    """Reads a recording: a table, a ROS bag, a PX4 flight log, or a recording of the bus.
 
+    A table is CSV (also ``.csv.gz``), Parquet, NumPy ``.npz``, MATLAB ``.mat``, HDF5, or a LeRobot dataset; a bag is
+    rosbag2 (MCAP, SQLite, folder) or ROS 1. ``log`` is a path, a URL such as ``s3://``, or ``-`` for standard input.
     ``model`` says which states and actions the log has. Without ``columns`` the columns have the native names: ``t``
     [s], then states and actions in SI units. ``columns`` is a column map: a file, a shipped name, the result of
     ``columns()``, or a dictionary with the columns that have another name or unit. Defective rows are cut out and

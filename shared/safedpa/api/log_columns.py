@@ -73,9 +73,8 @@ class ProposedColumns(AbstractResult):
 def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | None = None) -> ProposedColumns:
     """Lists the contents of a log and proposes a column map for ``robot``, a name; None: the car.
 
-    The log is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. ``effects``
-    is a Python file with the user's own robots. Raises InputError for an unknown robot and for recordings of the bus,
-    which need no map; RunError for an unreadable file.
+    The log is any that ``read_log`` reads. ``effects`` is a Python file with the user's own robots. Raises InputError
+    for an unknown robot and for recordings of the bus, which need no map; RunError for an unreadable file.
 
     Example:
 

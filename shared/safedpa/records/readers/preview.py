@@ -15,7 +15,7 @@ from safedpa.records.readers.bags import kind_of, topic_log
 from safedpa.records.readers.dialect import CsvFile, decoded, find_layout
 from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.parquet import dataset_files, is_dataset, open_parquet
-from safedpa.records.readers.table import regular_file
+from safedpa.records.readers.table import WANTED, regular_file
 
 __all__ = ["RowPreview", "raw_rows"]
 
@@ -42,7 +42,7 @@ def _raw_rows(path: Path, count: int) -> RowPreview:
     if path.is_dir() and is_dataset(path):
         path = dataset_files(path)[0]
     if not path.is_file():
-        raise RunError(f"{path}: no such file; wanted a recording (.csv, .parquet or .mcap)")
+        raise RunError(f"{path}: no such file; wanted {WANTED}")
     try:
         with path.open("rb") as file:
             start = file.read(8)

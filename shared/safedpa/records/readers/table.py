@@ -19,8 +19,10 @@ from safedpa.extras import need
 from safedpa.limits import limit, readable, too_much
 from safedpa.records.run import Finding
 
-__all__ = ["Table", "regular_file", "require_columns", "require_file"]
+__all__ = ["WANTED", "Table", "regular_file", "require_columns", "require_file"]
 
+WANTED = "a recording: .csv, .parquet, .npz, .mat, .h5, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
+"""Every format, for messages."""
 _URL = re.compile(r"(https?|s3|gs|gcs|az|abfss?|hdfs|s?ftp|hf):/{1,2}([^/].*)")
 """A URL, also if ``Path`` removed one of its slashes."""
 _MAX_FILES = 10_000
@@ -122,7 +124,7 @@ def require_file(path: Path) -> None:
     """Raises RunError if the file is missing or empty."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "no such file"
-        raise RunError(f"{path}: {what}; {near_files(path)}wanted a recording (.csv, .parquet or .mcap)")
+        raise RunError(f"{path}: {what}; {near_files(path)}wanted {WANTED}")
     if path.stat().st_size == 0:
         raise RunError(f"{path}: the file is empty; wanted a recording with a header and rows")
 

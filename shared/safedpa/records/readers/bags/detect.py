@@ -25,10 +25,10 @@ from safedpa.records.readers.bags.ulog import UlogLog
 from safedpa.records.readers.dialect import GZIP
 from safedpa.records.readers.own_process import in_own_process
 from safedpa.records.readers.parquet import is_dataset
+from safedpa.records.readers.table import WANTED
 
 __all__ = ["kind_of", "topic_log"]
 
-_WANTED = "a recording: .csv, .parquet, .npz, .mat, .h5, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
 _ARRAYS, _ZIP = (b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF"), b"PK\x03\x04"
 _MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
 _OTHERS: tuple[tuple[bytes, str, str], ...] = (
@@ -64,7 +64,7 @@ def kind_of(path: Path) -> str:
     if path.is_dir():
         return _kind_of_folder(path)
     if not path.is_file():
-        raise RunError(f"{path}: no such file; {near_files(path)}wanted {_WANTED}")
+        raise RunError(f"{path}: no such file; {near_files(path)}wanted {WANTED}")
     with path.open("rb") as file:
         start = file.read(128)
     if not start:
@@ -85,7 +85,7 @@ def _kind_of_folder(path: Path) -> str:
         return "dataset"
     if is_bag_folder(path):
         return "topics"
-    raise RunError(f"{path}: is a folder without a bag; {near_files(path)}wanted {_WANTED}")
+    raise RunError(f"{path}: is a folder without a bag; {near_files(path)}wanted {WANTED}")
 
 
 def _kind_of_content(path: Path, start: bytes) -> str:
@@ -113,19 +113,19 @@ def _check_packed(path: Path) -> None:
         raise RunError(f"{path}: cannot be unpacked by gzip ({error}); it may be cut off: copy it again") from error
     is_text = not start.startswith((_MCAP, _PARQUET, ROS1, SQLITE, ULOG, *(magic for magic, *_ in _OTHERS)))
     if not is_text or start[257:262] == b"ustar":
-        raise RunError(f"{path}: is packed by gzip and no CSV file; unpack it: gunzip; wanted {_WANTED}")
+        raise RunError(f"{path}: is packed by gzip and no CSV file; unpack it: gunzip; wanted {WANTED}")
 
 
 def _refuse_others(path: Path, start: bytes) -> None:
     for magic, what, fix in _OTHERS:
         if start.startswith(magic):
-            raise RunError(f"{path}: is {what}; {fix}, or name {_WANTED}")
+            raise RunError(f"{path}: is {what}; {fix}, or name {WANTED}")
     if start.startswith(_ZSTD):
-        raise RunError(f"{path}: is packed by zstd; unpack it, or rename it to NAME.mcap.zstd; wanted {_WANTED}")
+        raise RunError(f"{path}: is packed by zstd; unpack it, or rename it to NAME.mcap.zstd; wanted {WANTED}")
     suffix = path.suffix.lower()
     if suffix in (".bag", ".db3", ".ulg"):
         what = {".bag": "ROS 1 bag", ".db3": "rosbag2 in SQLite", ".ulg": "PX4 flight log"}[suffix]
-        raise RunError(f"{path}: has the suffix {suffix}, but is no {what}; copy it again, or name {_WANTED}")
+        raise RunError(f"{path}: has the suffix {suffix}, but is no {what}; copy it again, or name {WANTED}")
 
 
 def topic_log(path: Path) -> AbstractLog:
