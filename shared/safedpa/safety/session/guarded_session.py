@@ -122,11 +122,12 @@ class GuardedSession(SessionMemory[StateT]):
         usable, known = not self.problem, self._believed
         self._was_lost = self.lost > 0
         self.evidence = None
-        predicted = self._predicted(state) if known is not None else None
+        compared = not usable or bool(self.latched) or self.limits is not None
+        predicted = self._predicted(state) if known is not None and compared else None
         if usable and not self.latched and self.limits is not None:
             self.latched = late or self._implausible(state, predicted)
             # A frozen state was believed for some periods: the robot is where the commands took it since.
-            if self.latched and self.evidence is not None and any(self.evidence.unanswered.values()):
+            if self.latched and self._is_unanswered():
                 predicted = self._monitor.free or predicted
         if usable and not self.latched:
             if self._monitor.accept(state.values, self.evidence):
@@ -175,6 +176,9 @@ class GuardedSession(SessionMemory[StateT]):
         why = self._monitor.problem(self.evidence, self.lost + gap)
         again = ", after its source restarted" if why and state.epoch != known.epoch else ""
         return why + again
+
+    def _is_unanswered(self) -> bool:
+        return self.evidence is not None and any(self.evidence.unanswered.values())
 
     def _predicted(self, state: StateT) -> Plain | None:
         """The believed state predicted to the time of ``state``; None if there is none, or it is too long ago."""

@@ -169,7 +169,7 @@ _FAST_SECONDS: Final = 0.2
 _SLOW: Final = 0.5
 _SLOW_SECONDS: Final = 0.8
 """Time [s] of arrivals for which stamps must be slow: a busy machine may be slow for a moment."""
-_REMEMBERED: Final = 512
+_STORED: Final = 512
 """Intervals: more than a second of the fastest sources."""
 
 
@@ -179,7 +179,7 @@ class ClockMonitor:
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
-        self._intervals: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+        self._intervals: deque[tuple[float, float]] = deque(maxlen=_STORED)
 
     def observe(self, stamp: float, arrived: float) -> str:
         """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
