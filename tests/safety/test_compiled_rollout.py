@@ -218,6 +218,20 @@ def test_check_filter_names_what_prevents_compiling(backup: Any, named: str) -> 
     assert report.notes
 
 
+def test_a_step_over_operations_is_the_filters_model_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon={"default": 0.0})
+    states = np.random.default_rng(1).uniform((-1, -1, -1, 0), (0, 1, 1, 1), (20, 4))
+
+    def decided() -> list[Any]:
+        barrier = RolloutBarrier(boat, brake, room, 40, NAMES)
+        safe = SafetyFilter(barrier.prediction, [barrier], settings, backup=barrier.backup)
+        return [safe.decide(state, [1.0, 0.0]).action for state in states]
+
+    compiled = decided()
+    monkeypatch.setenv("SAFEDPA_COMPILE", "0")
+    np.testing.assert_allclose(compiled, decided(), atol=1e-5)
+
+
 def test_states_that_are_not_finite_raise_as_in_numpy() -> None:
     for state in ([np.nan, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, np.inf], [1e308, 1e308, 1.0, 1e308]):
         with np.errstate(all="ignore"), pytest.raises(InputError, match="NaN or infinity"):

@@ -32,6 +32,7 @@ from safedpa.safety.barriers.function import FunctionBarrier, central_difference
 from safedpa.safety.barriers.path_minimum import PathMinimum, PathPoint, chord_point, minimum_along
 from safedpa.safety.barriers.rollout_kernel import CompiledRollout
 from safedpa.safety.checks.compatibility import check_reads
+from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.validation import checked_output
 
 __all__ = ["Rollout", "RolloutBarrier"]
@@ -103,6 +104,15 @@ class RolloutBarrier(AbstractBarrier):
         self._compiled = CompiledRollout(model, backup, own, self.loop, self.horizon)
         # A FunctionBarrier may have to difference its own h: differencing the whole path once is then more accurate.
         self._knows_gradient = not isinstance(own, FunctionBarrier)
+
+    @property
+    def prediction(self) -> Prediction:
+        """The model for ``SafetyFilter(barrier.prediction, [barrier], ...)``.
+
+        A ``step(x, a, operations)`` is compiled to C with its slopes in the action. A ``step(x, a)`` without
+        ``operations`` has no slopes: give the filter ``Prediction(affine, step)``.
+        """
+        return self._compiled.prediction or self.loop.prediction
 
     @property
     def not_compiled(self) -> str:

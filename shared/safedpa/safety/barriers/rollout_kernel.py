@@ -7,6 +7,7 @@ they read besides their arguments is compared at every decision, and so are one 
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
@@ -22,10 +23,13 @@ from safedpa.native.captured import Captured
 from safedpa.native.library import remark
 from safedpa.native.rollout import FoundMinimum, RecordedItems, RolloutKernel
 from safedpa.native.tracing import OverNumpy, Recording, record, takes_operations, why_not_recorded
+from safedpa.operations import FLOATS
 from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.equation import AbstractEquationBarrier, Pattern, pattern_of, tape_of
 from safedpa.safety.barriers.function import FunctionBarrier
+from safedpa.safety.barriers.step_function import StepFunction
+from safedpa.safety.prediction.predictor import Prediction
 
 __all__ = ["CompiledRollout", "find_kernel"]
 
@@ -215,6 +219,16 @@ class CompiledRollout:
         self.reason = ""
         """Why there is no kernel, in one line; empty if there is one."""
         self._find(None)
+        self.prediction = self._prediction(model)
+        """The model of a function ``step(x, a, operations)``; None for others."""
+
+    def _prediction(self, model: Any) -> Prediction | None:
+        if self._model is not None or not takes_operations(model) or not _is_step(model) or len(self._latent):
+            return None
+        function = StepFunction(model)
+        if self._kernel is not None:
+            function.prepare(self._kernel.states, self._kernel.actions)
+        return Prediction(function.affine, function.step)
 
     @property
     def time(self) -> float:
@@ -267,8 +281,17 @@ class CompiledRollout:
         start = FoundMinimum(none, none.astype(np.int32), none, none)
         h = kernel.h_near(start, None, state, self.time)
         own = fixed(state)
-        after = self._loop.after(own, self._loop.action(own))
+        after = self._after(own, self._loop.action(own))
         return h is not None and _agrees(path[1], after) and _agrees(h, self._h.h(own))
+
+    def _after(self, state: FloatArray, action: FloatArray) -> FloatArray:
+        """x[t+1] by the equations themselves, not by a recording of them."""
+        model = self._model
+        if model is not None:
+            entries = (state.tolist(), action.tolist(), self._latent.tolist())
+            with contextlib.suppress(ValueError, ArithmeticError):  # values that Python's math functions refuse
+                return np.array(model.equations(model.period)(*entries, self.time, FLOATS))
+        return self._loop.after(state, action)
 
     def __getstate__(self) -> dict[str, Any]:
         """A loaded library cannot be pickled; the receiving process compiles it again, or finds it in the cache."""
