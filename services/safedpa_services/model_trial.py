@@ -43,6 +43,15 @@ _FACTORIES: Mapping[str, Callable[[argparse.Namespace], PreparedService]] = {
 }
 
 
+def prepare() -> None:
+    """Imports what a trial needs, before the first one: on a busy machine that takes most of its time."""
+    import safedpa.adaptation
+    import safedpa.policy
+    import safedpa.runtime.node
+    import safedpa.safety.defaults
+    import safedpa.safety.margins.calibration  # noqa: F401
+
+
 def run_model_trial(
     work: tuple[str, argparse.Namespace, str, ModelMessage, StateMessage, Answer | None],
 ) -> dict[str, Any]:

@@ -72,10 +72,10 @@ def ask(clock, monkeypatch):
         (inf, 3.0, None, 3.0),
         (1.0, inf, "no diagnosis answers", 11.0),
         (-1.0, inf, "no diagnosis answers", 2.0),
-        (inf, inf, "change 4 is not over after 120 s", 120.0),
+        (inf, inf, "change 4 is not over after 180 s", 180.0),
     ],
 )
-def test_a_change_is_waited_for_two_minutes_and_a_silent_diagnosis_for_ten_seconds(
+def test_a_change_is_waited_for_three_minutes_and_a_silent_diagnosis_for_ten_seconds(
     ask, clock, answers_until, over_at, complaint, ends_at, capsys
 ):
     if complaint is None:

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 
 _NO_ANSWER = "no diagnosis answers for this robot; start 'safedpa up', and name its endpoint with --connect"
-_LONGEST_CHANGE_SECONDS = 120.0
-"""Building the accepted model takes some seconds; the diagnosis itself gives up after a minute."""
+_LONGEST_CHANGE_SECONDS = 180.0
+"""Building the accepted model takes some seconds, and at most a minute; it is then offered three times at most, for 25
+s each."""
 _POLL_SECONDS = 0.1
 _SILENCE_SECONDS = 10.0
 """Single answers may be late or lost; without any answer for this long, the diagnosis is gone."""
@@ -93,13 +94,16 @@ def _await_end(bus: Bus, robot: str, started: Answer) -> Answer:
     """Returns the status once the change is over."""
     from safedpa.bus import Request
 
-    last_answer = time.monotonic()
+    last_answer, number = time.monotonic(), started.change
     give_up = last_answer + _LONGEST_CHANGE_SECONDS
     while time.monotonic() < give_up:
         status = bus.request(robot, Request(do="status"), ANSWER_SECONDS)
         if status is not None:
             last_answer = time.monotonic()
-            if not status.pending or status.change != started.change:
+            # An offer that was not answered in time is made again, under the next number.
+            if status.pending and status.sentence.startswith(f"change {number} (") and "; attempt " in status.sentence:
+                number = status.change
+            if not status.pending or status.change != number:
                 return status
         elif time.monotonic() - last_answer > _SILENCE_SECONDS:
             raise SafedpaError(f"fleet '{bus.fleet}': {_NO_ANSWER}")

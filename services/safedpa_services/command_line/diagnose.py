@@ -102,3 +102,5 @@ def _show(found: Diagnosis) -> None:
         console.print(saved.margin.notice, markup=False)
     if saved.drive is not None:
         console.print(f"To drive with it: {saved.drive}", markup=False)
+    elif saved.margin.path is not None:
+        console.print(f"Not offered for driving: the verdict is {found.verdict}, so the model may fail elsewhere.")

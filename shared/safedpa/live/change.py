@@ -20,6 +20,7 @@ from typing import Final, Literal, final
 
 from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
 from safedpa.bus.messages.messages import header
+from safedpa.bus.service.sandbox import OFFER_SECONDS
 from safedpa.errors import RecordingError, did_you_mean
 from safedpa.live.versions import ModelVersion, OfferedEffect, PersistedState, VersionFolder
 
@@ -44,6 +45,8 @@ class ChangeInProgress:
     """The accepted candidate."""
     repair: bool = False
     """Whether the change offers the active version again."""
+    attempt: int = 1
+    """Number of the attempt: an offer that was not answered in time is made again."""
     stage: Literal["preparing", "offer", "take"] = "preparing"
     steps: int = 0
     """Ticks since the stage began."""
@@ -177,12 +180,15 @@ class ModelMismatchMonitor:
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """Time limits in ticks of the robot."""
+    """Limits in ticks of the robot, unless stated otherwise."""
 
     prepare: int = 1200
     """To create the model of an accepted effect: a minute at 20 Hz."""
-    ready: int = 60
-    """For all services to load and check an offer: three seconds at 20 Hz; they need a few milliseconds."""
+    ready: float = OFFER_SECONDS + 5.0
+    """Seconds of robot time for all services to load and check an offer: the limit of the check itself, and 5 s for the
+    offer and the answers. The check takes 0.3 s of processor time, at a low priority."""
+    attempts: int = 3
+    """Number of times that an offer is made before it is given up for lack of an answer."""
     ahead: int = 5
     """From the decision to the tick of the change: 0.25 s at 20 Hz, so that the message reaches all services before."""
     taken: int = 40
@@ -391,9 +397,21 @@ class ModelChanges:
             return self._await_document(change)
         if not change.unready:
             return self._decide(change, state)
-        return (
-            self._give_up(change, f"{change.unready} did not answer") if change.steps > self._settings.ready else None
-        )
+        if change.steps * state.period <= self._settings.ready:
+            return None
+        reason = f"{change.unready} did not answer within {self._settings.ready:.0f} s"
+        message = self._give_up(change, reason)
+        self._try_again(change, reason)
+        return message
+
+    def _try_again(self, dropped: ChangeInProgress, reason: str) -> None:
+        """Offers the same version again: a service that was busy or restarting may answer now."""
+        if dropped.attempt >= self._settings.attempts or dropped.repair or self._change is not None:
+            return
+        change = self._begun(dropped.why, dropped.who)
+        change.version, change.versions, change.candidate = dropped.version, dropped.versions, dropped.candidate
+        change.attempt = dropped.attempt + 1
+        self.sentence = f"{dropped.name}: {reason}; attempt {change.attempt} of {self._settings.attempts} begins"
 
     def _await_document(self, change: ChangeInProgress) -> ModelMessage | None:
         if change.version is None:

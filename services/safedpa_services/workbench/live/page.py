@@ -11,7 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from safedpa.bus import Answer, Request
-from safedpa.bus.monitor import age_text
+from safedpa.bus.monitor import age_text, is_stale
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.workbench.live.links import AbstractLink, QueryResult
 from safedpa_services.workbench.live.panels import (
@@ -298,7 +298,9 @@ def _result_message(do: str, result: QueryResult) -> str:
 def _consequence_texts(answer: Answer, history: RobotHistory) -> dict[str, str]:
     """For each candidate, what accepting it would do, with the present h and margin."""
     verdict = history.verdict
-    now = "" if verdict is None else f" Now h is {verdict.h_now:.2f}, the margin {verdict.margin:.3f}."
+    age = history.ages(time.monotonic())[1]
+    known = verdict is not None and age is not None and not is_stale(age)
+    now = f" Now h is {verdict.h_now:.2f}, the margin {verdict.margin:.3f}." if known and verdict is not None else ""
     pending = "its effect on the margin is being computed; the filter reports it before the model is used"
     after = "All services switch to it at the same tick; the robot keeps driving."
     foreseen = zip_longest(answer.candidates, answer.foreseen[: len(answer.candidates)], fillvalue="")

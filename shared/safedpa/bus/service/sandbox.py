@@ -1,8 +1,9 @@
 """A sandbox for untrusted input: a separate process with limits on CPU time and memory, and without keys.
 
-The worker process starts early, while this process is small and has no connections. It imports what it needs with the
-first job, at the lowest priority. Each job runs in a fork of the worker, which the kernel kills at its limits of CPU
-time and memory. The result is a small JSON document, so that untrusted input cannot reach this process in another form.
+The worker process starts early, while this process is small and has no connections. It imports what it needs some
+seconds later, or with the first job, at a low priority. Each job runs in a fork of the worker, which the kernel kills
+at its limits of CPU time and memory. The result is a small JSON document, so that untrusted input cannot reach this
+process in another form.
 """
 
 from __future__ import annotations
@@ -31,10 +32,13 @@ if TYPE_CHECKING:
 # Limits of one job. The check of a legitimate model takes a fraction of a second.
 _CPU_SECONDS = 5
 _MEMORY_BYTES = 1 << 30
-# Time limit of a job including the time in the queue. On a machine that is busy for so long, a model should not be
-# changed anyway.
-_TIMEOUT_SECONDS = 20.0
-_NICENESS = 19
+OFFER_SECONDS = 20.0
+"""Time limit [s] of a job, including the time in the queue. The diagnosis waits for the answer a little longer."""
+# Three busy processes at normal priority on two cores leave a process of niceness 10 a twelfth of a core and one of
+# niceness 19 a hundredth: a check that takes 0.3 s of processor time would then exceed the limit.
+_NICENESS = 10
+# Time after its start in which the worker imports what its jobs need, so that the first one does not wait for that.
+_WARM_AFTER_SECONDS = 10.0
 # Bytes of a result: a model file in canonical form fits.
 _LARGEST_RESULT = 1 << 17
 # Killed workers that have not exited yet (a process in uninterruptible sleep may take long). Beyond this number no
@@ -45,15 +49,16 @@ _PIPE_BYTES = 1 << 20
 # Header of a job, because a pipe has no message boundaries: its number, and the length of the pickled argument.
 _HEADER = struct.Struct("<IQ")
 # The worker inherits real-time scheduling from a service that has it and gives it up first, before it imports anything.
-# Then it waits for the first byte of a job, so that services without model changes do not pay for the imports.
+# The imports begin with the first job, or some seconds after the start of the loop, which they must not delay.
 _START = (
     "import os,sys;"
     "hasattr(os,'sched_setscheduler') and os.sched_setscheduler(0,os.SCHED_OTHER,os.sched_param(0));"
     f"os.nice({_NICENESS});"
-    "first=sys.stdin.buffer.read(1);"
     "sys.path[:]=sys.argv[1].split(os.pathsep);"
+    "import select;"
+    f"select.select([0],[],[],{_WARM_AFTER_SECONDS});"
     "from safedpa.bus.service.sandbox import serve;"
-    "first and serve(first,sys.argv[2])"
+    "serve(sys.argv[2])"
 )
 
 
@@ -76,7 +81,7 @@ class JobHandle:
             if self._worker.clock() > self._until:
                 self._worker.kill()
                 self._worker.take(self._number)  # discard what kill reported for this job
-                return {"problem": f"it could not be tried within {_TIMEOUT_SECONDS:.0f} s"}
+                return {"problem": f"it could not be tried within {OFFER_SECONDS:.0f} s"}
             if not wait:
                 return None
             time.sleep(0.005)
@@ -119,7 +124,7 @@ class JobProcess:
             # A job may be written in part; after that the stream has no boundaries the worker could find.
             self.kill()
             self._results[self._number] = {"problem": f"it could not be tried ({error.strerror})"}
-        return JobHandle(self, self._number, self.clock() + _TIMEOUT_SECONDS)
+        return JobHandle(self, self._number, self.clock() + OFFER_SECONDS)
 
     def take(self, number: int) -> dict[str, Any] | None:
         """Returns and removes the result of a job; None if there is none yet."""
@@ -216,15 +221,19 @@ class JobProcess:
                 continue
 
 
-def serve(first: bytes, function: str) -> None:
-    """Runs in the worker: reads jobs from standard input until it closes, and runs each in a fork."""
+def serve(function: str) -> None:
+    """Runs in the worker: reads jobs from standard input until it closes, and runs each in a fork.
+
+    A function ``prepare`` of the job's module, if there is one, is called first: it imports what the jobs need.
+    """
     os.environ["PYTHONSAFEPATH"] = "1"
     module, _, name = function.partition(":")
-    work = getattr(import_module(module), name)
+    loaded = import_module(module)
+    work = getattr(loaded, name)
+    getattr(loaded, "prepare", lambda: None)()
     source, sink = sys.stdin.buffer, sys.stdout.buffer
     while True:
-        header = first + source.read(_HEADER.size - len(first))
-        first = b""
+        header = source.read(_HEADER.size)
         if len(header) < _HEADER.size:
             return
         number, length = _HEADER.unpack(header)
