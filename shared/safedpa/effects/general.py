@@ -56,6 +56,9 @@ def general_effects(
     groups = _vectors(system, sizes) if vectors is None else {name: tuple(axes) for name, axes in vectors.items()}
     _check(system, [*pairs, *pairs.values()], "positions")
     _check(system, [*(axis for axes in groups.values() for axis in axes), *([heading] if heading else [])], "vectors")
+    for name in measured:
+        if name not in system.action_names:
+            raise InputError(f"supply: got '{name}'; {did_you_mean(name, system.action_names)}")
     for name, size in (*sizes.items(), *measured.items()):
         if not (isfinite(size) and size > 0.0):
             raise InputError(f"moving: {name}: got {size!r}, wanted its usual size, above 0")
@@ -79,8 +82,8 @@ def position_of_rate(system: System) -> dict[str, str]:
     """Returns the position of each rate, as far as names and units show it.
 
     A rate of a state in unit U has the unit U/s. It is called ``{position}_rate``, ``v{position}``, or it is the only
-    state of its unit, with one position only. The plane coordinates of a robot with a heading are none: its speeds are
-    those of its body.
+    state of its unit, with one position only. Coordinates of a body with a heading have none: its speeds may be those of
+    its own frame.
     """
     names = system.state_names
     plane = (
@@ -96,6 +99,12 @@ def position_of_rate(system: System) -> dict[str, str]:
         if called or alone:
             found[rate.name] = (called or near)[0]
     return found
+
+
+def _coordinates_of_plane(system: System) -> set[str]:
+    """Returns the coordinates of a body that moves in a plane or in space: several lengths, and an angle."""
+    lengths = {item.name for item in system.state if item.unit == "m"}
+    return lengths if len(lengths) > 1 and any(item.unit == "rad" for item in system.state) else set()
 
 
 def _check(system: System, names: Sequence[str] | Mapping[str, float], what: str) -> None:
@@ -157,7 +166,7 @@ def _between(robot: str, commands: Sequence[Variable]) -> Iterator[AbstractEffec
 
 def _of_state(system: System, state: Variable, size: float, position: str) -> Iterator[AbstractEffect]:
     where = _variable(system, position) if position else None
-    heading = {"x", "y"} <= set(system.state_names)  # an angle in the plane: neither gravity nor a spring acts on it
+    heading = bool(_coordinates_of_plane(system))  # an angle in the plane: neither gravity nor a spring acts on it
     for kind, parameters in state_parameters(state, size, where).items():
         if kind in ("spring", "gravity", "end_stop") and heading:
             continue

@@ -200,9 +200,8 @@ class VectorDrag(_Declared, RateEffect):
             "vector_quadratic_drag": f"{names[0]} |{vector}| {vector}",
             "vector_drag": f"{names[0]} {vector}",
         }
-        super().__init__(
-            robot, f"{name}_{family}", family, Stage.RESISTANCE, f"d{vector}/dt -= {terms[family]}", parameters
-        )
+        own, equation = f"{name}_{family.removeprefix('vector_')}", f"d{vector}/dt -= {terms[family]}"
+        super().__init__(robot, own, family, Stage.RESISTANCE, equation, parameters)
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         speeds, operations = [context.state[name] for name in self.axes], context.operations
