@@ -14,6 +14,7 @@ from pyarrow import parquet
 
 from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map, load_run
+from safedpa.records.load import read_columns
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 
@@ -113,6 +114,16 @@ def test_a_last_line_that_was_cut_off_loses_that_line_alone(tmp_path_factory: py
         assert [finding.kind for finding in run.findings] == ["malformed_line"]
         assert "first line 61; dropped" in run.findings[0].message
         assert len(run.t) == 59
+
+
+@pytest.mark.parametrize(
+    ("last", "end", "kept"), [("1.2", "", 59), ("1.2", "\n", 60), ("1.25", "", 60), ("1.2x", "", 59)]
+)
+def test_a_last_cell_that_is_shorter_than_those_above_it_and_has_no_line_end_is_reported(last, end, kept, tmp_path):
+    lines = [f"{row},1.25" for row in range(59)] + [f"59,{last}"]
+    table = read_columns(write(tmp_path / "a.csv", lines, "t,x", end=end), ["t", "x"])
+    assert len(table) == kept
+    assert len(table.findings) == 60 - kept
 
 
 def test_empty_cells_are_missing_values_and_cut(tmp_path: Path) -> None:

@@ -389,12 +389,24 @@ def _cut_off(case: Case, path: Path) -> Expected:
     data = path.read_bytes()
     keep = case.rng.uniform(0.5, 0.8)
     end = round(keep * len(data))
-    if case.form == "csv":  # in a cell in front of the last: one that ends in the last cell looks whole
-        end = data.rindex(b"\n", 0, end) + 1 + int(case.rng.integers(20, 60))
+    if case.form == "csv":  # not after ten digits of the last cell, which looks whole, and is
+        begin = data.rindex(b"\n", 0, end) + 1
+        last = data.rindex(b",", 0, data.index(b"\n", begin)) + 1
+        end = int(case.rng.integers(begin + 20, last + 10))
+    if case.form == "ulg" and end == _message_at(data, end):
+        end -= 1  # a log that ends between two messages is whole
     path.write_bytes(data[:end])
     rows = frozenset(range(round((keep - 0.06) * len(case.drive)), len(case.drive)))
     whole = case.form in ("parquet", "db3")  # the index of the one is at its end; pages of the other are anywhere
     return Expected(("cut_off", "damaged", "malformed_line"), damaged=rows, refusable=whole)
+
+
+def _message_at(data: bytes, at: int) -> int:
+    """Byte at which the first message of a flight log at or after a byte begins."""
+    begin = 16
+    while begin < at:
+        begin += 3 + int.from_bytes(data[begin : begin + 2], "little")
+    return begin
 
 
 def _hole(case: Case, path: Path) -> Expected:
@@ -494,7 +506,7 @@ FAULTS: Final = (
     Fault(
         "cut_off",
         {
-            "csv": "the last line ends in one of its first cells",
+            "csv": "the last line ends in one of its cells",
             "parquet": "no footer",
             "mcap": "no index",
             "db3 ulg": "bytes lost",

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 __all__ = ["read_csv_table"]
 
 _READ_BYTES = 1 << 16
+_NEIGHBOURS = 20
+"""Lines above the last one whose cells are compared with it."""
 _NULL = f"^({'|'.join(map(re.escape, NULLS))})$"
 
 
@@ -72,7 +74,11 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
     _check_quotes(reader, len(columns[sources[0]]) + len(reader.malformed))
     numbers = {name: columns[name.strip()] for name in wanted}
     times = frozenset(name for name in wanted if name.strip() in timed)
-    return Table(numbers, (*findings, *reader.malformed_finding()), timed=times)
+    table = Table(numbers, (*findings, *reader.malformed_finding()), timed=times)
+    last_line = reader.before + 1 + len(table) + len(reader.malformed)
+    if layout.header[-1] not in sources or last_line in dict(reader.malformed):
+        return table
+    return _without_cut_row(table, file, layout)
 
 
 def _with_elements(
@@ -105,6 +111,20 @@ def _has_rows(file: CsvFile, layout: Layout) -> bool:
             if piece.strip():
                 return True
     return False
+
+
+def _without_cut_row(table: Table, file: CsvFile, layout: Layout) -> Table:
+    """Drops the last row if the file seems to end within its last cell, of which a number is left."""
+    with file.open() as opened:
+        opened.seek(max(0, file.size - _READ_BYTES))
+        tail = opened.read()
+    lines = [] if tail.endswith((b"\n", b"\r")) else tail.splitlines()[-_NEIGHBOURS - 1 :]
+    mark = layout.delimiter.encode()
+    cells = [line.rpartition(mark)[2].strip() for line in lines if line.count(mark) + 1 == len(layout.header)]
+    if len(cells) <= _NEIGHBOURS or len(cells[-1]) >= min(map(len, cells[:-1])):
+        return table
+    text = "the last line has no end, and its last cell is shorter than those above it: it may be cut off; dropped"
+    return replace(table.taken(slice(-1)), findings=(*table.findings, Finding("cut_off", text, 1)))
 
 
 @dataclass
