@@ -94,6 +94,23 @@ def test_a_candidate_against_the_ranking_is_fitted_on_demand(searched, found, ru
     assert [item.name for item in searched.present.model.effects] == [effect]
 
 
+def test_any_effect_can_be_removed_and_undo_brings_it_back(searched, versions, found, runs):
+    needless = found.candidates[-1].effect
+    searched.add(jobs.add_candidate(searched.present.step, found.proposal, needless, runs, 1.0, quiet))
+    assert searched.doubtful_effects() == (needless,)
+    searched.add(jobs.remove_effect(searched.present.step, needless, runs, 1.0, quiet))
+    assert searched.present.model.effects == ()
+    assert searched.present.error == pytest.approx(versions[-1].error, rel=1e-3)
+    assert searched.decisions[-1][:2] == ("removed", needless)
+    with pytest.raises(InputError, match="the model does not have it"):
+        jobs.remove_effect(searched.present.step, needless, runs, 1.0, quiet)
+    assert searched.undo() == f"{needless} is in the model again."
+    assert [item.name for item in searched.present.model.effects] == [needless]
+    searched.undo()
+    searched.add(searched.fitted_version("quadratic_drag"))
+    assert searched.doubtful_effects() == ()
+
+
 def test_rejecting_takes_off_the_list_and_undo_puts_back(searched):
     before = [card.effect for card in searched.cards()]
     searched.reject(before[0])

@@ -45,7 +45,7 @@ def test_what_is_written_is_read(tmp_path, columns):
     [
         ({"format": 7}, "format = 1"),
         ({"runs": 3}, "TypeError"),
-        ({"decisions": [{"do": "forgot", "effect": "x"}]}, "wanted added or rejected"),
+        ({"decisions": [{"do": "forgot", "effect": "x"}]}, "wanted added or removed or rejected"),
         ({"horizon": "soon"}, "ValueError"),
         ({"columns": {"text": "x"}}, "KeyError"),
     ],

@@ -82,8 +82,8 @@ def position_of_rate(system: System) -> dict[str, str]:
     """Returns the position of each rate, as far as names and units show it.
 
     A rate of a state in unit U has the unit U/s. It is called ``{position}_rate``, ``v{position}``, or it is the only
-    state of its unit, with one position only. Coordinates of a body with a heading have none: its speeds may be those of
-    its own frame.
+    state of its unit, with one position only. Coordinates of a body with a heading have none: its
+    speeds may be those of its own frame.
     """
     names = system.state_names
     plane = (
