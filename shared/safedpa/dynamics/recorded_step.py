@@ -169,7 +169,10 @@ def record_own_step(
     They are compiled to C if ``native`` and a compiler is present. As soon as anything that the equations read besides
     their arguments changes (``watched``), the functions raise ArithmeticError, and the caller uses the equations.
     """
-    first, second = _taped(equations, names), _taped(equations, names)
+    try:
+        first, second = _taped(equations, names), _taped(equations, names)
+    except Exception:  # noqa: BLE001 - a user's equations raise anything for symbolic numbers
+        return None
     # random numbers, or a counter: a recording would freeze the first run
     if first is None or second is None or first[0].lines != second[0].lines or first[2] != second[2]:
         return None

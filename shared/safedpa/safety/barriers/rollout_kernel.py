@@ -211,7 +211,8 @@ class CompiledRollout:
         own = backup if callable(backup) else None
         self._parts = RolloutParts(model, own, h, len(loop.held), len(self._latent))
         if self._model is not None:
-            self._model.record_scalar_step()  # now, rather than while a robot drives
+            with contextlib.suppress(Exception):  # now, rather than while a robot drives; a decision reports what fails
+                self._model.record_scalar_step()
         self._disagrees = False
         self._kernel: RolloutKernel | None = None
         self._watched: list[Captured] = []
