@@ -8,10 +8,11 @@ stays stopped until ``confirm``.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import isfinite, isnan
+from math import ceil, isfinite, isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.margins.online import OnlineMarginMonitor
+from safedpa.safety.prediction.command_history import LONGEST_AGE
 from safedpa.safety.session.plausibility import ClockMonitor, StateMonitor
 from safedpa.safety.session.session_memory import SessionMemory, StateT
 from safedpa.safety.session.state_limits import Evidence, StateLimits
@@ -35,6 +37,10 @@ GRACE: Final = 0.2
 """Time [s] for which a robot without a state follows its nominal action, with a margin that grows."""
 _LONGEST_LOSS: Final = 10.0
 """Time [s] after which a prediction says nothing any more; the robot is at rest by then, or cannot stop."""
+_ALLOWED_DELAY: Final = 0.15
+"""s by which commands may act later than known before a robot that does not move counts as frozen."""
+_MOST_COMMANDS: Final = 256
+"""Stored actions: a second at the shortest periods."""
 _SAME_AGE: Final = 1e-6
 """Share of a period by which the ages of two states may differ by rounding."""
 _LONGEST_SHARE: Final = 3.0
@@ -78,6 +84,9 @@ class GuardedSession(SessionMemory[StateT]):
         self._clock = ClockMonitor()
         self._believed: _Believed | None = None
         self._free_memory: Any = None
+        self._allowed_periods = ceil(_ALLOWED_DELAY / model.period)
+        self._commands: deque[Plain] = deque(maxlen=_MOST_COMMANDS)
+        """The actions that were applied, newest first."""
         self._fastest = 0.0
         self._accepted: StateT | None = None
 
@@ -107,6 +116,7 @@ class GuardedSession(SessionMemory[StateT]):
         """Takes over what is known of the robot's state, which does not depend on the model."""
         self.latched, self.problem, self.lost = former.latched, former.problem, former.lost
         self._believed, self._clock = former._believed, former._clock
+        self._commands = former._commands
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
 
     def accept(self, state: StateT, arrived: float | None = None) -> StateT:
@@ -122,13 +132,14 @@ class GuardedSession(SessionMemory[StateT]):
         usable, known = not self.problem, self._believed
         self._was_lost = self.lost > 0
         self.evidence = None
+        self._commands.appendleft(tuple(state.applied))
         compared = not usable or bool(self.latched) or self.limits is not None
         predicted = self._predicted(state) if known is not None and compared else None
         if usable and not self.latched and self.limits is not None:
             self.latched = late or self._implausible(state, predicted)
             # A frozen state was believed for some periods: the robot is where the commands took it since.
             if self.latched and self._is_unanswered():
-                predicted = self._monitor.free or predicted
+                predicted = self._since_moved(state) or predicted
         if usable and not self.latched:
             if self._monitor.accept(state.values, self.evidence):
                 self._free_memory = None
@@ -205,15 +216,27 @@ class GuardedSession(SessionMemory[StateT]):
         free = self._monitor.free
         # A prediction that begins at the last state begins with its actuators.
         start = self.memory if self._free_memory is None else self._free_memory
-        following = self._advanced(free, state, start) if free else None
+        following = self._advanced(free, state, start, self._allowed_periods) if free else None
         if following is None:
             return ()
         self._free_memory = following[1]
         return following[0]
 
-    def _advanced(self, values: Plain, state: StateT, memory: Any) -> tuple[Plain, Any] | None:
-        """The state (states,) and actuators one period later under the action that was applied; None without one."""
-        model, action = self.model, state.applied
+    def _since_moved(self, state: StateT) -> Plain:
+        """The prediction from where the position last changed, along all commands since; empty if there is none."""
+        values, periods = self._monitor.anchor
+        memory = self.memory
+        for back in reversed(range(periods)):
+            following = self._advanced(values, state, memory, back) if values else None
+            if following is None:
+                return ()
+            values, memory = following
+        return values
+
+    def _advanced(self, values: Plain, state: StateT, memory: Any, late: int = 0) -> tuple[Plain, Any] | None:
+        """The state (states,) and actuators one period later under the action that acts, or one ``late`` periods
+        before it; None without one."""
+        model, action = self.model, self._acting(state, late)
         if len(action) != len(model.system.action) or not all(map(isfinite, action)):
             return None
         latent = None if self.decision is None else self.decision.latent
@@ -227,6 +250,13 @@ class GuardedSession(SessionMemory[StateT]):
             after, memory = model.advance(np.array(values), held, start, latent)
             return (tuple(after.tolist()), memory) if np.isfinite(after).all() else None
         return None
+
+    def _acting(self, state: StateT, late: int) -> Plain:
+        """The action that acted ``late`` periods before the last one ended: of a delayed robot, one sent earlier."""
+        delay = max(self.until_action, state.until_action)
+        known = round(delay / self.model.period) if 0.0 < delay <= LONGEST_AGE else 0
+        # Before the first command the robot rested under the oldest one.
+        return self._commands[min(known + late, len(self._commands) - 1)] if self._commands else state.applied
 
     def _is_at_rest(self, state: StateT, action: FloatArray, latent: FloatArray | None) -> bool:
         following = self._next(state, action, latent)

@@ -29,6 +29,7 @@ _DRIFT_SECONDS: Final = 2.0
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
+_WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
 _LOST_GROWTH: Final = 0.5
 _MOST_GROWTH: Final = 4.0
 """Each lost period adds this share to the limit of a jump, up to this factor: the prediction becomes less certain."""
@@ -68,6 +69,11 @@ class StateMonitor:
     def free(self) -> Plain:
         """(states,) prediction since the position last changed, to be advanced by each action; empty: none."""
         return self._free
+
+    @property
+    def anchor(self) -> tuple[Plain, int]:
+        """The state (states,) at which the position last changed, and the periods since, the newest included."""
+        return self._anchor, self._anchored + 1
 
     def observe(self, values: Plain, before: Plain, predicted: Plain, free: Plain = ()) -> Evidence:
         """What the state (states,) shows after ``before``, the last believed one, from which it was ``predicted``.
@@ -130,7 +136,7 @@ class StateMonitor:
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             if limit is not None and size > limit:
-                return f"it does not change although the commands should have moved it by {size:.2g} {unit}"
+                return f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
         return ""
 
     def _with_noise(self, limit: float | None, unit: str) -> float | None:
