@@ -174,6 +174,8 @@ class Gateway:
             state = f"{age:.2f} s old" if math.isfinite(age) else "missing"
             because = f"; {self._sensor_inputs.odometry.why}" if self._sensor_inputs.odometry.why else ""
             return f"the odometry is {state}{because}"
+        if self._sensor_inputs.odometry.clock:
+            return f"the odometry is implausible: {self._sensor_inputs.odometry.clock}"
         if self._sensor_inputs.localised is not None:
             topic, old = self._robot_file.localisation, self._sensor_inputs.localised.read()[1]
             if old > topic.largest_age:

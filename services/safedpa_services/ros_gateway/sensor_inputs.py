@@ -22,11 +22,13 @@ from safedpa.ros.decoding import Decoder, DecodingError
 from safedpa.ros.definitions import Definitions, numeric_fields
 from safedpa.ros.encoding import decode
 from safedpa.ros.graph import Attachment
+from safedpa.safety.session.plausibility import ClockMonitor
 from safedpa_services.ros_gateway.publisher_monitor import TWO_PUBLISHERS, CommandEchoMonitor, PublisherMonitor
 
 SCAN_TYPE = "sensor_msgs/msg/LaserScan"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _STAMP = "header.stamp"
+_NANOSECOND = 1e-9
 _MOST_WAITING = 8
 """Scans that are stored between two periods."""
 _MOST_RAYS = 8192
@@ -82,6 +84,9 @@ class _Receiver:
         self._lock = threading.Lock()
         self._publishers = PublisherMonitor()
         self._changed, self._stamp = -math.inf, -1
+        self._rate = ClockMonitor()
+        self.clock = ""
+        """Why the stamps of the messages contradict their arrivals; empty if they do not."""
         self.refused = 0
         """Number of refused messages: unreadable, of another frame, of a second publisher, or with implausible
         numbers."""
@@ -100,6 +105,8 @@ class _Receiver:
         """Notes the stamp [ns] and arrival [s] of a usable message; a repeated stamp does not make the data newer."""
         if not self._repeats(stamp):
             self._changed = at
+            if stamp != 0:
+                self.clock = self._rate.observe(_NANOSECOND * stamp, at)
         self._stamp, self.why = stamp, ""
 
     def _age(self) -> float:
