@@ -400,3 +400,24 @@ def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(tmp_
         load_robot_file(path)
     assert notice in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("rate", "brakes"), [(1.0, False), (3.0, True), (0.3, True)])
+def test_odometry_whose_stamps_advance_at_another_rate_than_the_clock_brakes_the_robot(
+    rate: float, brakes: bool
+) -> None:
+    now = [100.0]
+    odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", lambda: now[0])
+    with rig_of(now=now, odometry=odometry) as rig:
+        rig.act(0.5, 0.1)
+
+        def measured(turn: int) -> None:
+            head = {"stamp": {"sec": 7, "nanosec": 0}, "frame_id": "odom"}
+            stamp = round(1e9 * 0.05 * rate * turn)
+            head["stamp"] = {"sec": 7 + stamp // 10**9, "nanosec": stamp % 10**9}
+            odometry.take(encode("nav_msgs/msg/Odometry", odometry_of(head, "b", 0.0, 0.0, 0.0, 0.0, 0.0)))
+
+        sent = rig.turns(30, measured)
+    assert sent[1] == (0.5, 0.1)
+    assert (sent[-1] == (0.0, 0.0)) is brakes
+    assert ("its stamps advance" in rig.gateway.why) is brakes
