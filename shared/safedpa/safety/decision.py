@@ -23,6 +23,7 @@ from safedpa.safety.settings import FilterSettings
 from safedpa.safety.solver.budget import DecisionBudget
 from safedpa.safety.solver.candidates import STEP_SHARES, HeldSolution, action_grid, grid_around
 from safedpa.safety.solver.constraints import ActionCandidate, Constraints
+from safedpa.safety.solver.feasibility import most_feasible
 from safedpa.safety.solver.least_violation import least_violation
 from safedpa.safety.solver.maximin_lp import MaxMinProgram
 from safedpa.safety.solver.qp import QuadraticProgram
@@ -273,6 +274,9 @@ class Decision:
                 constraints, nominal, other, "Found from another start than the nominal action.", solver
             )
         nearby = self._coordinate_search(constraints, [backup, found, other, *grid])
+        # One or two actions have an exact program, which uses no slack where none is needed.
+        if not nearby.is_feasible and len(program.sides) > 2:
+            nearby = most_feasible(constraints, program.sides, self._tools.maximin_lp, nearby)
         # A feasible action found by sampling is feasible, not nearest: the SQP restarts from it.
         if nearby.is_feasible:
             other, solver = self._restart_from(constraints, nominal, nominal_candidate, [nearby])

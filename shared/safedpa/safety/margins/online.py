@@ -117,22 +117,43 @@ class OnlineMarginMonitor:
         *,
         same_scene: bool = True,
         late: DelayedPrediction | None = None,
+        others: Sequence[DelayedPrediction] = (),
     ) -> None:
         """Compares the last prediction with the measured ``state`` (states,); call it once per period.
 
         ``late``: a prediction from before a dead time, used instead of the last one. Its constraint starts from a
         predicted state, so the error of h there counts as well, (1 - eta) times with the opposite sign. If it is not
         the ``same_scene``, the present barriers are used for both: no model can predict what entered the scene.
+        ``others`` are predictions under other delays for which the constraints were imposed as well: the one that came
+        nearest counts, since its constraint is the one that held.
         """
-        self.samples = self._compare(_floats(state), make_barrier_set(barriers), late, same_scene=same_scene)
+        found = [self._compare(_floats(state), make_barrier_set(barriers), late, same_scene=same_scene)]
+        for other in others:
+            self._expected = None
+            found.append(self._compare(_floats(state), make_barrier_set(barriers), other, same_scene=same_scene))
+        self.samples = found[0]
+        lengths = [0 if one is None else one.queued_periods for one in (late, *others)]
         for kind, sample in self.samples.items():
             margin = self._margins.get(kind)
             # The sample is stored in any case, for records; only learning can be switched off.
             if margin is not None and self.learns:
-                error = self._clip.error(kind, sample, margin.value)
+                error = self._smallest_error(kind, [one.get(kind, sample) for one in found], lengths, margin.value)
                 # An infinite error comes from a model that overflowed; the decision has refused that state already.
                 if error is not None and isfinite(error):
                     margin.update(error)
+
+    def _smallest_error(
+        self, kind: str, samples: Sequence[HSample], lengths: Sequence[int], epsilon: float
+    ) -> float | None:
+        """The smallest error of one step; an error over n periods counts as 1 / (1 + eta n) of it, as margins grow."""
+        smallest: float | None = None
+        for sample, periods in zip(samples, lengths, strict=True):
+            error = self._clip.error(kind, sample, epsilon)
+            if error is None:  # far from the boundary under a possible delay: the step says nothing
+                return None
+            error /= 1.0 + self._clip.eta * periods
+            smallest = error if smallest is None or error < smallest else smallest
+        return smallest
 
     def _compare(
         self, state: Sequence[float], barriers: AbstractBarrierSet, late: DelayedPrediction | None, *, same_scene: bool

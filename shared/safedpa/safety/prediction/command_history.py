@@ -37,6 +37,8 @@ class DelayedPrediction(NamedTuple):
     predicted_prev: Sequence[float]
     measured_prev: Sequence[float]
     predicted: Sequence[float]
+    queued_periods: int = 0
+    """Whole periods of commands in flight before the action; the margin grows with them."""
 
 
 @dataclass
@@ -91,8 +93,12 @@ class CommandHistory:
         """Marks the newest state as decided, with the latent that was used."""
         self._entries[-1].latent, self._entries[-1].decided = latent, True
 
-    def pending(self, until_action: float) -> InFlightCommands:
-        """The commands in flight at the newest state."""
+    def pending(self, until_action: float, others: Sequence[float] = ()) -> InFlightCommands:
+        """The commands in flight at the newest state, and under ``others``, delays [s] that are not ruled out."""
+        found = self._pending(until_action)
+        return found._replace(alternatives=tuple([self._pending(one) for one in others])) if others else found
+
+    def _pending(self, until_action: float) -> InFlightCommands:
         entries, period = self._entries, self._model.period
         count, rest = _delay(until_action, period)
         if count == 0:
@@ -148,7 +154,7 @@ class CommandHistory:
                 if seconds > 0.0:
                     action = entries[command].applied
                     now, memory = self._actuators.advance(now, action, memory, first.latent, seconds)
-        return DelayedPrediction(before, entries[newest - 1].values, now)
+        return DelayedPrediction(before, entries[newest - 1].values, now, count - (rest > 0.0))
 
 
 def _delay(until_action: float, period: float) -> tuple[int, float]:

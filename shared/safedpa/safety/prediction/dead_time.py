@@ -49,6 +49,8 @@ _SETTLED: Final = 0.99
 """Share of the action's range at which an actuator counts as settled."""
 _LATENT_DECIMALS: Final = 3
 """Decimals of the latent in the key of the cache of dead times: 1 ms, if the latent is a time constant."""
+_WHOLE: Final = 1e-6
+"""Share of a period by which a sum of parts may fall short of a whole one by rounding."""
 _DIFFERENCE_STEP: Final = 1e-3
 """Share of an action's range for difference quotients: small against the range, large against rounding."""
 
@@ -63,6 +65,12 @@ class InFlightCommands(NamedTuple):
     queue: tuple[tuple[Plain, float], ...] = ()
     """Commands (actions,) that act between the measurement and the action chosen now, each with its duration [s]: the
     state's age plus the time from sensing to acting."""
+    alternatives: tuple[InFlightCommands, ...] = ()
+    """The commands in flight under other delays that are not ruled out: the constraints hold for each of them."""
+
+    def periods(self, period: float) -> int:
+        """Whole periods [s] between the measurement and the action chosen now."""
+        return int(sum(seconds for _, seconds in self.queue) / period + _WHOLE)
 
 
 class DeadTime(NamedTuple):
@@ -90,11 +98,20 @@ class EffectStart(NamedTuple):
     """Periods up to ``state_at_effect``, in which the action is in flight."""
     steps: int
     """Periods from ``state_at_effect`` to the end of the period that is constrained, 1 or more."""
+    queued_periods: int = 0
+    """Whole periods of commands in flight before the action: the margin of one step grows with them."""
+    alternatives: tuple[EffectStart, ...] = ()
+    """Where the action takes effect under other delays that are not ruled out."""
 
     @property
     def at_once(self) -> bool:
         """Whether the action acts within the period after ``state_at_effect``: only the state is older then."""
-        return self.waiting_periods == 0 and self.steps == 1
+        return self.waiting_periods == 0 and self.steps == 1 and not self.alternatives
+
+    @property
+    def cases(self) -> tuple[EffectStart, ...]:
+        """This and the alternatives: one for each delay for which the constraints are imposed."""
+        return (self, *self.alternatives)
 
 
 @final
@@ -179,10 +196,20 @@ class ActuatorModel:
 
         None: immediately, at ``state``.
         """
+        if isinstance(pending, InFlightCommands) and pending.alternatives:
+            found = [self._effect_start(state, latent, one) for one in (pending, *pending.alternatives)]
+            # Immediately: the case of the measured state itself, to which the others are added.
+            main = EffectStart(state, (), state, pending.memory, 0, 1) if found[0] is None else found[0]
+            return main._replace(alternatives=tuple([one for one in found[1:] if one is not None]))
+        return self._effect_start(state, latent, pending)
+
+    def _effect_start(self, state: Plain, latent: Plain | None, pending: Any) -> EffectStart | None:
+        """Where an action takes effect under one delay; None: immediately, at ``state``."""
         first, last = self.dead_time_periods(latent)
         if last == 0 and not (isinstance(pending, InFlightCommands) and pending.queue):
             return None
         known = pending if isinstance(pending, InFlightCommands) else InFlightCommands(pending, ())
+        queued = known.periods(self._model.period)
         memory, now = known.memory, state
         if memory is None and known.last:
             free = None if latent is None else np.array(latent)
@@ -206,7 +233,9 @@ class ActuatorModel:
                 constrained.extend(now)
         # x[n] of the module's equation: the slowest channel responds here, and only then is the whole action felt.
         constrained.extend(now)
-        return EffectStart(tuple(constrained), tuple(path), state_at_effect, memory_at_start, first, last - first + 1)
+        return EffectStart(
+            tuple(constrained), tuple(path), state_at_effect, memory_at_start, first, last - first + 1, queued
+        )
 
     def advance(
         self, now: Plain, command: Plain, memory: Any, latent: Plain | None, seconds: float

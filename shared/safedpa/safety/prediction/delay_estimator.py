@@ -12,6 +12,12 @@ rejected; then the smallest delay that is not rejected replaces it. Up to ``TOLE
 and of a longer one all but ``USUAL_DELAY``: every actuator with a lag has that much, and it was present when the margin
 was calibrated.
 
+Before a delay is found, a filter that trusted the reported one would drive faster than the robot can stop. Therefore
+``possible_delays`` are those that are not ruled out: at first every delay up to ``STATED_DELAY``, later those that the
+motion does not reject. The filter imposes its constraints under each of them, which limits the speed near obstacles and
+nowhere else. Two bodies of evidence are kept. All periods count for what is possible. Only those in which the robot
+moves count for what is found and reported: a heavy load sticks at rest for a while, which looks like a delay.
+
 Source: maximum likelihood with unknown noise variances, as in Ljung, System Identification, 2nd ed. 1999, section 7.4,
 one model for each delay.
 """
@@ -19,17 +25,27 @@ one model for each delay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, isfinite, log
+from math import ceil, exp, isfinite, log
 from typing import Final, NamedTuple, final
 
 from safedpa.safety.prediction.predictor import Prediction
 
-__all__ = ["EVIDENCE", "MAX_DELAY", "TOLERATED_DELAY", "USUAL_DELAY", "DelayEstimator", "Transition"]
+__all__ = [
+    "EVIDENCE",
+    "MAX_DELAY",
+    "STATED_DELAY",
+    "TOLERATED_DELAY",
+    "USUAL_DELAY",
+    "DelayEstimator",
+    "Transition",
+]
 
 Plain = tuple[float, ...]
 
-MAX_DELAY: Final = 8
+MAX_DELAY: Final = 10
 """Periods; a longer delay is estimated as this one."""
+STATED_DELAY: Final = 0.15
+"""s; an unreported delay up to which the filter's promise holds from the start. A radio link takes 20 to 100 ms."""
 TOLERATED_DELAY: Final = 2
 """Periods up to which nothing is compensated."""
 USUAL_DELAY: Final = 1
@@ -74,33 +90,122 @@ class Transition(NamedTuple):
 
 
 @final
+class _Evidence:
+    """The sums S_nj of squared errors with forgetting, and the delays that they do not reject."""
+
+    def __init__(self, period: float) -> None:
+        self._keep = exp(-period / _FORGETTING_TIME)
+        self._count = 0.0
+        self._sums: list[list[float]] = []
+        self.accepted: list[int] = []
+        """Delays [periods] that are not rejected, ascending; empty without evidence."""
+
+    def add(self, squares: list[list[float]]) -> None:
+        """Adds the squared errors of each delay and state."""
+        # Another number of delays or states means another model: its errors cannot be added to the old ones.
+        states = len(squares[0])
+        if len(self._sums) != len(squares) or len(self._sums[0]) != states:
+            self._sums, self._count, self.accepted = [[0.0] * states for _ in squares], 0.0, []
+        self._count = self._keep * self._count + 1.0
+        keep = self._keep
+        for delay in range(len(squares)):  # over indices: compiled, an iterator over pairs takes five times as long
+            sums, own = self._sums[delay], squares[delay]
+            for index in range(states):
+                sums[index] = keep * sums[index] + own[index]
+        if self._count >= _MIN_COUNT:
+            self._reject()
+
+    def _reject(self) -> None:
+        count = len(self._sums)
+        costs = [0.0] * count
+        for state in range(len(self._sums[0])):
+            largest = 0.0
+            for delay in range(count):
+                value = self._sums[delay][state]
+                largest = value if value > largest else largest
+            smallest = _MIN_SHARE * largest
+            if smallest > 0.0:
+                for delay in range(count):
+                    value = self._sums[delay][state]
+                    costs[delay] += log(value if value > smallest else smallest)
+        # ``costs`` are -2 L / N, so the difference of log-likelihoods is scaled by 2 / N.
+        limit = min(costs) + 2.0 * EVIDENCE / self._count
+        self.accepted = [delay for delay, cost in enumerate(costs) if cost <= limit]
+
+
+@final
 class DelayEstimator:
     """The estimate of one robot; call ``observe`` for each of its periods."""
 
     def __init__(self, prediction: Prediction, ranges: Sequence[float], period: float) -> None:
         self._prediction, self._ranges, self._period = prediction, ranges, period
-        self._keep = exp(-period / _FORGETTING_TIME)
-        self._count = 0.0
-        self._sums: list[list[float]] = []
+        self._all, self._moving = _Evidence(period), _Evidence(period)
         self.periods = 0
         """The estimated delay beyond the model's own; what the robot reports is part of it."""
 
     def delay_to_compensate(self, reported: float) -> float:
         """Delay [s] to compensate when the robot reports ``reported`` [s]: that, unless far more was found."""
-        if self.periods * self._period - reported <= (TOLERATED_DELAY + _ROUNDING) * self._period:
-            return reported
-        return (self.periods - USUAL_DELAY) * self._period
+        return self._found if self._is_found(reported) else reported
+
+    def possible_delays(self, reported: float) -> tuple[float, ...]:
+        """Other delays [s] that are not ruled out, for which the constraints are imposed as well.
+
+        Without evidence these are all up to ``STATED_DELAY`` beyond ``reported`` [s]. Otherwise they are those that the
+        motion does not reject; of these, only the smallest one may exceed that limit until a delay has been found.
+        """
+        stated = int(reported / self._period) + ceil(STATED_DELAY / self._period - _ROUNDING)
+        if self._is_found(reported):
+            seen = self._moving.accepted or [self.periods]
+            low, high = max(0, seen[0] - USUAL_DELAY), seen[-1] - USUAL_DELAY
+        elif self._all.accepted:
+            least, most = self._all.accepted[0] - USUAL_DELAY, self._all.accepted[-1] - USUAL_DELAY
+            low, high = 0, max(least, min(most, stated))
+        else:
+            low, high = 0, stated
+        base, nearest = self.delay_to_compensate(reported), 0.5 * self._period
+        found = [count * self._period for count in range(low, high + 1)]
+        found = [delay for delay in found if delay > reported + _ROUNDING and abs(delay - base) > nearest]
+        # The shortest and the longest: each delay takes as long as a whole evaluation of the model and the barriers.
+        return (found[0], found[-1]) if len(found) > 1 else tuple(found)
+
+    def too_long(self, reported: float) -> str:
+        """Why the robot has to brake: a delay beyond ``STATED_DELAY`` and ``reported`` [s] was found; else empty.
+
+        What depends on the commands that act, such as an estimated load, is then wrong as well, so that no prediction
+        over the delay holds.
+        """
+        if not self._is_found(reported) or self._found <= reported + STATED_DELAY + _ROUNDING:
+            return ""
+        return (
+            f"commands act about {self.periods * self._period:.2g} s late, reported were {reported:.2g} s and up to "
+            f"{STATED_DELAY:g} s more are allowed for; report the delay with each state"
+        )
 
     @property
-    def remark(self) -> str:
-        """What the verdict says while an estimated delay is compensated."""
-        late = self.periods * self._period
-        return f"Commands act about {late:.2g} s later than reported; the filter compensates for that."
+    def _found(self) -> float:
+        return (self.periods - USUAL_DELAY) * self._period
 
-    def observe(self, transition: Transition, latent: Plain | None) -> None:
+    def _is_found(self, reported: float) -> bool:
+        return self.periods * self._period - reported > (TOLERATED_DELAY + _ROUNDING) * self._period
+
+    def remark(self, coverage: float, promised: float) -> str:
+        """What the verdict reports while an estimated delay is compensated.
+
+        ``coverage`` is the share of the last predictions that the margin covered (below 0: none was compared),
+        ``promised`` the share it was calibrated for. Only with the latter does the message say that it holds.
+        """
+        late = self.periods * self._period
+        held = (
+            f"the filter looks past that, and {100.0 * coverage:.3g} % of the last predictions held"
+            if 0.0 < promised <= coverage
+            else "whether the filter's predictions hold with that is not confirmed"
+        )
+        return f"Commands act about {late:.2g} s later than reported; {held}."
+
+    def observe(self, transition: Transition, latent: Plain | None, *, stationary: bool = False) -> None:
         """Takes in one period; ignores one with values that are not finite or of the wrong shape.
 
-        Raises whatever the model raises.
+        A ``stationary`` period counts for what is possible, not for what is found. Raises whatever the model raises.
         """
         states = len(transition.now)
         if len(transition.before) != states or not all(map(isfinite, (*transition.before, *transition.now))):
@@ -111,19 +216,16 @@ class DelayEstimator:
         ):
             return
         squares = self._squared_errors(transition, latent)
-        if not isfinite(sum(map(sum, squares))):
+        if not states or not squares or not isfinite(sum(map(sum, squares))):
             return
-        # Another number of delays or states means another model: its errors cannot be added to the old ones.
-        if len(self._sums) != len(squares) or len(self._sums[0]) != states:
-            self._sums, self._count = [[0.0] * states for _ in squares], 0.0
-        self._count = self._keep * self._count + 1.0
-        keep = self._keep
-        for delay in range(len(squares)):  # over indices: compiled, an iterator over pairs takes five times as long
-            sums, own = self._sums[delay], squares[delay]
-            for index in range(states):
-                sums[index] = keep * sums[index] + own[index]
-        if self._count >= _MIN_COUNT:
-            self._update_estimate()
+        self._all.add(squares)
+        if stationary:
+            return
+        self._moving.add(squares)
+        accepted = self._moving.accepted
+        # The smallest plausible delay: compensating too much would act on a state that the robot has not reached yet.
+        if accepted and min(self.periods, len(squares) - 1) not in accepted:
+            self.periods = accepted[0]
 
     def _squared_errors(self, transition: Transition, latent: Plain | None) -> list[list[float]]:
         """Squared error of each state (states,), in its unit squared, for each delay."""
@@ -151,23 +253,3 @@ class DelayEstimator:
             if max(values) - min(values) > _MIN_DIFFERENCE * width:
                 return True
         return False
-
-    def _update_estimate(self) -> None:
-        count = len(self._sums)
-        costs = [0.0] * count
-        for state in range(len(self._sums[0])):
-            largest = 0.0
-            for delay in range(count):
-                value = self._sums[delay][state]
-                largest = value if value > largest else largest
-            smallest = _MIN_SHARE * largest
-            if smallest > 0.0:
-                for delay in range(count):
-                    value = self._sums[delay][state]
-                    costs[delay] += log(value if value > smallest else smallest)
-        # ``costs`` are -2 L / N, so the difference of log-likelihoods is scaled by 2 / N.
-        limit = min(costs) + 2.0 * EVIDENCE / self._count
-        if costs[min(self.periods, count - 1)] > limit:
-            # The smallest plausible delay: compensating too much would act on a state that the robot has not reached
-            # yet.
-            self.periods = min([n for n, cost in enumerate(costs) if cost <= limit])

@@ -124,6 +124,11 @@ class Prediction:
         return Prediction, (self._affine, self._step)
 
     @property
+    def physics(self) -> PhysicsModel | None:
+        """The model with its actuators; None for functions, and for a model without parameters."""
+        return self._physics
+
+    @property
     def timed(self) -> bool:
         """Whether the model depends on the time since the start of the run."""
         return self._physics is not None and self._physics.timed
@@ -150,16 +155,28 @@ class Prediction:
         return None if self._actuators is None or not memory else self._actuators.effect_start(state, latent, memory)
 
     def rollout(self, effect: EffectStart, action: Sequence[float], latent: tuple[float, ...] | None) -> list[float]:
-        """(steps * states,) the constrained states: after each period from ``effect.state_at_effect`` on."""
+        """(rows * states,) the constrained states: of each case, after each period from ``state_at_effect`` on."""
         assert self._actuators is not None
-        return self._actuators.rollout(effect, action, latent)
+        found: list[float] = []
+        for case in effect.cases:
+            if self._actuators.has_memory:
+                found.extend(self._actuators.rollout(case, action, latent))
+            else:
+                found.extend(self.next_state_floats(case.state_at_effect, action, latent, case.memory))
+        return found
 
     def control_matrix_at_effect(
         self, effect: EffectStart, around: Sequence[float], latent: tuple[float, ...] | None
     ) -> list[list[float]]:
-        """d(rollout)/d(action) (steps * states, actions) about the action ``around``."""
+        """d(rollout)/d(action) (rows * states, actions) about the action ``around``."""
         assert self._actuators is not None
-        return self._actuators.control_matrix(effect, around, latent)
+        found: list[list[float]] = []
+        for case in effect.cases:
+            if self._actuators.has_memory:
+                found.extend(self._actuators.control_matrix(case, around, latent))
+            else:
+                found.extend(self.control_matrix_floats(case.state_at_effect, around, latent, case.memory))
+        return found
 
     @property
     def is_project_model(self) -> bool:

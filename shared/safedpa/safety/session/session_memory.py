@@ -23,7 +23,7 @@ from safedpa.safety.deadlock.detector import DeadlockDetector, position_entries
 from safedpa.safety.deadlock.escape import DeadlockEscape, TickContext
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.margins.online import OnlineMarginMonitor
-from safedpa.safety.prediction.command_history import LONGEST_AGE, CommandHistory
+from safedpa.safety.prediction.command_history import LONGEST_AGE, CommandHistory, DelayedPrediction
 from safedpa.safety.prediction.delay_estimator import MAX_DELAY, DelayEstimator
 from safedpa.safety.session.measurement import MeasuredState
 from safedpa.safety.solver.candidates import HeldSolution
@@ -82,6 +82,9 @@ class SessionMemory(Generic[StateT]):
         """Estimates the delay of commands beyond the reported one."""
         self.until_action = 0.0
         """Time in s from the newest state until its action acts: the larger of the reported and the estimated one."""
+        self._reported_delay = 0.0
+        self.possible_delays: tuple[float, ...] = ()
+        """Other delays in s that are not ruled out, under which the constraints are imposed as well."""
         self.deadlock_detector = DeadlockDetector(position_entries(model.system))
         """Detects how long the robot has been stationary, and whether an action failed to move it."""
         self.escape = DeadlockEscape(safe.settings, safe.tools.program)
@@ -98,6 +101,11 @@ class SessionMemory(Generic[StateT]):
             return ()
         return tuple(index for index, variable in enumerate(self.model.system.state) if variable.unit == "m/s")
 
+    @property
+    def delayed(self) -> str:
+        """Why a robot that can stop has to: commands act later than any delay that is allowed for; else empty."""
+        return self.delay.too_long(self._reported_delay) if self.speeds else ""
+
     def is_same_scene(self, state: StateT) -> bool:
         """Whether the barriers around ``state`` are those of the last decision."""
         del state
@@ -110,12 +118,13 @@ class SessionMemory(Generic[StateT]):
             self.margin.expect(None)
         self.tick = state.tick
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
-        late = (
-            self.history.delayed_prediction(self.until_action)
-            if self.pending and state.applied_by == "filter"
-            else None
-        )
-        self.margin.observe(state.values, barriers, same_scene=self.is_same_scene(state), late=late)
+        late, others = None, list[DelayedPrediction]()
+        if self.pending and state.applied_by == "filter":
+            late = self.history.delayed_prediction(self.until_action)
+            possible = [self.history.delayed_prediction(delay) for delay in self.possible_delays]
+            others = [prediction for prediction in possible if prediction is not None]
+        same = self.is_same_scene(state)
+        self.margin.observe(state.values, barriers, same_scene=same, late=late, others=others)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
 
@@ -163,9 +172,10 @@ class SessionMemory(Generic[StateT]):
         self.history.add(state.tick, state.values, state.applied, self.memory)
         self.until_action = min(self.delay.delay_to_compensate(state.until_action), LONGEST_AGE)
         # A robot that cannot stop could not keep its promise under every possible delay.
-        others = self.delay.possible_delays(state.until_action) if self.speeds else ()
-        late = (self.memory or self.until_action > 0.0 or others) and not is_too_old(state)
-        self.pending = self.history.pending(self.until_action, others) if late else ()
+        self._reported_delay = state.until_action
+        self.possible_delays = self.delay.possible_delays(state.until_action) if self.speeds else ()
+        late = (self.memory or self.until_action > 0.0 or self.possible_delays) and not is_too_old(state)
+        self.pending = self.history.pending(self.until_action, self.possible_delays) if late else ()
 
     def predicted(self, state: StateT, verdict: Verdict, latent: FloatArray | None) -> tuple[Rows, Any]:
         """Predicts the next states (steps, states) with the action held, and the actuators' state after one step.
@@ -233,9 +243,9 @@ class SessionMemory(Generic[StateT]):
         prediction, values = self.filter.tools.prediction, tuple(state.values)
         wanted = verdict.nominal is not None and self.escape.may_replace(verdict.status)
         wanted = wanted and not state.sources  # a manoeuvre of seconds assumes that nothing around moves
-        begin = (
-            None if isinstance(barriers, str) or not wanted else prediction.effect_start(values, known, self.pending)
-        )
+        # From where the action acts by the estimate: other delays that are possible limit the speed, not the escape.
+        flying = self.pending._replace(alternatives=()) if self.pending else self.pending
+        begin = None if isinstance(barriers, str) or not wanted else prediction.effect_start(values, known, flying)
         if isinstance(barriers, str) or not wanted or not (begin is None or begin.at_once):
             self.escape.reset()
             return verdict

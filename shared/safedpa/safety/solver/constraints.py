@@ -17,7 +17,7 @@ from typing import Any, Final, final
 from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrierSet
 from safedpa.safety.errors import NotFiniteError
-from safedpa.safety.prediction.dead_time import InFlightCommands, MultiStepBarriers
+from safedpa.safety.prediction.dead_time import EffectStart, InFlightCommands, MultiStepBarriers
 from safedpa.safety.prediction.predictor import AffineMotion, Prediction
 from safedpa.safety.solver.linearization import Linearization
 from safedpa.safety.solver.qp_scaling import Side
@@ -101,6 +101,8 @@ class Constraints:
         # effect.
         plain = barriers.starting_at(state).scalar_rows(len(state))
         self._plain: Any = plain
+        self._one_state: Any = plain
+        """The same barriers at one state; ``_plain`` may evaluate several at once."""
         self._state, self._latent, self._sides = state, latent, sides
         self._memory = memory.memory if isinstance(memory, InFlightCommands) else memory
         self._widths: list[float] = [width for _, _, width in sides]
@@ -115,15 +117,13 @@ class Constraints:
         # action can change anything, and a constraint would be infeasible or trivially satisfied.
         self._effect = effect = prediction.effect_start(state, latent, memory)
         if effect is not None:
-            for passed in effect.path:
-                h_in_flight: list[float] = plain.h_floats(passed)
-                _require_finite("h while commands are in flight", h_in_flight)
-                self.min_h_in_flight = min(self.min_h_in_flight, *h_in_flight)
-            # A faster channel acts before the slowest one, so every state from its effect on is constrained.
-            if effect.steps > 1:
-                self._plain = plain = MultiStepBarriers(plain, effect.steps, len(state))
-                epsilon = [*epsilon] * effect.steps
-            self._state, h_now = effect.state, plain.h_floats(effect.state)
+            # A faster channel acts before the slowest one, so every state from its effect on is constrained; and so is
+            # the state under every delay that is not ruled out.
+            if (count := sum([case.steps for case in effect.cases])) > 1:
+                self._plain = plain = MultiStepBarriers(plain, count, len(state))
+            self._state = tuple([entry for case in effect.cases for entry in case.state])
+            h_now = plain.h_floats(self._state)
+            epsilon = self._margins_of_cases(effect.cases, epsilon, eta)
             # Then only the start state differs; prediction from it needs no further delay model.
             if effect.at_once and not prediction.has_actuator_memory:
                 self._effect, self._memory = None, effect.memory
@@ -139,6 +139,36 @@ class Constraints:
         self.budget: Any = None
         """The ``DecisionBudget`` of this decision; None: unlimited."""
         self._set_right_hand_side(h_now, epsilon, 1.0 - eta)
+
+    def _margins_of_cases(self, cases: Sequence[EffectStart], epsilon: Plain, eta: float) -> list[float]:
+        """(rows,) epsilon_i + eta min(n epsilon_i, travel_i), where n periods of commands act before the constraint.
+
+        A margin covers the error e of h over one step. Over n steps the errors add up to n e where each is e at most,
+        and to no more than h moves in that time: at rest there is none. The constraint compares h after n + 1 steps
+        with (1 - eta) h after n, both predicted, so that its error is (n + 1) e - (1 - eta) n e = e + eta n e. A dead
+        time of the model's own is not counted: its margin was calibrated over the whole prediction.
+        """
+        grown: list[float] = []
+        for case in cases:
+            travel = self._travel_in_flight(case.path)
+            for _ in range(case.steps):
+                for row in range(len(travel)):
+                    margin, most = epsilon[row], travel[row]
+                    error = case.queued_periods * margin
+                    grown.append(margin + eta * (error if error < most else most))
+        return grown
+
+    def _travel_in_flight(self, path: Sequence[Plain]) -> list[float]:
+        """(m,) by how much each h moves, up and down, along the states ``path`` that no action can change."""
+        before, travel = self.h_now, [0.0] * len(self.h_now)
+        for passed in path:
+            h_in_flight: list[float] = self._one_state.h_floats(passed)
+            _require_finite("h while commands are in flight", h_in_flight)
+            self.min_h_in_flight = min(self.min_h_in_flight, *h_in_flight)
+            for row in range(len(travel)):
+                travel[row] += abs(h_in_flight[row] - before[row])
+            before = h_in_flight
+        return travel
 
     def _set_right_hand_side(self, h_now: list[float], epsilon: Plain, share: float) -> None:
         """Sets rhs_i = share h_i + epsilon_i (share 0 for ``at_once``), and the scales of the constraints."""
