@@ -85,12 +85,7 @@ def position_of_rate(system: System) -> dict[str, str]:
     state of its unit, with one position only. Coordinates of a body with a heading have none: its
     speeds may be those of its own frame.
     """
-    names = system.state_names
-    plane = (
-        {"x", "y"}
-        if {"x", "y"} <= set(names) and any(item.angle or item.unit == "rad" for item in system.state)
-        else set()
-    )
+    plane = _coordinates_of_plane(system)
     found = {}
     for rate in system.state:
         near = [item.name for item in system.state if rate.unit == f"{item.unit}/s" and item.name not in plane]
