@@ -21,6 +21,9 @@ def main(arguments: list[str] | None = None) -> None:
     # Set before numpy is imported. Matrices are tiny here, and OpenBLAS's threads busy-wait for each other: a search
     # took twelve times the CPU time with two threads. PyTorch, used for training, is not affected.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # For every process that a command starts: no module of the working directory, which may be someone else's folder
+    # of logs, is taken for one of the standard library or of ours.
+    os.environ["PYTHONSAFEPATH"] = "1"
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names out of a file may have signs that a terminal lacks
             stream.reconfigure(errors="backslashreplace")

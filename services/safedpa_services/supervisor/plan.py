@@ -197,12 +197,12 @@ class Plan:
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:
-        """Creates a folder ``<time>-<name>`` for one run; raises InputError if that fails."""
+        """Creates a folder ``<time>-<name>`` for one run, for this user alone; raises InputError if that fails."""
         stamp = time.strftime("%Y%m%d-%H%M%S")
         for attempt in range(100):
             folder = parent / (f"{stamp}-{name}" + (f"-{attempt}" if attempt else ""))
             try:
-                folder.mkdir(parents=True)
+                folder.mkdir(0o700, parents=True)
             except FileExistsError:
                 continue
             except OSError as error:

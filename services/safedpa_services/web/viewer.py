@@ -65,6 +65,7 @@ def _fetched() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory(prefix="safedpa-viewer-") as home:
         # a separate home: otherwise the program writes settings there and, from the second run on, sends analytics
         environment = {"PATH": os.environ.get("PATH", ""), "HOME": home, "XDG_CONFIG_HOME": home, "RUST_LOG": "error"}
+        environment["PYTHONSAFEPATH"] = "1"
         process = subprocess.Popen(
             _command(port),
             stdin=subprocess.DEVNULL,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
+
+import click
 
 from safedpa.bus.service.process import StopSignal, bus_from_options, run_process
 from safedpa.extras import need
@@ -22,8 +25,16 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
     with bus_from_options(options) as bus:
         controller = SessionController(InputSelection(options.model), Path(options.out))
-        serve(controller, PageServerOptions.of(vars(options)), browser=False, bus=bus, stop=stop)
+        # Its output goes to a log, and the address has the token that opens the page: the supervisor shows it.
+        serve(controller, PageServerOptions.of(vars(options)), browser=False, bus=bus, stop=stop, announce=_announce)
     return 0
+
+
+def _announce(where: str) -> None:
+    if sys.stdout.isatty():
+        click.echo(f"Workbench: {where}  (Ctrl-C ends it)")
+    else:
+        click.echo(f"Workbench: {where.partition('?')[0]}  (the token of its address is shown on a terminal only)")
 
 
 def _parser() -> argparse.ArgumentParser:

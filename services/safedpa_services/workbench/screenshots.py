@@ -81,7 +81,8 @@ def find_browser() -> str:
 def _served(arguments: Sequence[str]) -> Iterator[str]:
     port = free_port()
     command = [sys.executable, "-m", "safedpa_services", "workbench", *arguments, "--no-browser", "--port", str(port)]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         line = server.stdout.readline() if server.stdout is not None else ""
         if not line.startswith("Workbench:"):

@@ -79,7 +79,7 @@ def _started(address: str, cores: int | None) -> Any:
     import ray
 
     own = {name: os.environ[name] for name in (EFFECTS_VARIABLE,) if name in os.environ}
-    environment = {"env_vars": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own}}
+    environment = {"env_vars": {**_ENVIRONMENT, **own}}
     settings: dict[str, Any] = {"runtime_env": environment, "log_to_driver": False, "logging_level": "error"}
     if address == "local":
         local = {"address": "local", "num_cpus": cores or available_cores(), **_LOCAL, **settings}
@@ -107,6 +107,7 @@ Answer = TypeVar("Answer")
 # Jobs after which a worker process is replaced, so that memory retained by libraries does not accumulate.
 _TASKS_OF_A_PROCESS = 50
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ENVIRONMENT = {**dict.fromkeys(_THREADS, "1"), "PYTHONSAFEPATH": "1"}
 
 
 def available_cores() -> int:
@@ -180,9 +181,12 @@ def _wait_for_parent() -> None:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Limits the linear algebra of processes started in this context to one thread each."""
-    before: dict[str, Any] = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    """Limits the linear algebra of processes started in this context to one thread each.
+
+    They import no module of the working directory either: that may be someone else's folder of logs.
+    """
+    before: dict[str, Any] = {name: os.environ.get(name) for name in _ENVIRONMENT}
+    os.environ.update(_ENVIRONMENT)
     try:
         yield
     finally:
