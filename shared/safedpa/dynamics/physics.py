@@ -340,6 +340,11 @@ class PhysicsModel(AbstractDynamics):
                 after = self.base.integrate(
                     derivative, {name: np.float64(value) for name, value in state.items()}, time, period
                 )
+        for entries in self.system.rotations:
+            # the integrator leaves the sphere of unit quaternions by its local error
+            w, x, y, z = (after[name] for name in entries)
+            length = operations.sqrt(w * w + x * x + y * y + z * z)
+            after = {**after, **{name: after[name] / length for name in entries}}
         # measure in the reverse order of restore, so that one undoes the other
         for sensor in reversed(self._sensors):
             after = sensor.measure(after, values[sensor.name])

@@ -97,9 +97,10 @@ def position_of_rate(system: System) -> dict[str, str]:
 
 
 def _coordinates_of_plane(system: System) -> set[str]:
-    """Returns the coordinates of a body that moves in a plane or in space: several lengths, and an angle."""
+    """Returns the coordinates of a body that moves in a plane or in space: several lengths, and an attitude."""
     lengths = {item.name for item in system.state if item.unit == "m"}
-    return lengths if len(lengths) > 1 and any(item.unit == "rad" for item in system.state) else set()
+    turns = system.rotations or any(item.unit == "rad" for item in system.state)
+    return lengths if len(lengths) > 1 and turns else set()
 
 
 def _check(system: System, names: Sequence[str] | Mapping[str, float], what: str) -> None:

@@ -18,8 +18,8 @@ def systems() -> dict[str, System]:
 def add_system(system: System) -> None:
     """Registers a user's system; the same name again replaces it, and also a user's robot of that name.
 
-    Raises InputError if it has no state, repeats a name, has reversed bounds or an angle that is not in radians, or has
-    the name of a shipped robot.
+    Raises InputError if it has no state, repeats a name, has reversed bounds or an angle that is not in radians, names
+    a rotation that is not four of its states, or has the name of a shipped robot.
     """
     names = ["t", *system.state_names, *system.action_names]
     if not system.name.isidentifier() or not all(name.isidentifier() for name in names):
@@ -39,6 +39,12 @@ def add_system(system: System) -> None:
             raise InputError(
                 f"system '{system.name}': '{variable.name}': got an angle in '{variable.unit}', wanted 'rad': a whole "
                 "turn is 2 pi here; declare rad, and name the log's unit in a column map"
+            )
+    for entries in system.rotations:
+        if len(set(entries)) != 4 or not set(entries) <= set(system.state_names):
+            raise InputError(
+                f"system '{system.name}': rotations: got {', '.join(entries)}, wanted four states, the entries "
+                "w, x, y, z of a unit quaternion"
             )
     forget_robot(system.name)
     REGISTERED[system.name] = system

@@ -37,7 +37,8 @@ class System:
     """State and action of one kind of robot: its ``name``, the variables of ``state`` and of ``action``, in order.
 
     Bounds of the state are the range outside which a measurement is rejected as implausible; bounds of the action are
-    what the actuator accepts.
+    what the actuator accepts. ``rotations`` names the entries (w, x, y, z) of each unit quaternion of the state: a
+    model keeps their length 1, and q and -q are the same attitude.
 
     Example:
 
@@ -49,6 +50,7 @@ class System:
     name: str
     state: tuple[Variable, ...]
     action: tuple[Variable, ...]
+    rotations: tuple[tuple[str, str, str, str], ...] = ()
 
     def __repr__(self) -> str:
         names = {"state": ", ".join(self.state_names), "action": ", ".join(self.action_names)}
@@ -101,12 +103,24 @@ class System:
         return True
 
     @cached_property
+    def _rotations(self) -> list[list[int]]:
+        return [[self.state_names.index(name) for name in names] for names in self.rotations]
+
+    @cached_property
     def _state_bounds(self) -> tuple[tuple[float, float], ...]:
         return tuple(zip(self.state_low.tolist(), self.state_high.tolist(), strict=True))
 
     def difference(self, later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Returns later - earlier (..., states), with differences of angles wrapped to [-pi, pi)."""
+        """Returns later - earlier (..., states), with differences of angles wrapped to [-pi, pi).
+
+        Of quaternions, the sign of ``later`` is the one that is nearer: the length of their difference is then
+        2 sin(angle / 4), half the angle in rad of a small rotation.
+        """
         change = np.asarray(later - earlier, dtype=np.float64)
+        for entries in self._rotations:
+            one, other = np.broadcast_arrays(later[..., entries], earlier[..., entries])
+            sign = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+            change[..., entries] = sign * one - other
         for index in self.angles:
             change[..., index] = (change[..., index] + np.pi) % (2 * np.pi) - np.pi
         return change
