@@ -65,7 +65,7 @@ def from_tick(begin: int, wrong: Callable[[int, np.ndarray], Any]) -> Callable[[
 FAULTS: dict[str, tuple[int, Callable[[int, np.ndarray], Any], tuple[str, ...]]] = {
     "jump": (20, lambda _, x: x - [0.8, 0.0], ("jumped by 0.8 m",)),
     "restart": (20, lambda k, x: x - [0.9, 0.0], ("jumped",)),
-    "frozen while moving": (20, lambda k, x: np.array([0.9, 1.9]), ("jumped", "does not change", "rates differ")),
+    "frozen while moving": (20, lambda k, x: np.array([1.0, 2.0]), ("does not change", "rates differ")),
     "frozen at rest": (0, lambda k, x: np.zeros(2), ("does not change although the commands should have moved it",)),
     "drift": (20, lambda k, x: x - [0.05 * PERIOD * k, 0.0], ("its position and its rates differ",)),
     "speed": (20, lambda k, x: x * [1.0, 0.5], ("jumped by",)),

@@ -2,8 +2,8 @@
 
 A lost state (missing, or not a number) is predicted from the last believed one along the actions that were applied. The
 margins grow with every lost period, since each prediction may err by one margin. After ``GRACE`` the robot brakes by
-its backup at the predicted state. A state that cannot be believed is not used at all: the robot brakes at once, and
-stays stopped until ``confirm``.
+its backup at the predicted state. On a state that cannot be believed the robot brakes at once, with what is still
+plausible of it (such as its speed, if only its position jumped), and stays stopped until ``confirm``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from safedpa.errors import InputError
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.margins.online import OnlineMarginMonitor
 from safedpa.safety.prediction.command_history import LONGEST_AGE
-from safedpa.safety.session.plausibility import ClockMonitor, StateMonitor
+from safedpa.safety.session.plausibility import ClockMonitor, Contradiction, StateMonitor
 from safedpa.safety.session.session_memory import SessionMemory, StateT
 from safedpa.safety.session.state_limits import Evidence, StateLimits
 from safedpa.safety.validation import InvalidInput, checked_input
@@ -82,6 +82,10 @@ class GuardedSession(SessionMemory[StateT]):
         """Whether the state before was predicted."""
         self._monitor = StateMonitor(model.system, limits or StateLimits(), model.period)
         self._clock = ClockMonitor()
+        self._trusted: frozenset[int] = frozenset()
+        """Entries that are still measured while latched, such as the rates after a jump of the position."""
+        self._measured: Plain = ()
+        """The newest values as they were measured."""
         self._believed: _Believed | None = None
         self._free_memory: Any = None
         self._allowed_periods = ceil(_ALLOWED_DELAY / model.period)
@@ -116,7 +120,7 @@ class GuardedSession(SessionMemory[StateT]):
         """Takes over what is known of the robot's state, which does not depend on the model."""
         self.latched, self.problem, self.lost = former.latched, former.problem, former.lost
         self._believed, self._clock = former._believed, former._clock
-        self._commands = former._commands
+        self._commands, self._trusted, self._measured = former._commands, former._trusted, former._measured
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
 
     def accept(self, state: StateT, arrived: float | None = None) -> StateT:
@@ -127,6 +131,7 @@ class GuardedSession(SessionMemory[StateT]):
         before = self._accepted
         if before is not None and (before.epoch, before.tick) == (state.epoch, state.tick):
             return before
+        raw, self._measured = self._measured, tuple(state.values)
         late = "" if arrived is None else self._clock.observe(state.robot_time, arrived)
         self.problem = _problem_of(state.values, len(self.model.system.state)) or self._out_of_range(state.values)
         usable, known = not self.problem, self._believed
@@ -136,7 +141,7 @@ class GuardedSession(SessionMemory[StateT]):
         compared = not usable or bool(self.latched) or self.limits is not None
         predicted = self._predicted(state) if known is not None and compared else None
         if usable and not self.latched and self.limits is not None:
-            self.latched = late or self._implausible(state, predicted)
+            self.latched = self._implausible(state, predicted, late)
             # A frozen state was believed for some periods: the robot is where the commands took it since.
             if self.latched and self._is_unanswered():
                 predicted = self._since_moved(state) or predicted
@@ -146,6 +151,14 @@ class GuardedSession(SessionMemory[StateT]):
             self.lost, self._fastest = 0, 0.0
             self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)
         elif predicted is not None and known is not None:
+            # Values that do not change at all may be frozen: they would make the robot brake for ever.
+            if usable and any(state.values[index] != raw[index] for index in self._trusted if index < len(raw)):
+                predicted = tuple(
+                    [
+                        measured if index in self._trusted else guess
+                        for index, (measured, guess) in enumerate(zip(state.values, predicted, strict=True))
+                    ]
+                )
             self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
             self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
             # The fields of a state message are checked; only its values change.
@@ -173,8 +186,8 @@ class GuardedSession(SessionMemory[StateT]):
             verdict = replace(verdict, action=self.filter.settings.resting_action)
         return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
 
-    def _implausible(self, state: StateT, predicted: Plain | None) -> str:
-        """Why the state contradicts the ones before; empty if it does not, or if there are none."""
+    def _implausible(self, state: StateT, predicted: Plain | None, late: str) -> str:
+        """Why the state contradicts the ones before, or its clock (``late``); empty if it does not, or without any."""
         known = self._believed
         if predicted is None or known is None or len(predicted) != len(state.values):
             return ""
@@ -184,9 +197,12 @@ class GuardedSession(SessionMemory[StateT]):
             self._monitor.restart()
             return ""
         self.evidence = self._monitor.observe(state.values, known.values, predicted, self._free(state))
-        why = self._monitor.problem(self.evidence, self.lost + gap)
-        again = ", after its source restarted" if why and state.epoch != known.epoch else ""
-        return why + again
+        found = self._monitor.problem(self.evidence, self.lost + gap)
+        if late and not found.text:
+            found = Contradiction(late, tuple(range(len(state.values))))
+        self._trusted = frozenset(found.trusted)
+        again = ", after its source restarted" if found.text and state.epoch != known.epoch else ""
+        return found.text + again
 
     def _is_unanswered(self) -> bool:
         return self.evidence is not None and any(self.evidence.unanswered.values())

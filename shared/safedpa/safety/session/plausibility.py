@@ -3,7 +3,7 @@
 With x the measured state, x^ the model's prediction from the last believed state along the action that was applied, and
 e = x - x^ (angles wrapped), four things are checked for the entries of each unit together:
 
-    jump:        |e| over one period; after lost states it may be up to four times as large
+    jump:        |e| over one period; after lost states it may be up to eight times as large
     drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates
     unanswered:  the motion that the commands should have caused since the position last changed, within a second
     clock:       the stamps advance at another rate than the states arrive
@@ -16,12 +16,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from math import hypot, pi
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from safedpa.safety.session.state_limits import Evidence, StateLimits
 from safedpa.systems import System
 
-__all__ = ["ClockMonitor", "StateMonitor"]
+__all__ = ["NO_CONTRADICTION", "ClockMonitor", "Contradiction", "StateMonitor"]
 
 Plain = tuple[float, ...]
 
@@ -30,8 +30,8 @@ _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
 _WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
-_LOST_GROWTH: Final = 0.5
-_MOST_GROWTH: Final = 4.0
+_LOST_GROWTH: Final = 1.0
+_MOST_GROWTH: Final = 8.0
 """Each lost period adds this share to the limit of a jump, up to this factor: the prediction becomes less certain."""
 _NOISE_FACTOR: Final = 6.5
 """Medians of |e| that count as noise: one state in 10 million of a normal distribution in the plane is beyond it."""
@@ -39,6 +39,18 @@ _MOST_NOISE: Final = 5.0
 """Factor by which noise may raise a limit: a state that keeps jumping must not become usual."""
 _NOISE_STEP: Final = 0.02
 """Share by which the estimated median changes per state."""
+
+
+class Contradiction(NamedTuple):
+    """Why a state cannot be believed."""
+
+    text: str
+    """With the numbers; empty if it can be believed."""
+    trusted: tuple[int, ...]
+    """Entries of the state that do not take part in it: braking may use them."""
+
+
+NO_CONTRADICTION: Final = Contradiction("", ())
 
 
 @final
@@ -117,27 +129,33 @@ class StateMonitor:
             self._anchored = 0
         return again
 
-    def problem(self, evidence: Evidence, lost: int = 0) -> str:
+    def problem(self, evidence: Evidence, lost: int = 0) -> Contradiction:
         """Why the state cannot be believed, with the numbers; empty if it can. ``lost``: states lost before it."""
         growth = min(1.0 + _LOST_GROWTH * lost, _MOST_GROWTH)
         for unit, size in evidence.jump.items():
             limit = self._with_noise(self._limits.jump.get(unit), unit)
             if limit is not None and not size <= growth * limit:
-                return f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
+                text = f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
+                return Contradiction(text, self._others({unit}))
         for unit, (size, way) in evidence.drift.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
                 limit += self._limits.drift_share.get(unit, 0.0) * way
                 if not size <= growth * limit:
-                    return (
+                    text = (
                         f"its position and its rates differ by {size:.2g} {unit} within {_DRIFT_SECONDS:g} s "
                         f"(at most {growth * limit:.2g} {unit})"
                     )
+                    return Contradiction(text, self._others({unit}))
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             if limit is not None and size > limit:
-                return f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
-        return ""
+                text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
+                return Contradiction(text, ())
+        return NO_CONTRADICTION
+
+    def _others(self, units: set[str]) -> tuple[int, ...]:
+        return tuple(index for unit, own in self._groups.items() if unit not in units for index in own)
 
     def _with_noise(self, limit: float | None, unit: str) -> float | None:
         if limit is None:
