@@ -25,7 +25,7 @@ from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
 from safedpa.native.library import remark
 from safedpa.native.step import StepKernel
-from safedpa.native.tracing import Recording
+from safedpa.native.tracing import RecordedFunction
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
 ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -182,7 +182,7 @@ def record_own_step(
     if native:
         own = tuple(tuple(_numbered(letter, entries)) for letter, entries in zip("saz", names, strict=True))
         try:
-            kernel = StepKernel.compiled(Recording((*own, ("time",)), tuple(tape.lines), tuple(after)))
+            kernel = StepKernel.compiled(RecordedFunction((*own, ("time",)), tuple(tape.lines), tuple(after)))
             step, tangent = kernel.step, kernel.tangent
         except NoKernelError as error:
             remark(str(error))

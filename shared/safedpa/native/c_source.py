@@ -18,7 +18,7 @@ from typing import Final, final
 
 from safedpa.equations.slopes import operand_slopes, sum_of
 from safedpa.equations.tape import FUNCTIONS, Line, NotRecordableError
-from safedpa.native.tracing import Recording
+from safedpa.native.tracing import RecordedFunction
 
 __all__ = ["PRELUDE", "Constants", "c_choice", "c_lines", "function_source", "slope_lines"]
 
@@ -151,10 +151,10 @@ def _slope(form: str, slope: str, own: str, operands: Sequence[str], place: int)
 
 def function_source(
     name: str,
-    recording: Recording,
+    recording: RecordedFunction,
     constants: Constants,
     arguments: Sequence[str],
-    body: Callable[[Recording, Constants], Sequence[str]] | None = None,
+    body: Callable[[RecordedFunction, Constants], Sequence[str]] | None = None,
     *,
     squares: bool = False,
 ) -> str:

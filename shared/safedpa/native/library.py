@@ -15,7 +15,6 @@ import platform
 import shlex
 import shutil
 import stat
-import subprocess
 import tempfile
 from functools import cache
 from hashlib import blake2b
@@ -117,6 +116,8 @@ def _cached(folder: Path, key: str) -> Path | None:
 
 
 def _compiled(folder: Path, key: str, source: str) -> Path:
+    import subprocess  # only where a kernel is compiled: a service must start in 0.7 s
+
     compiler = _compiler()
     with tempfile.TemporaryDirectory(
         prefix="new-", dir=folder

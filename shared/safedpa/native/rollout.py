@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from safedpa.equations.tape import Line, NotRecordableError
 from safedpa.native.c_source import PRELUDE, Constants, c_lines, function_source, slope_lines
 from safedpa.native.library import load
-from safedpa.native.tracing import Recording
+from safedpa.native.tracing import RecordedFunction
 
 __all__ = ["FoundMinimum", "RecordedItems", "RolloutKernel"]
 
@@ -143,7 +143,7 @@ class RolloutKernel:
     spaces: local = field(default_factory=local)
 
     @classmethod
-    def compiled(cls, step: Recording, backup: Recording | None, h: RecordedItems) -> Self:
+    def compiled(cls, step: RecordedFunction, backup: RecordedFunction | None, h: RecordedItems) -> Self:
         """The kernel without data. Raises NotRecordableError for an operation without C, NoKernelError as ``load``."""
         source, has_gradient, constants = _source(step, backup, h)
         states, actions = len(step.inputs[0]), len(step.inputs[1])
@@ -237,7 +237,7 @@ def _template() -> str:
 
 
 def _source(
-    step: Recording, backup: Recording | None, h: RecordedItems
+    step: RecordedFunction, backup: RecordedFunction | None, h: RecordedItems
 ) -> tuple[str, bool, tuple[Floats, Floats, Floats]]:
     """Returns the C source, whether it has derivatives, and the constants of step, backup and h."""
     k = tuple(Constants() for _ in range(3))
@@ -286,7 +286,7 @@ def _h_source(h: RecordedItems, k: Constants) -> str:
     )
 
 
-def _slope_source(step: Recording, h: RecordedItems, k: Sequence[Constants]) -> str | None:
+def _slope_source(step: RecordedFunction, h: RecordedItems, k: Sequence[Constants]) -> str | None:
     """Returns step_slopes (states, states) and h_slopes (states,) of one row; None if a derivative is not known."""
     try:
         body = _slopes_of(step.lines, k[0], step.inputs[0], step.results)

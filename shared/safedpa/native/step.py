@@ -12,7 +12,7 @@ import numpy as np
 
 from safedpa.native.c_source import PRELUDE, Constants, function_source, slope_lines
 from safedpa.native.library import load
-from safedpa.native.tracing import Recording
+from safedpa.native.tracing import RecordedFunction
 
 __all__ = ["StepKernel"]
 
@@ -46,7 +46,7 @@ class StepKernel:
         self._spaces = local()
 
     @classmethod
-    def compiled(cls, recording: Recording) -> Self:
+    def compiled(cls, recording: RecordedFunction) -> Self:
         """Compiles, or finds in the cache. Raises NotRecordableError for an operation without C or without a slope."""
         constants = Constants()
         slopes, table = slope_lines(recording.lines, constants, recording.inputs[1], recording.results)

@@ -20,14 +20,22 @@ import numpy as np
 from safedpa.equations.tape import FUNCTIONS, Line, NotRecordableError, Recorded, Tape, name_of
 from safedpa.operations import NUMPY, Operations
 
-__all__ = ["OverNumpy", "Recording", "array_operations", "record", "takes_operations", "why_not_recorded", "with_numpy"]
+__all__ = [
+    "OverNumpy",
+    "RecordedFunction",
+    "array_operations",
+    "record",
+    "takes_operations",
+    "why_not_recorded",
+    "with_numpy",
+]
 
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 
 
 @final
 @dataclass(frozen=True)
-class Recording:
+class RecordedFunction:
     """One function as straight-line operations: from the ``inputs`` (names by argument) to the ``results``."""
 
     inputs: tuple[tuple[str, ...], ...]
@@ -65,7 +73,7 @@ class OverNumpy:
         return whole.replace(parameters=[each for name, each in whole.parameters.items() if name != "operations"])
 
 
-def record(function: Callable[..., Any], sizes: Sequence[tuple[str, int]]) -> Recording:
+def record(function: Callable[..., Any], sizes: Sequence[tuple[str, int]]) -> RecordedFunction:
     """Returns the recording of ``function(*inputs, operations)``, each input an array of (name, size) symbolic numbers.
 
     The results are all entries of what the function returns, in order. Raises NotRecordableError for a function that
@@ -77,13 +85,13 @@ def record(function: Callable[..., Any], sizes: Sequence[tuple[str, int]]) -> Re
     return first
 
 
-def _recorded(function: Callable[..., Any], sizes: Sequence[tuple[str, int]]) -> Recording:
+def _recorded(function: Callable[..., Any], sizes: Sequence[tuple[str, int]]) -> RecordedFunction:
     tape = Tape()
     inputs = tuple(tuple(f"{letter}{index}" for index in range(size)) for letter, size in sizes)
     arrays = [_symbols(tape, names) for names in inputs]
     results = tuple(name_of(_plain(entry)) for entry in _entries(function(*arrays, operations=array_operations(tape))))
     tape.keep(results)
-    return Recording(inputs, tuple(tape.lines), results)
+    return RecordedFunction(inputs, tuple(tape.lines), results)
 
 
 def array_operations(tape: Tape) -> Operations:

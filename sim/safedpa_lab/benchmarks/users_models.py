@@ -15,7 +15,7 @@ from safedpa.operations import NUMPY
 from safedpa.safety import FilterSettings, RolloutBarrier, SafetyFilter
 from safedpa.systems import System, Variable
 
-__all__ = ["ROBOTS", "UsersRobot"]
+__all__ = ["ROBOTS", "Boat", "CartPole", "DynamicBicycle", "PlanarQuadrotor", "TwoLinkArm", "UsersRobot"]
 
 _GRAVITY: Final = 9.81
 

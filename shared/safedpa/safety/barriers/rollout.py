@@ -35,7 +35,7 @@ from safedpa.safety.checks.compatibility import check_reads
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.validation import checked_output
 
-__all__ = ["Rollout", "RolloutBarrier"]
+__all__ = ["PathWithMinimum", "Rollout", "RolloutBarrier"]
 
 
 _STEP_SHARE: Final = 1e-3

@@ -22,7 +22,7 @@ from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
 from safedpa.native.library import remark
 from safedpa.native.rollout import FoundMinimum, RecordedItems, RolloutKernel
-from safedpa.native.tracing import OverNumpy, Recording, record, takes_operations, why_not_recorded
+from safedpa.native.tracing import OverNumpy, RecordedFunction, record, takes_operations, why_not_recorded
 from safedpa.operations import FLOATS
 from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed
 from safedpa.safety.barriers.base import AbstractBarrier
@@ -31,7 +31,7 @@ from safedpa.safety.barriers.function import FunctionBarrier
 from safedpa.safety.barriers.step_function import StepFunction
 from safedpa.safety.prediction.predictor import Prediction
 
-__all__ = ["CompiledRollout", "find_kernel"]
+__all__ = ["CompiledRollout", "Found", "RolloutParts", "find_kernel"]
 
 _MOST_STATES: Final = 40
 """States of a function's model that are tried before the first state is known."""
@@ -151,7 +151,7 @@ def _compiled(
         return None, why_not_recorded(error)
 
 
-def _recorded_step(model: Any, states: int, actions: int, latents: int) -> Recording:
+def _recorded_step(model: Any, states: int, actions: int, latents: int) -> RecordedFunction:
     """Returns x[t+1] recorded from state, action, latent and time."""
     sizes = [("s", states), ("a", actions), ("z", latents), ("t", 1)]
     if isinstance(model, PhysicsModel):

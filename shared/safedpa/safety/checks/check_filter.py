@@ -77,10 +77,8 @@ def check_filter(
     - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
     - a gradient that contradicts its own h; anything that raises, is not finite, or that the filter refuses.
 
-    As a note it names what prevents a ``RolloutBarrier`` from being compiled: a function without ``operations``, or the
-    line that branches on a number.
-
-    A report without issues says nothing about other states. Raises InputError for a wrong shape, or without barriers.
+    A note names the line that prevents a ``RolloutBarrier`` from being compiled. A report without issues says nothing
+    about other states. Raises InputError for a wrong shape, or without barriers.
 
     Example:
 
