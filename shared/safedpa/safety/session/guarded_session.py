@@ -152,14 +152,12 @@ class GuardedSession(SessionMemory[StateT]):
             self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)
         elif predicted is not None and known is not None:
             # Values that do not change at all may be frozen: they would make the robot brake for ever.
-            if usable and any(state.values[index] != raw[index] for index in self._trusted if index < len(raw)):
-                predicted = tuple(
-                    [
-                        measured if index in self._trusted else guess
-                        for index, (measured, guess) in enumerate(zip(state.values, predicted, strict=True))
-                    ]
-                )
-            self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+            fresh = usable and any(state.values[index] != raw[index] for index in self._trusted if index < len(raw))
+            if not (fresh and len(self._trusted) == len(predicted)):
+                self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+            if fresh:
+                pairs = enumerate(zip(state.values, predicted, strict=True))
+                predicted = tuple([measured if at in self._trusted else guess for at, (measured, guess) in pairs])
             self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
             # The fields of a state message are checked; only its values change.
             state = replace(state, values=predicted)  # type: ignore[type-var]

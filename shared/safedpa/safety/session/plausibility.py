@@ -73,6 +73,8 @@ class StateMonitor:
         """Forgets the motion so far; the noise is still known."""
         self._errors: deque[Plain] = deque(maxlen=max(2, round(_DRIFT_SECONDS / self._period)))
         self._ways: deque[dict[str, float]] = deque(maxlen=self._errors.maxlen)
+        self._unchanged = False
+        """Whether no entry of the newest state differs from the one before."""
         self._anchor: Plain = ()
         self._free: Plain = ()
         self._anchored = 0
@@ -92,6 +94,7 @@ class StateMonitor:
 
         ``free`` is the property of that name, one period later.
         """
+        self._unchanged = values == before
         error = self._difference(values, predicted)
         way = self._difference(predicted, before)
         jump = {unit: _norm(error, own) for unit, own in self._groups.items()}
@@ -135,12 +138,16 @@ class StateMonitor:
         for unit, size in evidence.jump.items():
             limit = self._with_noise(self._limits.jump.get(unit), unit)
             if limit is not None and not size <= growth * limit:
+                if self._unchanged:
+                    return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 text = f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
                 return Contradiction(text, self._others({unit}))
         for unit, (size, way) in evidence.drift.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
                 limit += self._limits.drift_share.get(unit, 0.0) * way
+                if not size <= growth * limit and self._unchanged:
+                    return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 if not size <= growth * limit:
                     text = (
                         f"its position and its rates differ by {size:.2g} {unit} within {_DRIFT_SECONDS:g} s "
