@@ -15,7 +15,7 @@ from safedpa.operations import NUMPY
 from safedpa.safety import FilterSettings, RolloutBarrier, SafetyFilter
 from safedpa.systems import System, Variable
 
-__all__ = ["ROBOTS", "Boat", "CartPole", "DynamicBicycle", "PlanarQuadrotor", "TwoLinkArm", "UsersRobot"]
+__all__ = ["ROBOTS", "UsersRobot"]
 
 _GRAVITY: Final = 9.81
 
@@ -31,7 +31,7 @@ class _Own(AbstractBase):
 
 
 @final
-class DynamicBicycle(_Own):
+class _DynamicBicycle(_Own):
     """A car with slipping tyres."""
 
     kind: ClassVar[str] = "dynamic_bicycle"
@@ -53,7 +53,7 @@ class DynamicBicycle(_Own):
 
 
 @final
-class TwoLinkArm(_Own):
+class _TwoLinkArm(_Own):
     """An arm in a vertical plane."""
 
     kind: ClassVar[str] = "two_link_arm"
@@ -73,7 +73,7 @@ class TwoLinkArm(_Own):
 
 
 @final
-class CartPole(_Own):
+class _CartPole(_Own):
     """A pole that stands on a cart."""
 
     kind: ClassVar[str] = "cart_pole"
@@ -87,7 +87,7 @@ class CartPole(_Own):
 
 
 @final
-class Boat(_Own):
+class _Boat(_Own):
     """A boat that drifts sideways."""
 
     kind: ClassVar[str] = "boat"
@@ -106,7 +106,7 @@ class Boat(_Own):
 
 
 @final
-class PlanarQuadrotor(_Own):
+class _PlanarQuadrotor(_Own):
     """A quadrotor in a vertical plane; its thrust and its angular acceleration are the actions."""
 
     kind: ClassVar[str] = "planar_quadrotor"
@@ -205,15 +205,15 @@ _AIR: Final = ((3.0, 0.3, 0.6), (5.0, -1.0, 0.6), (3.0, 4.0, 1.0), (6.0, 2.0, 1.
 
 ROBOTS: Final[Mapping[str, UsersRobot]] = {
     "dynamic bicycle": UsersRobot(
-        DynamicBicycle(), 0.05, 60, _brake_car, _distances(_ROAD), (0, 0, 0, 8, 0, 0), (2, 0.5, 0.05, 2, 0.2, 0.2)
+        _DynamicBicycle(), 0.05, 60, _brake_car, _distances(_ROAD), (0, 0, 0, 8, 0, 0), (2, 0.5, 0.05, 2, 0.2, 0.2)
     ),
-    "2-link arm": UsersRobot(TwoLinkArm(), 0.02, 100, _hold_arm, _arm_room, (1, 0.8, 0, 0), (0.3, 0.3, 1, 1)),
-    "cart-pole": UsersRobot(CartPole(), 0.02, 150, _balance, _rail, (0, 0, 0, 0), (0.3, 0.03, 0.3, 0.1)),
+    "2-link arm": UsersRobot(_TwoLinkArm(), 0.02, 100, _hold_arm, _arm_room, (1, 0.8, 0, 0), (0.3, 0.3, 1, 1)),
+    "cart-pole": UsersRobot(_CartPole(), 0.02, 150, _balance, _rail, (0, 0, 0, 0), (0.3, 0.03, 0.3, 0.1)),
     "boat": UsersRobot(
-        Boat(), 0.1, 80, _stop_boat, _distances(_WATER), (0, 0, 0, 2, 0, 0), (2, 0.5, 0.1, 0.5, 0.2, 0.1)
+        _Boat(), 0.1, 80, _stop_boat, _distances(_WATER), (0, 0, 0, 2, 0, 0), (2, 0.5, 0.1, 0.5, 0.2, 0.1)
     ),
     "quadrotor": UsersRobot(
-        PlanarQuadrotor(), 0.03, 80, _level, _distances(_AIR), (0, 0, 0, 1.5, 0, 0), (1, 0.5, 0.1, 0.5, 0.3, 0.3)
+        _PlanarQuadrotor(), 0.03, 80, _level, _distances(_AIR), (0, 0, 0, 1.5, 0, 0), (1, 0.5, 0.1, 0.5, 0.3, 0.3)
     ),
 }
 """The kinds that an audit measured; see ``docs/kernels.md``."""

@@ -104,6 +104,19 @@ def check_filter(
     free = None if latent is None else checked_output("latent", latent)
     # The same precedence as in a decision: the call overrides the settings by kind.
     checked = FilterUnderTest(safe, barrier_set, {**safe.settings.epsilon, **(epsilon or {})}, free)
+    return _report(checked, rows, ticks, seed, can_stop=can_stop, period=period, predicts=predicts)
+
+
+def _report(
+    checked: FilterUnderTest,
+    rows: FloatArray,
+    ticks: int,
+    seed: int,
+    *,
+    can_stop: bool,
+    period: float | None,
+    predicts: bool,
+) -> FilterReport:
     try:
         probes = collect_probes(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
