@@ -89,6 +89,7 @@ PARTS: Final = (
     Part("safety", 12),
     Part("safety-pays", 15),
     Part("controllers", 10),
+    Part("implausible-states", 90),
     Part("differential-drive", 10, "differential-drive --first-seed 100"),
     Part("sensing", 40, f"sensing --seeds 5 --first-seed 3500 --seconds 20 --no-peers {_LOADS}"),
     Part(
@@ -152,6 +153,7 @@ ELSEWHERE: Final = {
     "bad-data": "spoils a log of one's own",
     "data-faults": "reads spoiled logs; a test requires its counts",
     "diagnosis-pictures": "draws pictures",
+    "state-limits": "measures the limits that ship in safedpa/safety/named_state_limits",
     "log-faults": "reads spoiled logs; tests require its counts",
     "long-logs": "times one size of logs; docs/diagnosis-speed.md has the sizes",
 }
