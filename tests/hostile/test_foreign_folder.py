@@ -1,4 +1,4 @@
-"""Whatever a folder of somebody's logs contains, no process that we start imports it."""
+"""Whatever a folder of foreign logs contains, no process that we start imports it."""
 
 import ast
 import os

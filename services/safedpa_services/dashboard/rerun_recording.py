@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import time
+from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.encodings import TimeRange
 
+from safedpa.bus.logging import log_event
 from safedpa.drawing import Discs, Lines, Rings
 from safedpa.errors import InputError
 from safedpa_services.dashboard.curves import legend_names
@@ -73,13 +78,17 @@ APPLICATION = "safedpa"
 SERVER_MEMORY = "256MB"
 _FLUSH_SECONDS = 1.0
 _BATCH_SECONDS = 0.4
-"""Rows of one path are collected for this time [s], which halves the file's size."""
+"""Rows of one path are collected for this time [s] before they go to the viewers."""
+_FILE_BATCH_SECONDS = 5.0
+"""The same for the file: each batch of a path has a header of 1 kB. A loss of power costs as much of the pictures."""
+_LOOK_SECONDS = 1.0
 
 
 class RerunRecording:
-    """A Rerun recording that goes to a file, to viewers, or to both.
+    """A Rerun recording that goes to files, to viewers, or to both.
 
-    Raises InputError if the file cannot be written or the port is taken.
+    The files and the viewers have a stream each, so that another file can begin while viewers stay connected. Raises
+    InputError if the first file cannot be written or the port is taken.
     """
 
     def __init__(
@@ -91,52 +100,173 @@ class RerunRecording:
         bind: str,
         grpc_port: int | None,
         memory: str = SERVER_MEMORY,
+        limits: FileLimits | None = None,
     ) -> None:
-        self._display = display
-        batches = rr.ChunkBatcherConfig.DEFAULT()
-        batches.flush_tick = _BATCH_SECONDS
-        self._stream = rr.RecordingStream(APPLICATION, batcher_config=batches)
-        sinks: list[Any] = []
-        try:
-            if grpc_port is not None:
-                sinks.append(rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True))
-            if save is not None:
-                # without a footer the file is complete even after a loss of power
-                sinks.append(rr.FileSink(save, write_footer=False))
-            self._stream.set_sinks(*sinks)
-        except (RuntimeError, ValueError, OSError) as error:
-            raise InputError(f"recording {save}, port {grpc_port}: {error}; choose another --save or port") from error
+        self._display, self._fields = display, dict[str, Scene]()
+        self._static: dict[tuple[str, ...], TimelineEntry] = {}
+        """The newest static entry of each path, which every further file needs."""
+        self._viewers: Any = None
+        if grpc_port is not None:
+            self._viewers = _stream(_BATCH_SECONDS)
+            try:
+                sink = rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True)
+                self._viewers.set_sinks(sink)
+            except (RuntimeError, ValueError, OSError) as error:
+                raise InputError(f"port {grpc_port}: {error}; choose another port") from error
+        self._files = None if save is None else _Files(save, limits or FileLimits())
         self._log(TimelineEntry(("waiting",), waiting_page(fleet, {}), static=True))
         self._log(TimelineEntry(("meaning",), MarkdownPage(meaning(display)), static=True))
         self._shown = -1
         self.arrange({})
 
+    @property
+    def _streams(self) -> list[Any]:
+        file = None if self._files is None else self._files.stream
+        return [stream for stream in (self._viewers, file) if stream is not None]
+
     def arrange(self, fields: dict[str, Scene]) -> None:
         """Shows one tab per robot if there is a further one; replaces the arrangement made by the viewer's user."""
         if len(fields) == self._shown:
             return
-        self._shown = len(fields)
-        for name in fields:
-            # the viewer's y axis points downwards, so the view is mirrored; the logged coordinates are the true ones
-            for plane in ("world", "phase"):
-                self._stream.log(["robots", name, plane], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-        self._stream.send_blueprint(_blueprint_of(fields, self._display))
+        self._shown, self._fields = len(fields), dict(fields)
+        for stream in self._streams:
+            _arrange(stream, fields, self._display)
 
     def draw(self, frames: list[TimelineFrame]) -> None:
         """Sends the frames to the viewers and the file without waiting for them."""
+        if self._files is not None and self._files.turn():
+            for entry in self._static.values():
+                _log(self._files.stream, entry, _archetype(entry.shape, 0.0, static=True))
+            _arrange(self._files.stream, self._fields, self._display)
         for frame in frames:
-            self._stream.set_time(_TIME_LINE, duration=frame.at)
+            for stream in self._streams:
+                stream.set_time(_TIME_LINE, duration=frame.at)
             for entry in frame.entries:
                 self._log(entry, frame.at)
 
     def close(self) -> None:
         """Writes pending data, for at most one second."""
-        with suppress(RuntimeError):  # a viewer that does not read in time misses the last data
-            self._stream.flush(timeout_sec=_FLUSH_SECONDS)
-        self._stream.disconnect()
+        for stream in self._streams:
+            _close(stream)
 
     def _log(self, entry: TimelineEntry, at: float = 0.0) -> None:
-        self._stream.log(list(entry.path), _archetype(entry.shape, at, static=entry.static), static=entry.static)
+        if entry.static:
+            self._static[tuple(entry.path)] = entry
+        archetype = _archetype(entry.shape, at, static=entry.static)
+        for stream in self._streams:
+            _log(stream, entry, archetype)
+
+
+@dataclass(frozen=True)
+class FileLimits:
+    """Limits of the files, which are a by-product: the recording of the bus comes first."""
+
+    file_bytes: int = 64 << 20
+    """A file that has grown to this size ends, and the next one begins."""
+    files: int = 4
+    """Files of this process that are kept; the oldest is removed when a further one begins."""
+    free_bytes: int = 64 << 20
+    """Free disk space below which no file is written; the recording and the logs need the rest."""
+
+
+class _Files:
+    """The files of one process: ``NAME.rrd``, ``NAME-2.rrd`` ...; a file that exists is never written to."""
+
+    def __init__(self, save: Path, limits: FileLimits) -> None:
+        self._save, self._limits = save, limits
+        self._paths: deque[Path] = deque()
+        self._number = 0
+        """Number of the newest file."""
+        self._next_look = 0.0
+        self._is_stopped = False
+        self.stream: Any = None
+        """None while nothing is written."""
+        if self._has_room():
+            self._begin()
+
+    def turn(self) -> bool:
+        """Looks once a second whether another file has to begin; returns whether one has begun."""
+        if time.monotonic() < self._next_look:
+            return False
+        self._next_look = time.monotonic() + _LOOK_SECONDS
+        if not self._has_room():
+            self._stop()
+            return False
+        with suppress(OSError):  # a file that the user removed: its stream goes on, unseen, until the next one
+            if self.stream is not None and self._paths[-1].stat().st_size < self._limits.file_bytes:
+                return False
+        if self.stream is not None:
+            _close(self.stream)
+        with suppress(InputError):  # tried again after a second
+            self._begin()
+            return True
+        return False
+
+    def _begin(self) -> None:
+        """Begins a file. Raises InputError if it cannot be written."""
+        path, self._number = _free_path(self._save, self._number + 1)
+        stream = _stream(_FILE_BATCH_SECONDS)
+        try:
+            stream.set_sinks(rr.FileSink(path, write_footer=False))  # without a footer it is complete at any time
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"recording {path}: {error}; choose another --save") from error
+        if self._is_stopped:
+            log_event("dashboard.file_resumed", f"the pictures go on in {path}", service="dashboard")
+        self.stream, self._is_stopped = stream, False
+        self._paths.append(path)
+        while len(self._paths) > self._limits.files:
+            with suppress(OSError):
+                self._paths.popleft().unlink()
+
+    def _has_room(self) -> bool:
+        """Whether the disk has room, with some to spare before a stopped file begins again."""
+        wanted = self._limits.free_bytes * (2 if self._is_stopped else 1)
+        try:
+            free = shutil.disk_usage(self._save.parent).free
+        except OSError:
+            return False
+        if free < wanted and not self._is_stopped:
+            sentence = f"{free / 1e6:.0f} MB of disk are left: the pictures are no longer written, the robots drive on"
+            log_event("dashboard.file_stopped", sentence, level="warning", service="dashboard")
+        return free >= wanted
+
+    def _stop(self) -> None:
+        if self.stream is not None:
+            _close(self.stream)
+        self.stream, self._is_stopped = None, True
+
+
+def _free_path(path: Path, number: int) -> tuple[Path, int]:
+    """Returns the first of ``NAME``, ``NAME-2``, ``NAME-3`` ... from ``number`` on that does not exist."""
+    while True:
+        free = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        if not free.exists():
+            return free, number
+        number += 1
+
+
+def _stream(batch_seconds: float) -> Any:
+    batches = rr.ChunkBatcherConfig.DEFAULT()
+    batches.flush_tick = batch_seconds
+    return rr.RecordingStream(APPLICATION, batcher_config=batches)
+
+
+def _arrange(stream: Any, fields: dict[str, Scene], display: DisplaySettings) -> None:
+    for name in fields:
+        # the viewer's y axis points downwards, so the view is mirrored; the logged coordinates are the true ones
+        for plane in ("world", "phase"):
+            stream.log(["robots", name, plane], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+    stream.send_blueprint(_blueprint_of(fields, display))
+
+
+def _log(stream: Any, entry: TimelineEntry, archetype: Any) -> None:
+    stream.log(list(entry.path), archetype, static=entry.static)
+
+
+def _close(stream: Any) -> None:
+    with suppress(RuntimeError):  # a viewer that does not read in time misses the last data
+        stream.flush(timeout_sec=_FLUSH_SECONDS)
+    stream.disconnect()
 
 
 def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR0911 - one line for each kind of shape

@@ -27,6 +27,6 @@ class Slow:
 def test_pending_rows_are_written_first_for_a_second_at_most_and_then_all_is_closed(never: bool) -> None:
     look = display_settings(load_model("car"), FilterSettings.for_robot("car"))
     painter = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
-    painter._stream = stream = Slow(never)
+    painter._viewers = stream = Slow(never)
     painter.close()
     assert stream.done == [("flush", 1.0), ("disconnect", 0.0)]
