@@ -18,6 +18,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
+from safedpa.effects.law import plain
 from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
 from safedpa.native.library import remark
@@ -78,12 +79,12 @@ def find_kernel(parts: RolloutParts, states: int | None) -> Found:
 
 def _not_written_over_operations(parts: RolloutParts) -> str:
     """Returns why nothing is tried: a part that is an ordinary function, or a model with networks."""
-    model = parts.model
-    if isinstance(model, PhysicsModel):
-        if not model.base.recordable:
-            return f"the base model '{model.base.kind}' declares that it cannot be recorded"
-    elif not takes_operations(model):
-        return f"the model {_named(model)} has no parameter 'operations'"
+    if isinstance(parts.model, PhysicsModel):
+        reason = _why_not_model(parts.model, parts.latents)
+        if reason:
+            return reason
+    elif not takes_operations(parts.model):
+        return f"the model {_named(parts.model)} has no parameter 'operations'"
     if parts.backup is not None and not takes_operations(parts.backup):
         return f"the backup {_named(parts.backup)} has no parameter 'operations'"
     h = parts.h
@@ -92,6 +93,17 @@ def _not_written_over_operations(parts: RolloutParts) -> str:
         return f"h {_named(function)} has no parameter 'operations'"
     if function is None and not (isinstance(h, AbstractEquationBarrier) and _is_equation(type(h))):
         return f"the barrier {type(h).__name__} is no AbstractEquationBarrier"
+    return ""
+
+
+def _why_not_model(model: PhysicsModel, latents: int) -> str:
+    own = next((item.name for item in model.effects if not type(plain(item)).__module__.startswith("safedpa.")), "")
+    if own:
+        return f"the model has the effect '{own}', which is not part of safedpa"
+    if not model.base.recordable:
+        return f"the base model '{model.base.kind}' declares that it cannot be recorded"
+    if latents != len(model.latent_names):
+        return f"latent: got {latents} entries, wanted {len(model.latent_names)}"
     return ""
 
 
@@ -111,8 +123,9 @@ def _named(function: Any) -> str:
 def _watched(parts: RolloutParts) -> list[Captured]:
     """Returns what the model, the backup and h read besides their arguments."""
     h = parts.h.function if isinstance(parts.h, FunctionBarrier) else None
-    rates = parts.model.base.rates if isinstance(parts.model, PhysicsModel) else parts.model
-    return [Captured(function) for function in (rates, parts.backup, h) if function is not None]
+    base = parts.model.base if isinstance(parts.model, PhysicsModel) else None
+    model: list[Any] = [parts.model] if base is None else [base.rates, base.integrate]
+    return [Captured(function) for function in (*model, parts.backup, h) if function is not None]
 
 
 def _states_of(parts: RolloutParts) -> int:
