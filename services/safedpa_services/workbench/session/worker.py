@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import multiprocessing
 import os
+import pickle
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -40,14 +41,14 @@ class Worker:
         async with self._lock:
             connection = self._ensure_process()
             try:
-                await asyncio.to_thread(connection.send, (job, arguments))
+                await asyncio.to_thread(_send, connection, (job, arguments))
                 return await self._receive(connection, report_progress)
             except (EOFError, OSError) as error:
                 raise StoppedError("the computation was stopped before it was done; start it again") from error
 
     async def _receive(self, connection: Connection, report_progress: Callable[[float], None]) -> Any:
         while True:
-            kind, content = await asyncio.to_thread(connection.recv)
+            kind, content = await asyncio.to_thread(_receive, connection)
             if kind == "reported":
                 report_progress(content)
             elif kind == "failed":
@@ -66,6 +67,7 @@ class Worker:
     def _ensure_process(self) -> Connection:
         if self._process is None or not self._process.is_alive() or self._connection is None:
             os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the child: a search uses one core
+            os.environ["PYTHONSAFEPATH"] = "1"  # it imports nothing of the working directory, which may be a stranger's
             context = multiprocessing.get_context("spawn")
             parent_end, child_end = context.Pipe()
             self._process = context.Process(target=_serve, args=(child_end,), daemon=True, name="safedpa workbench")
@@ -73,6 +75,20 @@ class Worker:
             child_end.close()
             self._connection = parent_end
         return self._connection
+
+
+def _send(connection: Connection, item: object) -> None:
+    """Sends a pickled object, and its arrays apart: a copy of a long recording would stop the page for seconds."""
+    arrays: list[pickle.PickleBuffer] = []
+    content = pickle.dumps(item, protocol=5, buffer_callback=arrays.append)
+    connection.send((content, len(arrays)))
+    for array in arrays:
+        connection.send_bytes(array.raw())
+
+
+def _receive(connection: Connection) -> Any:
+    content, count = connection.recv()
+    return pickle.loads(content, buffers=[bytearray(connection.recv_bytes()) for _ in range(count)])
 
 
 def _serve(connection: Connection) -> None:
@@ -84,13 +100,13 @@ def _serve(connection: Connection) -> None:
     load_user_files()
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
-            job, arguments = connection.recv()
-            connection.send(_run(job, arguments, connection))
+            job, arguments = _receive(connection)
+            _send(connection, _run(job, arguments, connection))
 
 
 def _run(job: Job, arguments: tuple[Any, ...], connection: Connection) -> tuple[str, Any]:
     try:
-        return "done", job(*arguments, lambda share: connection.send(("reported", share)))
+        return "done", job(*arguments, lambda share: _send(connection, ("reported", share)))
     except ConnectionError:  # the parent process has ended
         raise
     except SafedpaError as error:
