@@ -24,6 +24,8 @@ from safedpa_services.service_main import service_parser
 from safedpa_services.web.ports import choose_port, open_server
 
 _DRIVE_ENDED = "The drive and this dashboard have ended. The panes show the last data."
+_FILE_INTERVAL = 0.2
+"""s; a file of 5 rows a second is not larger than the recording of the bus."""
 _DASHBOARD_ENDED = "This dashboard was ended. The panes show the last data; the robots drive on without it."
 
 
@@ -36,13 +38,14 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         raise InputError("--no-viewer: got it without --save; name a file to record to, or leave out --no-viewer")
     settings = settings_named(options.settings)
     display = display_settings(load_model(options.model), settings)
-    from safedpa_services.dashboard.rerun_recording import RerunRecording
+    from safedpa_services.dashboard.rerun_recording import FileLimits, RerunRecording
 
     grpc_port = choose_port(options.grpc_port, 9876, "--grpc-port", options.bind) if options.viewer else None
     save = Path(options.save) if options.save else None
     rerun_host = private_loopback()
     data_port = choose_port(None, FIRST_RERUN_PORT, "--grpc-port", rerun_host) if options.viewer else None
-    recording = RerunRecording(display, options.fleet, save=save, bind=rerun_host, grpc_port=data_port)
+    limits = FileLimits(interval=_FILE_INTERVAL)
+    recording = RerunRecording(display, options.fleet, save=save, bind=rerun_host, grpc_port=data_port, limits=limits)
     if grpc_port is not None and data_port is not None:
         where, required = (rerun_host, data_port), options.grpc_port is not None
         start = partial(DataProxy, options.bind, behind=where, names=options.name)

@@ -153,8 +153,10 @@ class RerunRecording:
         if entry.static:
             self._static[tuple(entry.path)] = entry
         archetype = _archetype(entry.shape, at, static=entry.static)
-        for stream in self._streams:
-            _log(stream, entry, archetype)
+        if self._viewers is not None:
+            _log(self._viewers, entry, archetype)
+        if self._files is not None and self._files.stream is not None and self._files.takes(entry, at):
+            _log(self._files.stream, entry, archetype)
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,8 @@ class FileLimits:
     """A file that has grown to this size ends, and the next one begins."""
     files: int = 4
     """Files of this process that are kept; the oldest is removed when a further one begins."""
+    interval: float = 0.0
+    """Shortest time [s] on the time line between two rows of one curve or shape; changes and texts are all written."""
     free_bytes: int = 64 << 20
     """Free disk space below which no file is written; the recording and the logs need the rest."""
 
@@ -177,6 +181,8 @@ class _Files:
         self._paths: deque[Path] = deque()
         self._number = 0
         """Number of the newest file."""
+        self._written: dict[tuple[str, ...], float] = {}
+        """By path: time of its newest row [s]."""
         self._next_look = 0.0
         self._is_stopped = False
         self.stream: Any = None
@@ -201,6 +207,17 @@ class _Files:
             self._begin()
             return True
         return False
+
+    def takes(self, entry: TimelineEntry, at: float) -> bool:
+        """Whether an entry at time ``at`` [s] of the time line is written."""
+        if entry.static or isinstance(entry.shape, States | Note | MarkdownPage) or entry.path[-1] == "trail":
+            return True  # the trail consists of parts, each from the last one to the present
+        key = tuple(entry.path)
+        last = self._written.get(key)
+        if last is not None and 0.0 <= at - last < 0.9 * self._limits.interval:
+            return False
+        self._written[key] = at
+        return True
 
     def _begin(self) -> None:
         """Begins a file. Raises InputError if it cannot be written."""

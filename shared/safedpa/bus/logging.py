@@ -61,7 +61,7 @@ KINDS = MappingProxyType(
         "recorder.failed": "The recording was interrupted; the sentence says why.",
         "recorder.resumed": "The recording continues in another file, because the disk has free space again.",
         "recorder.lost": "The recorder could not keep up; the sentence has the number of lost messages.",
-        "dashboard.file_stopped": "The disk is almost full: the dashboard writes no file any more, and shows the robots.",
+        "dashboard.file_stopped": "The disk is almost full: the dashboard writes no file any more; its page goes on.",
         "dashboard.file_resumed": "The disk has free space again: the dashboard writes another file.",
         "router.open": "The router accepts connections.",
         "router.stalled": "The router makes no progress; it exits, so that it is restarted.",
