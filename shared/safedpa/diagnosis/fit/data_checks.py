@@ -9,13 +9,14 @@ series of horizons is taken in which errors of the start stay small and of which
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from safedpa.arrays import FloatArray
 from safedpa.comparison.excerpt import subsample_runs, without_duplicates
-from safedpa.comparison.rollout import check_system
+from safedpa.comparison.rollout import check_system, rollout_at
 from safedpa.comparison.rollout_error import change_scale
 from safedpa.comparison.windows import check_runs, windows_of
 from safedpa.diagnosis.fit.cross_validation import Heldout, heldout_of
@@ -44,6 +45,8 @@ _MAX_GROWTH = 8.0
 _SAMPLED_WINDOWS = 120
 # Large enough for differences in double precision, small enough to stay linear.
 _DIFFERENCE = 1e-4
+# Enough for the sign of an answer, few enough to take no time.
+_JUDGED_WINDOWS = 400
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,11 @@ MOST_ROWS = 40_000
 # A wrong column, sign or unit looks like a missing effect and is larger than any real one, so no verdict is given.
 _SEVERE = (
     "swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent", "time_offset",
+    "changed_command", "clock_drift", "stale_command", "offset",
 )  # fmt: skip
+# Correlation and gain of the measured with the predicted answer to a command from which its sign is certainly wrong.
+# Gains, lags and limits change the size of the answer, not its sign.
+_OPPOSITE_CORRELATION, _OPPOSITE_GAIN = -0.6, -0.3
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,49 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
         quality.append(finding_row("all", Finding("thinned", message, rows - retained)))
     for run in used:
         quality += [finding_row(run.name, item) for item in _constant_inputs(run)]
-    return PreparedRuns(used, quality, seconds)
+    opposite = _opposite_answers(model, used, seconds)
+    quality += [finding_row("all", item) for item in opposite]
+    return PreparedRuns([replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]], quality, seconds)
+
+
+def _opposite_answers(model: PhysicsModel, runs: Sequence[Run], seconds: float) -> list[Finding]:
+    """Reports commands whose measured answers have the opposite sign of the predicted ones.
+
+    The predicted answer to a command is what a prediction changes when the command replaces its mean. It is correlated
+    with what is measured less the prediction with the mean.
+    """
+    every = windows_of(runs, seconds, every=seconds)
+    windows = every.select(np.unique(np.linspace(0, len(every) - 1, _JUDGED_WINDOWS).astype(np.int64)))
+    found, system = [], model.system
+    with np.errstate(all="ignore"):
+        given = rollout_at(model, windows, [windows.end])[0]
+        for index, name in enumerate(system.action_names):
+            actions = windows.actions.copy()
+            actions[:, index] = actions[:, index].mean()
+            without = rollout_at(model, replace(windows, actions=actions, memo={}), [windows.end])[0]
+            answers = system.difference(given, without)
+            measured = system.difference(windows.states[windows.end], without)
+            state, correlation, gain = _most_opposite(answers, measured)
+            if correlation < _OPPOSITE_CORRELATION and gain < _OPPOSITE_GAIN:
+                text = (
+                    f"{system.state_names[state]} answers to {name} with the opposite sign of the model (correlation "
+                    f"{correlation:.2f}, {gain:.2g} times as much) throughout; nothing was cut; flip {name} in a "
+                    "column map, or the sign of its gain in the model"
+                )
+                found.append(Finding("opposite_sign", text, len(windows), float(windows.t[0])))
+    return found
+
+
+def _most_opposite(answers: FloatArray, measured: FloatArray) -> tuple[int, float, float]:
+    """State with the largest predicted answer in units of its change, and correlation and gain of the measured one."""
+    good = np.isfinite(answers).all(axis=1) & np.isfinite(measured).all(axis=1)
+    answers, measured = answers[good], measured[good]
+    power, product = (answers**2).sum(axis=0), (answers * measured).sum(axis=0)
+    total = (measured**2).sum(axis=0)
+    if len(answers) < FEWEST_WINDOWS or not (power * total > 0.0).any():
+        return 0, 0.0, 0.0
+    state = int(np.argmax(np.where(total > 0.0, power / np.maximum(total, 1e-300), 0.0)))
+    return state, float(product[state] / np.sqrt(power[state] * total[state])), float(product[state] / power[state])
 
 
 def _constant_inputs(run: Run) -> list[Finding]:
@@ -203,7 +252,7 @@ class DataSufficiency:
 def check_data_sufficiency(shooting: Shooting, used: Sequence[Run], runs: Sequence[Run]) -> DataSufficiency:
     """Decides whether the data allow a verdict about physics; ``used`` are the prepared ones of ``runs``."""
     # Wrong columns are reported first: more data of the same kind would not help.
-    wrong = _severe_finding(runs)
+    wrong = _severe_finding([*runs, *used])
     return DataSufficiency(wrong, True) if wrong else DataSufficiency(_insufficient_data(shooting, used), False)
 
 

@@ -34,7 +34,9 @@ JOINS = ("mean", "sum", "difference", "norm", "first")
 """How several columns are combined: mean, sum, first minus the others, Euclidean norm, first finite value of a row."""
 
 
-KEEPABLE = ("dead_command", "frozen", "out_of_bounds")
+KEEPABLE = (
+    "changed_command", "clock_drift", "dead_command", "frozen", "jump", "offset", "out_of_bounds", "stale_command",
+)  # fmt: skip
 """Kinds of findings whose rows a map can keep; by default they are cut."""
 
 

@@ -12,7 +12,7 @@ from safedpa.records.quality.findings import count_text, finding
 from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System
 
-__all__ = ["dead_rows", "frozen_rows", "jump_rows"]
+__all__ = ["dead_rows", "frozen_rows", "jump_rows", "quantised_findings"]
 
 Found = tuple[BoolArray, list[Finding]]
 
@@ -34,6 +34,14 @@ _MIN_SPREAD, _MIN_RESIDUAL = 0.5, 4.0
 """Within a dead span the residual must exceed this share of the variance, and this multiple of the usual residual."""
 _WINDOW = 0.3
 """Window of the derivatives, s."""
+_STEPS_AFTER = 4.0
+"""Multiples of a quick step by which a state may differ after it stood: a frozen sensor has missed a motion."""
+_FOLLOWS = 0.7
+"""Correlation from which a rate is that of a state."""
+_LEAST_LEVELLED, _FEWEST_LEVELS, _MOST_REPEATED = 200, 4, 0.5
+"""Rows that a check for steps needs, levels that make a grid, and levels as a share of the rows."""
+_COARSE, _ON_GRID = 0.02, 0.02
+"""Share of a state's range from which a step is coarse, and distance from the grid in steps."""
 
 
 def frozen_rows(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> Found:
@@ -48,6 +56,9 @@ def frozen_rows(rows: RawRows, stretches: list[Stretch], system: System, measure
         others = np.concatenate([np.delete(rows.states, index, axis=1), rows.actions], axis=1)
         spans = [span for span in spans if _others_move(others, span)]
         if not spans or not _usually_changes(values, spans):
+            continue
+        spans = [span for span in spans if not _stands(rows, index, span, system)]
+        if not spans:
             continue
         for span in spans:
             bad[span] = True
@@ -116,6 +127,83 @@ def _others_move(others: NDArray[np.float64], span: slice) -> bool:
     whole = np.nanquantile(others, 0.99, axis=0) - np.nanquantile(others, 0.01, axis=0)
     part = np.ptp(others[span], axis=0)
     return bool(((whole > 1e-9) & (part > _MIN_MOTION * whole)).any())
+
+
+def _stands(rows: RawRows, index: int, span: slice, system: System) -> bool:
+    """Whether a state that reads the same really stood: stops, brakes, end stops and overflows are no defects.
+
+    The change that its rate implies for the span is small, if it has one, and afterwards it goes on without a step. A
+    span that ends with the log must be at an extreme of the state, or have a rate.
+    """
+    values = rows.states[:, index]
+    steps = np.abs(np.diff(values))
+    moving = steps[(steps > 0.0) & np.isfinite(steps)]
+    if not len(moving):
+        return False
+    largest = _STEPS_AFTER * float(np.quantile(moving, 0.99))
+    before, after = max(span.start - 1, 0), min(span.stop, len(values) - 1)
+    if max(abs(values[after] - values[span.stop - 1]), abs(values[span.start] - values[before])) > largest:
+        return False
+    implied = _implied_change(rows, index, span, system)
+    if implied is not None:
+        return implied <= max(largest, _MIN_MOTION * float(np.ptp(values[np.isfinite(values)])))
+    extremes = np.nanmin(values), np.nanmax(values)
+    return bool(span.stop < len(values) or values[span.start] in extremes)
+
+
+def _implied_change(rows: RawRows, index: int, span: slice, system: System) -> float | None:
+    """Largest change in a span that the measured rate of a state implies; None if no rate follows its changes."""
+    unit, t, values = system.state[index].unit, rows.t, rows.states[:, index]
+    found = None
+    for other, item in enumerate(system.state):
+        rate = rows.states[:, other]
+        good = np.isfinite(rate) & np.isfinite(values) & np.isfinite(t)
+        good[span] = False
+        if item.unit != f"{unit}/s" or good.sum() < _FROZEN_ROWS:
+            continue
+        both = good[1:] & good[:-1]
+        follows = np.corrcoef(np.diff(values)[both], (rate[1:] * np.diff(t))[both])[0, 1] if both.sum() > 2 else 0.0
+        if follows > _FOLLOWS:
+            way = np.abs(np.nancumsum(rate[span] * np.gradient(t[span])))
+            found = max(found or 0.0, float(way.max()))
+    return found
+
+
+def quantised_findings(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Reports measured states that have coarse steps, throughout or from some time on; nothing is cut."""
+    found = []
+    used = np.concatenate([np.arange(part.start, part.stop) for part in stretches] or [np.empty(0, dtype=np.intp)])
+    for index, item in enumerate(system.state):
+        values = rows.states[used, index]
+        values = values[np.isfinite(values)]
+        if not measured[index] or len(values) < _LEAST_LEVELLED:
+            continue
+        begin, step = _levels(values)
+        if not step or step < _COARSE * float(np.quantile(values, 0.99) - np.quantile(values, 0.01)):
+            continue
+        text = f"{item.name} has steps of {step:.3g} {item.unit}" + ("" if begin else " throughout")
+        text += ", which is coarse for how it moves: nothing smaller can be seen in it"
+        found.append(finding("quantised", text, len(values) - begin, rows.t[used[begin]], "nothing was cut for it"))
+    return found
+
+
+def _levels(values: FloatArray) -> tuple[int, float]:
+    """First row from which all values lie on a grid, and its step; step 0 if the last quarter of the log does not."""
+    last = values[-(len(values) // 4) :]
+    levels = np.unique(last)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(1e-300, float(np.abs(levels).max()))]
+    if len(gaps) < _FEWEST_LEVELS - 1 or len(levels) > _MOST_REPEATED * len(last):
+        return 0, 0.0
+    step = float(gaps.min())
+    if np.ptp(last) > step * len(last):
+        return 0, 0.0
+    offset = np.abs((values - levels[0]) / step - np.round((values - levels[0]) / step))
+    if not (offset[-len(last) :] < _ON_GRID).all():
+        return 0, 0.0
+    beyond = np.flatnonzero(offset >= _ON_GRID)
+    begin = int(beyond[-1]) + 1 if len(beyond) else 0
+    return (0 if begin < _FROZEN_ROWS else begin), step
 
 
 def _usually_changes(values: FloatArray, spans: list[slice]) -> bool:

@@ -216,8 +216,30 @@ def consistency_findings(
         angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
         moved = slopes_within(rows.t, angle, stretches, _WINDOW)
         found = _scale("rate", "angle", rate, moved) if measured[names.index("rate")] else []
+        if "torque" not in system.action_names:  # what turns it is no pendulum
+            return found
         return found + _upright(angle, moved, slopes_within(rows.t, moved, stretches, _WINDOW), rows.actions)
-    return []
+    return _declared_rates(rows, stretches, system, measured)
+
+
+def _declared_rates(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Compares every declared rate with the slope of the position that it follows: sign, unit and scale."""
+    found = []
+    for at, item in enumerate(system.state):
+        pairs = []
+        for index, rate in enumerate(system.state):
+            if rate.unit == f"{item.unit}/s" and measured[at] and measured[index]:
+                slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)
+                pairs.append((abs(_correlation(rows.states[:, index], slopes)), index, slopes))
+        if pairs:
+            correlation, index, slopes = max(pairs, key=lambda pair: pair[0])
+            if correlation > _SURELY_PAIRED:
+                found += _scale(system.state[index].name, item.name, rows.states[:, index], slopes)
+    return found
+
+
+_SURELY_PAIRED = 0.95
+"""Correlation from which a rate is certainly that of a position: of a body's and a floor's axes it is lower."""
 
 
 def _upright(angle: FloatArray, rate: FloatArray, acceleration: FloatArray, actions: FloatArray) -> list[Finding]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from safedpa.errors import RunError
 from safedpa.limits import readable
 from safedpa.records.column_map.apply import derive_states, resample_rows
 from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
-from safedpa.records.quality.channels import dead_rows, frozen_rows, jump_rows
+from safedpa.records.quality.channels import dead_rows, frozen_rows, jump_rows, quantised_findings
 from safedpa.records.quality.clock import (
     gap_rows,
     held_findings,
@@ -28,6 +29,7 @@ from safedpa.records.quality.clock import (
 )
 from safedpa.records.quality.consistency import consistency_findings, drive_findings, late_findings
 from safedpa.records.quality.findings import count_text, finding
+from safedpa.records.quality.halves import halves_findings
 from safedpa.records.quality.values import (
     constant_findings,
     degrees_for_radians,
@@ -106,6 +108,7 @@ def _cut(
 def _other_findings(rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
     """Findings for which nothing is cut."""
     found = [*held_findings(rows, stretches, system, measured), *constant_findings(rows, stretches, system)]
+    found += quantised_findings(rows, stretches, system, measured)
     disagree = consistency_findings(rows, stretches, system, measured)
     if disagree or not stretches:
         return [*found, *disagree]  # with wrong columns signs and delays cannot be checked
@@ -131,7 +134,28 @@ def _check_commands(
             for own in inner
         ]
         stretches = [stretch for stretch in moved if len(stretch) >= SHORTEST_STRETCH]
-    return stretches, [*findings, *(drive_findings(rows, stretches, system) if stretches else [])]
+    findings += drive_findings(rows, stretches, system) if stretches else []
+    if not stretches or findings:
+        return stretches, findings
+    halves = [
+        Finding(f"kept_{item.kind}", f"{item.message.split('; ')[0]}; kept, as the map says", item.count, item.start_t)
+        if item.kind in mapping.keep
+        else item
+        for item in halves_findings(rows, stretches, system)
+    ]
+    return _cut_at(rows.t, stretches, [item for item in halves if item.kind == "jump"]), halves
+
+
+def _cut_at(t: NDArray[np.float64], stretches: list[Stretch], jumps: Sequence[Finding]) -> list[Stretch]:
+    """The stretches, with an end before the time of each finding."""
+    breaks = np.zeros(len(t), dtype=bool)
+    for item in jumps:
+        breaks |= t == item.start_t
+    parts = []
+    for part in stretches:
+        inner = np.flatnonzero(breaks[part.start + 1 : part.stop]) + part.start + 1
+        parts += [Stretch(low, high) for low, high in pairwise([part.start, *inner.tolist(), part.stop])]
+    return [part for part in parts if len(part) >= SHORTEST_STRETCH]
 
 
 def _usable_stretches(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:

@@ -48,7 +48,7 @@ def out_of_bounds(rows: RawRows, system: System, measured: list[bool]) -> Found:
     bad = np.zeros(len(rows.t), dtype=bool)
     found = []
     for variable, values in _columns(rows, system, measured):
-        slack = 1e-6 * max(abs(variable.low), abs(variable.high)) if np.isfinite(variable.high) else 0.0
+        slack = _slack(variable, values)
         mask = np.isfinite(values) & ((values < variable.low - slack) | (values > variable.high + slack))
         count = int(mask.sum())
         if count:
@@ -65,6 +65,23 @@ def out_of_bounds(rows: RawRows, system: System, measured: list[bool]) -> Found:
             found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), done))
             bad |= mask
     return bad, found
+
+
+def _slack(variable: Variable, values: NDArray[np.float64]) -> float:
+    """How far a value may be beyond a bound: rounding, and the noise of a measurement at the bound."""
+    finite = values[np.isfinite(values)]
+    span = variable.high - variable.low
+    if not np.isfinite(span):
+        return 0.0
+    # the second difference of a smooth signal is its noise, of variance 6; 0.455 is the median of chi squared
+    noise = float(np.sqrt(np.median(np.diff(finite, 2) ** 2) / 0.455 / 6.0)) if len(finite) > _MIN_ROWS else 0.0
+    slack = min(_NOISE * noise, _NOISE_SHARE * span)
+    resting = max(int((np.abs(finite - bound) < slack).sum()) for bound in (variable.low, variable.high))
+    return max(1e-6 * max(abs(variable.low), abs(variable.high)), slack if resting >= _MIN_ROWS else 0.0)
+
+
+_NOISE, _NOISE_SHARE = 5.0, 0.01
+"""Standard deviations of noise that a state at its bound may be beyond it, and the largest such share of the range."""
 
 
 def constant_findings(rows: RawRows, stretches: list[Stretch], system: System) -> list[Finding]:
@@ -103,6 +120,7 @@ def other_units(rows: RawRows, system: System, mapping: ColumnMap) -> tuple[NDAr
     named = {name for name, item in mapping.columns.items() if isinstance(item, SourceColumn) and item.unit is not None}
     found = [] if "t" in named else _time_unit(rows, system)
     found += _percent(rows, system, named)
+    found += _beyond_bounds(rows, system, named)
     return np.full(len(rows.t), bool(found)), found
 
 
@@ -171,6 +189,37 @@ def _percent(rows: RawRows, system: System, named: set[str]) -> list[Finding]:
             done = f'name unit = "%" for {variable.name} in a column map'
             found.append(finding("unit_mistake", text, len(rows.t), None, done))
     return found
+
+
+def _beyond_bounds(rows: RawRows, system: System, named: set[str]) -> list[Finding]:
+    """Channels that are mostly beyond their bounds, and well within them once divided by a usual factor."""
+    found = []
+    channels = [*zip(system.state, rows.states.T, strict=True), *zip(system.action, rows.actions.T, strict=True)]
+    for item, column in channels:
+        values = np.abs(column[np.isfinite(column)])
+        bound = max(abs(item.low), abs(item.high))
+        if item.name in named or item.unit == "1" or len(values) < _MIN_ROWS or not np.isfinite(bound):
+            continue
+        outside = float(((column < item.low) | (column > item.high)).mean())
+        largest = float(np.quantile(values, 0.99))
+        for factor, name in _FACTORS:
+            fits = _LEAST_RANGE * bound < largest / factor <= bound * (1.0 + 1e-9)
+            if outside > _MOSTLY and fits and (factor not in _OF_ANGLES or item.unit.startswith("rad")):
+                text = (
+                    f"{item.name} reaches {largest:.4g} {item.unit} where {bound:.4g} is the bound: it looks as if it "
+                    f"were in {name}, a factor of {factor:.4g}, so every row was cut"
+                )
+                done = f"name its unit or a scale for {item.name} in a column map, or widen the bound in its system"
+                found.append(finding("unit_mistake", text, len(rows.t), None, done))
+                break
+    return found
+
+
+_FACTORS = ((float(np.degrees(1.0)), "degrees"), (1000.0, "thousandths (mm, mA, mV)"), (100.0, "hundredths (cm)"))
+"""Usual factors between units, by what they are called."""
+_OF_ANGLES = (float(np.degrees(1.0)),)
+_MOSTLY, _LEAST_RANGE = 0.4, 0.1
+"""Share of the rows beyond the bounds, and share of the bounds that the corrected values must reach."""
 
 
 def degrees_for_radians(rows: RawRows, system: System) -> tuple[NDArray[np.bool_], list[Finding]]:
