@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from safedpa.errors import RunError
+from safedpa.records import load_run
 from safedpa.records.readers.bags.detect import kind_of
+from safedpa.robots.car.system import CAR
 
 OTHERS = {
     "#ROSBAG V1": "is a ROS 1 bag of format 1; convert it to format 2.0: rosbag fix",
@@ -84,3 +86,12 @@ def test_a_path_that_is_no_recording_is_refused(name: str, problem: str, tmp_pat
         path.write_text("" if name.startswith("empty") else "t,x\n0,1\n", encoding="utf-8")
     with pytest.raises(RunError, match=f": {problem}"):
         kind_of(path)
+
+
+@pytest.mark.parametrize(
+    ("path", "problem"),
+    [("/proc/self/mem", "cannot be read .Input/output error."), ("a\0b.csv", "the name has a null character")],
+)
+def test_what_cannot_be_opened_or_read_is_refused(path: str, problem: str) -> None:
+    with pytest.raises(RunError, match=problem):
+        load_run(path, CAR)

@@ -39,6 +39,9 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
             if file == Path(path):
                 raise
             raise type(error)(str(error).replace(str(file), str(path))) from error
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise RunError(f"{path}: cannot be read ({reason}); check the file and its permissions") from error
 
 
 @in_own_process

@@ -56,6 +56,8 @@ def regular_file(path: Path) -> Iterator[Path]:
     A URL such as ``s3://`` or ``https://`` is opened by fsspec; with ``s3://`` and the like also a folder. Raises
     LimitError if the content is larger than a table may be, and RunError for a URL that cannot be read.
     """
+    if "\0" in str(path):
+        raise RunError(f"{readable(str(path))}: the name has a null character; name a recording")
     url = _url_of(path)
     if not url and str(path) != "-" and not path.is_fifo():
         yield path
