@@ -326,7 +326,7 @@ def test_the_best_three_have_their_own_numbers_smallest_sizes_and_drives(monkeyp
         ("drag", "c", 0.3), ("drag", "d", None), ("lag", "drag", 0.0), ("drift", "d", 0.5), ("dragging", "c", 0.6),
     )  # fmt: skip
     sizes = [Detectable(name, parameter, "1/s", smallest, 1.0, ()) for name, parameter, smallest in wanted]
-    search: Any = SimpleNamespace(current=trial(model="now"))
+    search: Any = SimpleNamespace(current=trial(model="now"), added=[], error=error(1.0))
     noise = np.array([0.1, 0.2])
 
     def manoeuvres(model: Any, others: Any, given: Any) -> list[str]:

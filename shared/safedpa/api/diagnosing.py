@@ -50,7 +50,8 @@ them."""
 class SavedDiagnosis:
     """The files of a diagnosis: the ``folder``, and the calibrated ``margin``.
 
-    ``drive`` is the shell command that drives the simulated robot with model and margin; None without a margin.
+    ``drive`` is the shell command that drives the simulated robot with model and margin; None without a margin, and
+    after the verdicts "undecided" and "unexplained".
 
     Example:
 
@@ -227,7 +228,8 @@ def diagnose(
             report_progress(1, 2)
             margin = _margin(report, recorded, folder)
     drive = None
-    if margin.path is not None:
+    # A model that is known to be incomplete, or not known to be complete, is not offered for driving.
+    if margin.path is not None and report.verdict in ("effect_missing", "nothing_missing"):
         own = None if effects is None else Path(effects)
         drive = drive_command(found.model, folder / "model.toml", margin.path, own, margin.period)
     return replace(found, saved=SavedDiagnosis(folder, margin, drive))

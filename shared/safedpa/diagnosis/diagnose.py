@@ -35,12 +35,16 @@ from safedpa.diagnosis.report_schema import (
     Experiment,
     FittedValue,
     PossibleEffect,
+    Remainder,
     Report,
     Unexplained,
     Verdict,
 )
+from safedpa.diagnosis.residuals.adequacy import remainder_of, with_sentence
+from safedpa.diagnosis.residuals.dependence import forced_states
 from safedpa.diagnosis.residuals.unmodelled import LibraryMatcher, alternative_formula, find_unexplained_structure
 from safedpa.diagnosis.search.conditional import conditions_of
+from safedpa.diagnosis.search.final_parameters import uncertain_effects
 from safedpa.diagnosis.search.forward_selection import ReportProgress, run_search
 from safedpa.diagnosis.search.nearest_candidates import (
     closest_effects,
@@ -114,12 +118,13 @@ def diagnose(
         common = [item for item in search.available if not item.rare]
         sizes = detectable_sizes(search.current, common, search.shooting, search.error)
         sizes = with_manoeuvres(sizes, search.current, library)
-    doubtful = doubtful_effects(search)
+    remainder = _remainder(search) if judge.enough else None
+    doubtful, unsure = doubtful_effects(search), uncertain_effects(search)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
     return Report(
         robot=model.system.name,
         horizon=horizon,
-        verdict=_verdict(search, found, judge, sizes) if not doubtful else "undecided",
+        verdict=_verdict(search, found, judge, sizes, remainder) if not doubtful else "undecided",
         added=tuple(search.added),
         stages=tuple(reported.stages),
         candidates=_candidates(search, shown, reported, final),
@@ -136,7 +141,24 @@ def diagnose(
         conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *horizons),
         coverage=coverage_of(usable.runs),
+        tried=_tried(search),
+        uncertain=tuple(unsure),
+        remainder=remainder,
     )
+
+
+def _remainder(search: SearchState) -> Remainder | None:
+    """Returns what the last model leaves of unseen data, with a sentence if it is neither noise nor disturbance."""
+    found = remainder_of(search.current, search.shooting, forced_states(search.current.fit.model))
+    first = search.first_error.value if search.added else None
+    return None if found is None else with_sentence(found, search.error.value, first)
+
+
+def _tried(search: SearchState) -> tuple[int, int]:
+    """Returns how many different effects and combinations of effects were fitted."""
+    tried = {item.trial.effects for item in search.candidates}
+    combined = {frozenset(names) for names in tried if len(names) > 1}
+    return len({names for names in tried if len(names) == 1}), len(combined)
 
 
 def _closest(
@@ -187,17 +209,24 @@ def _implausible_error(search: SearchState) -> list[dict[str, Any]]:
     return [finding_row("all", Finding("implausible", message))]
 
 
-def _verdict(search: SearchState, found: _Unmodelled, judge: DataSufficiency, sizes: Sequence[Detectable]) -> Verdict:
+def _verdict(
+    search: SearchState,
+    found: _Unmodelled,
+    judge: DataSufficiency,
+    sizes: Sequence[Detectable],
+    remainder: Remainder | None,
+) -> Verdict:
     if not judge.enough:
         return "unexplained" if judge.wrong else "undecided"
+    unexplained, likely = found
     # Checked before the effects: an effect that was added to a model with wrong units is not a finding.
-    if search.error.value > 1.5 or not np.isfinite(search.error.value):
+    implausible = search.error.value > 1.5 or not np.isfinite(search.error.value)
+    # An effect of the library that is likely explains the rest better than "none explains it".
+    rest = remainder is not None and remainder.sentence and (search.added or not likely)
+    if implausible or rest or (unexplained is not None and not search.added):
         return "unexplained"
     if search.added:
         return "effect_missing"
-    unexplained, likely = found
-    if unexplained is not None:
-        return "unexplained"
     if likely or sum(size.shown for size in sizes) < _MIN_DETECTABLE * len(sizes):
         return "undecided"
     return "nothing_missing"

@@ -28,6 +28,7 @@ __all__ = [
     "PossibleEffect",
     "Profile",
     "RateMap",
+    "Remainder",
     "Report",
     "Unexplained",
     "Verdict",
@@ -251,6 +252,26 @@ class CoveredRange:
     gaps: tuple[CoverageGap, ...]
 
 
+@dataclass(frozen=True)
+class Remainder:
+    """What the last model leaves of unseen data: noise and disturbance, or something that depends on the drive."""
+
+    share: float
+    """Share of the residual's squares, noise included, that a function of states, actions, past actions and time
+    predicts."""
+    standard_errors: float
+    """Gain of that function in standard errors over independent blocks."""
+    spread: float
+    """Ratio of the residual's mean squares in windows with large and small values of ``spread_of``."""
+    spread_of: str
+    spread_errors: float
+    """Difference of these mean squares in standard errors."""
+    noise_share: float
+    """Share of the squares that measurement noise explains, estimated from these recordings."""
+    sentence: str = ""
+    """Size and place of what neither noise nor a disturbance from outside explains; empty if they explain it."""
+
+
 @dataclass(frozen=True, repr=False)
 class Report:
     """The result of a diagnosis; ``models`` are those of the stages, the given one (refitted) first."""
@@ -283,6 +304,12 @@ class Report:
     """Horizons of the search [s], which the data determine; the main one first."""
     coverage: tuple[CoveredRange, ...] = ()
     """Covered range of each state and action; outside it the model extrapolates."""
+    tried: tuple[int, int] = (0, 0)
+    """How many effects, and how many combinations of them, were fitted."""
+    uncertain: tuple[str, ...] = ()
+    """Added effects that are within two deviations of no effect."""
+    remainder: Remainder | None = None
+    """None if the recordings are too short to judge what remains."""
 
     def __repr__(self) -> str:
         facts = {"robot": self.robot, "verdict": self.verdict, "added": ", ".join(self.added) or "nothing"}
@@ -295,6 +322,6 @@ def as_document(report: Report) -> dict[str, Any]:
     names = (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
         "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
-        "conditions", "coverage",
+        "conditions", "coverage", "tried", "uncertain", "remainder",
     )  # fmt: skip
     return {"format": 1, **{name: as_plain(getattr(report, name)) for name in names}}

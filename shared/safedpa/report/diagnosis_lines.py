@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from safedpa.diagnosis.report_schema import FittedValue, Report, as_document
-from safedpa.report.diagnosis_story import closest_rows, report_text
+from safedpa.report.diagnosis_story import closest_rows, deviation_text, report_text, rounded
 
 _BAR = 40
 """Characters of the longest bar."""
@@ -51,7 +51,8 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
 def _verdict(report: Report, lead: str) -> str:
     if report.verdict == "unexplained" and report.unexplained is not None and not report.unexplained.depends_on:
         return f"No verdict: {report.unexplained.expression}."
-    if report.verdict == "unexplained" and report.added:
+    explained = report.remainder is None or not report.remainder.sentence
+    if report.verdict == "unexplained" and report.added and explained:
         return f"No verdict: the model predicts badly with every effect added ({', '.join(report.added)} fit best)."
     return lead
 
@@ -60,7 +61,8 @@ def _found(report: Report) -> list[str]:
     lines = []
     for name in report.added:
         own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
-        lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+        note = " (within two deviations of no effect)" if name in report.uncertain else ""
+        lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}{note}")
         lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
 
@@ -84,5 +86,5 @@ def _groups(report: Report) -> list[tuple[str, tuple[str, ...]]]:
 
 def value_text(name: str, value: FittedValue) -> str:
     """Returns a fitted value as text: coefficient 0.121 +- 0.003 1/m."""
-    spread = "" if value.std is None else f" +- {value.std:.2g}"
-    return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")
+    spread = "" if value.std is None else f" +- {deviation_text(value.std)}"
+    return f"{name} {rounded(value.value, value.std)}{spread}" + ("" if value.unit == "1" else f" {value.unit}")

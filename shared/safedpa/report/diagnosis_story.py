@@ -108,10 +108,9 @@ def report_text(document: Mapping[str, Any]) -> ReportText:
         for item in document["candidates"]
         if item["indistinguishable_from"] and item["decision"] != "rejected"
     ]
-    order = sorted({int(item["stage"]) for item in document["candidates"]})
     stages = document["stages"]
     improved = [(step_text(before, stage), str(stage["runs_improved"])) for before, stage in pairwise(stages)]
-    tables = [_stage(document, index) for index in order]
+    tables = _stages(document)
     unexplained = document["unexplained"] or {}
     title, note = _FORMULA.get(unexplained.get("kind", "formula"), _FORMULA["formula"])
     if unexplained.get("alternatives"):
@@ -140,26 +139,58 @@ def _verdict(document: Mapping[str, Any]) -> str:
     stages, added = document["stages"], document["added"]
     first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     if added:
-        fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
-        verb = "falls" if fall > 0 else "changes"
-        lacking, them = [_described(document, name) for name in added], "it" if len(added) == 1 else "them"
-        if document["verdict"] == "undecided":
-            return unsure_sentence(document, _joined(lacking), first, last)
-        return (
-            f"The model lacks {_joined(lacking)}{gaps_clause(document)}. With {them} the error on data that was "
-            f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
-        )
+        return _added_sentence(document, first, last)
     if document["verdict"] == "undecided":
         return undecided_sentence(document)
     if document["verdict"] == "nothing_missing":
         sizes = nothing_sentence(document)
         return (
-            f"Nothing is missing{gaps_clause(document)}: no effect of the library predicts unseen data better than "
-            f"chance. The error is {first:.3g}.{' ' if sizes else ''}{sizes}"
+            f"Nothing is missing{gaps_clause(document)}, as far as was tried: {none_of(document)} predicts unseen data "
+            f"better than chance{_noise_clause(document)}. The error is {first:.3g}.{' ' if sizes else ''}{sizes}"
         )
-    if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
-        return f"No verdict: {document['unexplained']['expression']}."
-    return f"Something is missing that no effect of the library describes. The error is {first:.3g}."
+    unexplained = document["unexplained"]
+    if unexplained is not None and not unexplained["depends_on"]:
+        return f"No verdict: {unexplained['expression']}."
+    return f"Something is missing: {none_of(document)} explains it. The error is {first:.3g}.{_remains(document)}"
+
+
+def _added_sentence(document: Mapping[str, Any], first: float, last: float) -> str:
+    """Returns the verdict if effects were added; ``first`` and ``last`` are the errors without and with them."""
+    added = document["added"]
+    fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
+    verb = "falls" if fall > 0 else "changes"
+    lacking, them = [_described(document, name) for name in added], "it" if len(added) == 1 else "them"
+    if document["verdict"] == "undecided":
+        return unsure_sentence(document, _joined(lacking), first, last)
+    if document["verdict"] == "unexplained" and (document.get("remainder") or {}).get("sentence"):
+        return (
+            f"Something is missing that no set of the effects tried explains. {_joined(lacking)} would reduce the "
+            f"error on data that was not used for fitting from {first:.3g} to {last:.3g}, but that is not all: "
+            f"{document['remainder']['sentence']}. Do not rely on the model in other driving."
+        )
+    return (
+        f"The model lacks {_joined(lacking)}{gaps_clause(document)}. With {them} the error on data that was "
+        f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
+    )
+
+
+def none_of(document: Mapping[str, Any]) -> str:
+    """Returns what was tried, as "none of the 34 effects and 12 combinations tried"."""
+    effects, combined = document.get("tried") or (0, 0)
+    pairs = f" and {combined} combination{'s' if combined != 1 else ''}" if combined else ""
+    return f"none of the {effects} effect{'s' if effects != 1 else ''}{pairs} tried"
+
+
+def _noise_clause(document: Mapping[str, Any]) -> str:
+    if not document.get("remainder"):
+        return ""
+    return ", and what remains depends on no state, action, history or time that was measured"
+
+
+def _remains(document: Mapping[str, Any]) -> str:
+    """Returns a sentence with size and place of what is not explained; empty if nothing is known about it."""
+    sentence = (document.get("remainder") or {}).get("sentence") or ""
+    return f" {sentence[0].upper()}{sentence[1:]}." if sentence else ""
 
 
 def gaps_clause(document: Mapping[str, Any]) -> str:
@@ -198,9 +229,9 @@ def _residual_sentence(document: Mapping[str, Any]) -> str:
     if unexplained.get("kind") == "place":
         return (
             f"{size} lies in one region of the plane: if these recordings are of one room, the floor is different "
-            "there. No effect of the library describes that."
+            f"there. {none_of(document).capitalize()} describes that."
         )
-    return f"{size} depends on {variables} in a way that no effect of the library describes."
+    return f"{size} depends on {variables} in a way that {none_of(document)} describes."
 
 
 def _found(document: Mapping[str, Any], stage: int, name: str) -> AcceptedEffect:
@@ -210,7 +241,7 @@ def _found(document: Mapping[str, Any], stage: int, name: str) -> AcceptedEffect
     if not accepted:
         return AcceptedEffect(name, [], [])
     rows = [
-        (key, f"{number(entry['value']):.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
+        (key, rounded(number(entry["value"]), entry.get("std")), deviation_text(entry.get("std")), entry["unit"])
         for key, entry in _parameters(document, name, accepted[-1]["parameters"]).items()
     ]
     return AcceptedEffect(name, rows, list(accepted[-1]["indistinguishable_from"]))
@@ -222,16 +253,37 @@ def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]
     return {path.split(".")[1]: entry for path, entry in final.items() if path.split(".")[0] == name} or trial
 
 
-def _stage(document: Mapping[str, Any], index: int) -> StageTable:
-    stage = document["stages"][min(index, len(document["stages"]) - 1)]
-    have = stage["effects"]
-    question = "What does the given model lack?" if not have else f"What is missing besides {_joined(have)}?"
-    candidates = [
-        {**item, "text": parameters_text(item["parameters"]), "width": _width(item["heldout_error"], stage)}
-        for item in document["candidates"]
-        if item["stage"] == index
-    ]
-    return StageTable(index, question, number(stage["heldout_error"]), candidates)
+def _stages(document: Mapping[str, Any]) -> list[StageTable]:
+    """Returns one table for each question: trials that follow one another without an addition share it."""
+    found: dict[str, StageTable] = {}
+    have: list[str] = []
+    for index in sorted({int(item["stage"]) for item in document["candidates"]}):
+        own = [item for item in document["candidates"] if item["stage"] == index]
+        question = "What does the given model lack?" if not have else f"What is missing besides {_joined(have)}?"
+        before = next(
+            (stage for stage in document["stages"] if set(have) <= set(stage["effects"])), document["stages"][-1]
+        )
+        rows = [_candidate_row(item, before, document["added"]) for item in own]
+        if question in found:
+            known = {item["effect"] for item in found[question].candidates}
+            found[question].candidates.extend(row for row in rows if row["effect"] not in known)
+        else:
+            found[question] = StageTable(index, question, number(before["heldout_error"]), rows)
+        accepted = [name for item in own if item["decision"] == "accepted" for name in item["effect"].split(" + ")]
+        have = [*have, *(name for name in dict.fromkeys(accepted) if name in document["added"] and name not in have)]
+    return list(found.values())
+
+
+def _candidate_row(item: Mapping[str, Any], stage: Mapping[str, Any], added: Sequence[str]) -> dict[str, Any]:
+    """Returns a candidate with its texts; an effect that was found later is called accepted in every table."""
+    later = item["decision"] != "accepted" and set(item["effect"].split(" + ")) <= set(added)
+    return {
+        **item,
+        "decision": "accepted" if later else item["decision"],
+        "reason": f"{item['reason']}; accepted at a later stage" if later else item["reason"],
+        "text": parameters_text(item["parameters"]),
+        "width": _width(item["heldout_error"], stage),
+    }
 
 
 def _width(error: float | None, stage: Mapping[str, Any]) -> float:
@@ -252,8 +304,31 @@ def _short_values(parameters: Mapping[str, Any]) -> str:
 
 
 def _value_text(name: str, entry: Mapping[str, Any], sign: str) -> str:
-    spread = "" if entry.get("std") is None else f" {sign} {entry['std']:.2g}"
-    return f"{name} {number(entry['value']):.3g}{spread}{_unit(entry)}"
+    std = entry.get("std")
+    spread = "" if std is None else f" {sign} {deviation_text(std)}"
+    return f"{name} {rounded(number(entry['value']), std)}{spread}{_unit(entry)}"
+
+
+def deviation_text(std: float | None) -> str:
+    """Returns a standard deviation with two digits; empty if it is unknown."""
+    return "" if std is None else f"{std:.2g}"
+
+
+def rounded(value: float, std: float | None) -> str:
+    """Returns a value with the digits that its deviation allows: as many decimals as the deviation is written with.
+
+    Example:
+
+        >>> rounded(0.0008754, 0.0018), rounded(18.7812, 8.2), rounded(-2.0, 0.01), rounded(0.7283, None)
+        ('0.0009', '18.8', '-2.00', '0.7283')
+    """
+    if std is None or not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    written = deviation_text(std)
+    if "e" in written:
+        digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2 if value else 1
+        return f"{value:.{max(1, digits)}g}"
+    return f"{value:.{len(written.partition('.')[2])}f}"
 
 
 def _unit(entry: Mapping[str, Any]) -> str:

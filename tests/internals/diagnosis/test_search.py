@@ -84,67 +84,6 @@ def test_without_a_verdict_nearest_effects_are_reported_only_if_data_are_too_few
         assert likely == ([] if wrong else ["nearest"])
 
 
-@pytest.mark.parametrize(("library", "laws", "rounds"), [((), True, 1), (("drag",), False, 1), (("drag",), True, 2)])
-def test_after_a_law_the_search_makes_a_second_round(library, laws, rounds, monkeypatch):
-    did: list[str] = []
-    search = SimpleNamespace(added=[], error=error(0.1), current=SimpleNamespace(fit=None), shooting=None)
-    monkeypatch.setattr(searching, "initial_search", lambda *_: search)
-    monkeypatch.setattr(searching, "_so_far", lambda _: "")
-    monkeypatch.setattr(searching, "_add_effects", lambda *_: did.append("additions"))
-    monkeypatch.setattr(searching, "_revise", lambda *_: did.append("revision"))
-    monkeypatch.setattr(searching, "add_conditions", lambda *_: did.append("laws") or laws)
-    monkeypatch.setattr(searching, "with_final_values", lambda *_: ("final", "its error"))
-    monkeypatch.setattr(searching, "with_model_uncertainty", lambda final, _: final)
-    monkeypatch.setattr(searching, "replace", lambda _, fit: fit)
-    found: Any = searching.run_search(NOTHING, library, NOTHING, NOTHING)
-    assert found.current == "final" or not library
-    once = ["additions", "revision"]
-    assert did == [*once, *(["laws"] if library else []), *(once if rounds == 2 else [])]
-
-
-def test_a_search_after_a_law_has_as_many_stages_as_effects_may_still_be_added(monkeypatch):
-    stages: list[int] = []
-    notices: list[str] = []
-    fit = SimpleNamespace(model=SimpleNamespace(effects=()))
-    search: Any = SimpleNamespace(
-        added=[],
-        candidates=[],
-        error=error(0.1),
-        first_error=error(0.2),
-        current=SimpleNamespace(fit=fit),
-        shooting=None,
-        heldout=None,
-        available=[],
-    )
-
-    def stage(_search: Any, number: int, *_: Any) -> bool:
-        stages.append(number)
-        search.candidates.append(judged("drag", stage=number))
-        search.added.append("drag")
-        return number != 13
-
-    def revised(*_: Any) -> None:
-        search.added = search.added[:2]
-
-    def tried(*given: Any) -> list[Any]:
-        given[-1](0)
-        return []
-
-    replaced: dict[str, Any] = {"initial_search": search, "exchange_effects": None, "split_effect": None}
-    replaced |= {"backward_elimination": None, "exchange_for_fewer_parameters": None, "merge_effects": False}
-    replaced |= {"select_smallest_model": None, "mark_equivalent_rivals": None, "add_conditions": True}
-    replaced |= {"with_final_values": (fit, None), "with_model_uncertainty": fit}
-    for name, answer in replaced.items():
-        monkeypatch.setattr(searching, name, lambda *_, answer=answer: answer)
-    for name, function in {"fit_trials": tried, "add_best_trial": stage, "exchange_effects": revised}.items():
-        monkeypatch.setattr(searching, name, function)
-    monkeypatch.setattr(searching, "replace", lambda *_, **__: None)
-    library: Any = [SimpleNamespace(name="drag")]
-    searching.run_search(NOTHING, library, NOTHING, NOTHING, lambda *given: notices.append(given[2]))
-    assert stages == list(range(14)), "twelve in the first round; the second one finds nothing in its second stage"
-    assert [notice for notice in notices if notice.startswith("stage 13 of at most 22")]
-
-
 GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0}
 
 

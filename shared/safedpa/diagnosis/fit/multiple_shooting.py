@@ -132,6 +132,18 @@ class Shooting:
         """Index of the first window of each block in that order, (blocks,)."""
         return np.asarray(np.unique(self.block[self.by_block], return_index=True)[1], dtype=np.int64)
 
+    def with_commands_between_rows(self, offset: float = 0.5) -> Shooting:
+        """Returns the windows with commands that change ``offset`` periods before the rows that show them.
+
+        The mean command over the period before the change is (1 - offset) u[k] + offset u[k + 1].
+        """
+        windows = self.windows
+        following = np.arange(len(windows.actions)) + 1
+        # The last row of a stretch has no row after it whose command is known.
+        following[windows.bounds[:, 1] - 1] = windows.bounds[:, 1] - 1
+        actions = (1.0 - offset) * windows.actions + offset * windows.actions[following]
+        return replace(self, windows=replace(windows, actions=actions, memo={}))
+
     def first_part(self) -> Shooting:
         """Returns the first fifth of each window, at least three compared rows."""
         count = max(_MIN_FIRST_ROWS, len(self.rows) // 5)

@@ -14,7 +14,7 @@ import numpy as np
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.least_squares import fit, known_slopes, regularized_inverse
 from safedpa.diagnosis.fit.trial import EffectTrial, best_start, block_gain, initial_values, trial_of, with_effect_at
-from safedpa.diagnosis.search.acceptance import CLEAR_FALL, SAME, SIMPLER, is_spurious_delay, passes, with_reason
+from safedpa.diagnosis.search.acceptance import CLEAR_FALL, FALL, SAME, SIMPLER, is_spurious_delay, passes, with_reason
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, given_effect_names, known_effects
 from safedpa.effects import AbstractEffect
 
@@ -29,6 +29,10 @@ _ONE_STANDARD_ERROR = 1.0
 _ABANDONED = 0.01
 # Standard errors, and ratio of errors, from which a model without an effect is so much worse that a rough fit decides.
 _CLEARLY_NEEDED, _FAR_WORSE = 4.0, 1.5
+# Rivals that a group names besides the accepted effect, the closest ones: a longer list helps no reader.
+_MOST_EQUALS = 2
+# Ratio of held-out errors from which a rival no longer predicts as well.
+_AS_GOOD = 1.1
 _NOT_NEEDED = "no longer needed next to the others"
 # Correlation of their parameters from which two effects are also removed together: each hides the loss of the other.
 _CORRELATED = 0.7
@@ -273,6 +277,20 @@ def remove_effects_at_bounds(search: SearchState) -> None:
         _remove(search, group, reduced, search.error_of(reduced.fit), "fits only at a bound")
 
 
+def remove_uncertain_effects(search: SearchState, names: Sequence[str]) -> bool:
+    """Removes those of some accepted effects whose removal hardly raises the error; returns whether one was removed."""
+    removed = False
+    by_name = known_effects(search)
+    for name in names if len(search.added) > 1 else ():
+        others = [by_name[other] for other in search.added if other != name]
+        reduced = refit_effects(search, others)
+        error = search.error_of(reduced.fit)
+        if error.value <= (1.0 + FALL) * search.error.value and not _at_new_bound(reduced, search):
+            _remove(search, (name,), reduced, error, "is within two deviations of no effect")
+            removed = True
+    return removed
+
+
 def _check_remaining(search: SearchState) -> None:
     """Removes everything if the remaining effects do not pass by themselves: one part of a confirmed pair may not.
 
@@ -395,17 +413,36 @@ def _best_instead(
 def mark_equivalent_rivals(search: SearchState) -> None:
     """Marks which rivals of each accepted effect predict the same in its place, once all other effects are known.
 
-    Example: once a payload is in the model, a command gain may turn out to be equivalent to a drag.
+    Example: once a payload is in the model, a command gain may turn out to be equivalent to a drag. Rivals of an
+    earlier stage that are clearly worse next to the other effects are no longer named. The closest are named, so that a
+    group has at most three members.
     """
     by_name = known_effects(search)
-    for name in search.added if len(search.added) > 1 else ():
+    for name in search.added:
         parameter_count = len(by_name[name].parameters)
-        same = []
-        for rival in _rivals(search, (name,)):
+        same: list[str] = []
+        for rival in _rivals(search, (name,)) if len(search.added) > 1 else ():
             if len(by_name[rival].parameters) == parameter_count:
                 trial = _best_instead(search, (name,), [(rival,)], by_name)
                 same += [rival] if trial is not None and _is_as_good(trial[0], search) else []
         for index, item in enumerate(search.candidates):
             if item.decision == "accepted" and name in item.trial.effects:
-                equals = dict.fromkeys((*item.equals, *same))
-                search.candidates[index] = replace(item, equals=tuple(equals))
+                equals = dict.fromkeys((*same, *_still_equal(search, item, by_name)))
+                search.candidates[index] = replace(item, equals=tuple(equals)[:_MOST_EQUALS])
+
+
+def _still_equal(search: SearchState, item: JudgedTrial, by_name: Mapping[str, AbstractEffect]) -> list[str]:
+    """Returns the rivals of a trial's own stage that predict as well in its place in the final model, best first."""
+    if set(item.trial.effects) == set(search.added):
+        return list(item.equals)
+    found = []
+    for rival in item.equals:
+        names = tuple(rival.split(" + "))
+        if set(names) & set(search.added) or not set(names) <= set(by_name):
+            continue
+        others = [by_name[name] for name in search.added if name not in item.trial.effects]
+        trial = refit_effects(search, [*others, *(by_name[name] for name in names)])
+        error = search.error_of(trial.fit).value
+        if block_gain(trial, search.current, search.shooting) < SIMPLER and error < _AS_GOOD * search.error.value:
+            found.append((error, rival))
+    return [rival for _, rival in sorted(found)]

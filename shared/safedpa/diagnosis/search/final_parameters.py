@@ -21,6 +21,7 @@ from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_
 from safedpa.diagnosis.fit.least_squares import Fit, bounds_of, fit, jackknife, products_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.prediction_error_method import prediction_error_fit
+from safedpa.diagnosis.fit.trial import ratio_gain, trial_of
 from safedpa.diagnosis.search.acceptance import CLEAR_FALL, CORNERED, FRICTIONS
 from safedpa.diagnosis.search.search_state import SearchState
 from safedpa.effects import Conditioned, Where
@@ -103,6 +104,51 @@ def with_model_uncertainty(final: Fit, search: SearchState) -> Fit:
     if not (shift.any() or kinds.any()):
         return final
     return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * shift))
+
+
+# Deviations from the neutral value below which an accepted effect is reported as uncertain.
+_UNCERTAIN = 2.0
+
+
+def uncertain_effects(search: SearchState, deviations: float = _UNCERTAIN) -> list[str]:
+    """Returns accepted effects with no parameter further than some deviations from its neutral value.
+
+    Effects without a neutral value are never uncertain: there is no zero to compare with.
+    """
+    fitted, ratios = search.current.fit, dict[str, list[float]]()
+    stated = fitted.deviations(search.shooting).tolist()
+    for path, value, deviation in zip(fitted.paths, fitted.values.tolist(), stated, strict=True):
+        neutral = fitted.model.parameters[path].neutral
+        if neutral is not None:
+            ratios.setdefault(path.split(".")[0], []).append(abs(value - neutral) / deviation if deviation > 0 else 0.0)
+    return [name for name in search.added if max(ratios.get(name, [np.inf])) < deviations]
+
+
+# Standard errors beyond which the exponential of a gain no longer changes a weight.
+_MOST_GAIN = 30.0
+
+
+def with_timing_uncertainty(final: Fit, search: SearchState) -> Fit:
+    """Returns the fit with deviations that allow for commands which change between two rows.
+
+    A log has the command that is in force at each row. If it changed a share s of a period before, the mean command
+    over the period before the row is (1 - s) u[k] + s u[k + 1], and a fit with s = 0 finds delays that are s periods
+    too short. Parameters are fitted for s = 0 and s = 1/2, which is the mean of changes at any time. With the shift d
+    of a parameter between the two and the probability w of s = 1/2 (equal ones before the recordings are compared), the
+    variance is std^2 + w d^2.
+    """
+    if not final.free.any() or not final.model.system.action:
+        return final
+    at_rows, between = (
+        fit(final.model, final.paths, windows, final.scale)
+        for windows in (search.shooting, search.shooting.with_commands_between_rows())
+    )
+    gain = ratio_gain(
+        trial_of(at_rows, search.shooting, (), None), trial_of(between, search.shooting, (), None), search.shooting
+    )
+    weight = 1.0 / (1.0 + float(np.exp(-np.clip(gain, -_MOST_GAIN, _MOST_GAIN))))
+    shift = np.where(at_rows.free & between.free, between.values - at_rows.values, 0.0)
+    return replace(final, stated=np.hypot(final.deviations(search.shooting), np.sqrt(weight) * np.abs(shift)))
 
 
 def group_jackknife_deviation(fitted: Fit, shooting: Shooting) -> FloatArray:

@@ -70,11 +70,17 @@ from safedpa.diagnosis.search.backward_revision import (
     merge_effects,
     refit_effects,
     remove_effects_at_bounds,
+    remove_uncertain_effects,
     select_smallest_model,
     split_effect,
 )
 from safedpa.diagnosis.search.conditional import accept_law, add_conditions, region_effect
-from safedpa.diagnosis.search.final_parameters import with_final_values, with_model_uncertainty
+from safedpa.diagnosis.search.final_parameters import (
+    uncertain_effects,
+    with_final_values,
+    with_model_uncertainty,
+    with_timing_uncertainty,
+)
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
 from safedpa.diagnosis.search.restarts import is_open, try_other_beginnings
@@ -127,9 +133,18 @@ def run_search(
         _revise(search)
     report_progress(2, 3, f"final parameters; {_so_far(search)}")
     if library:
-        final, search.error = with_final_values(search.current.fit, search.shooting, heldout)
-        search.current = replace(search.current, fit=with_model_uncertainty(final, search))
+        _set_final_values(search)
+        # Effects whose final values are compatible with no effect go, unless predictions of unseen data need them.
+        if remove_uncertain_effects(search, uncertain_effects(search)):
+            _set_final_values(search)
     return search
+
+
+def _set_final_values(search: SearchState) -> None:
+    """Replaces parameters and deviations by the final ones."""
+    final, search.error = with_final_values(search.current.fit, search.shooting, search.heldout)
+    final = with_timing_uncertainty(with_model_uncertainty(final, search), search)
+    search.current = replace(search.current, fit=final)
 
 
 def _add_effects(search: SearchState, report_progress: ReportProgress, other_horizons: OtherHorizons) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.experiment_design import discriminating_manoeuvres
 from safedpa.diagnosis.fit.trial import block_gain, fit_trials
 from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect
 from safedpa.diagnosis.search.acceptance import MOST_MISSING
+from safedpa.diagnosis.search.final_parameters import uncertain_effects
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.effects import AbstractEffect
 
@@ -47,16 +46,8 @@ def doubtful_effects(search: SearchState) -> list[JudgedTrial]:
     Together such effects predict what was driven. The data do not determine their sizes, so predictions of other drives
     may be wrong.
     """
-    fitted, ratios = search.current.fit, dict[str, list[float]]()
-    deviations = fitted.deviations(search.shooting).tolist()
-    for path, value, deviation in zip(fitted.paths, fitted.values.tolist(), deviations, strict=True):
-        neutral = fitted.model.parameters[path].neutral
-        if neutral is not None:
-            ratios.setdefault(path.split(".")[0], []).append(abs(value - neutral) / deviation if deviation > 0 else 0.0)
-    # Effects without a neutral value are never doubtful: there is no zero to compare with.
-    unsure = [name for name in search.added if max(ratios.get(name, [np.inf])) < 1.0]
     found = []
-    for name in unsure:
+    for name in uncertain_effects(search, 1.0):
         accepted = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
         trial = replace(search.current, effects=(name,))
         why = "its size is within one deviation of zero effect: these data do not separate it from the other effects"
@@ -102,5 +93,8 @@ def closest_effects(
             if size.effect in names and size.smallest is not None
         }
         parameters = {path: value for path, value in fitted_values.items() if path.split(".")[0] in names}
-        found.append(PossibleEffect(item.trial.name, parameters, item.fall, item.gain, smallest, drive, item.reason))
+        # All falls are relative to the error of the final model; an effect that is in it already has none.
+        further = item.error is not None and not names & set(search.added) and search.error.value > 0
+        fall = 1.0 - item.error.value / search.error.value if further and item.error is not None else None
+        found.append(PossibleEffect(item.trial.name, parameters, fall, item.gain, smallest, drive, item.reason))
     return tuple(found)

@@ -14,19 +14,25 @@ from collections.abc import Callable, Iterator, Sequence
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, ratio_gain, trial_of
-from safedpa.diagnosis.residuals.adequacy import adequacy_of
+from safedpa.diagnosis.residuals.adequacy import remainder_of, structural_error
 from safedpa.diagnosis.residuals.dependence import forced_states
-from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, passes
+from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, SURE, passes
 from safedpa.diagnosis.search.joint_trials import JointTrial, fit_jointly, textbook_combinations
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.effects import AbstractEffect
 
 # Share of the squares that depends on what was driven, from which other beginnings are tried.
 _STRUCTURE = 0.1
+# Error in units of the usual change below which nothing else is looked for.
+_SIZE = 0.01
+# Ratio of the residual's mean squares between kinds of driving from which they are, if it is certain.
+_SPREAD = 2.5
 # Reduction of the held-out error, relative to the greedy search with as many effects, that makes a new beginning.
 _BETTER = 0.05
 # Beginnings from which the search is repeated at most.
 _BEGINNINGS = 2
+# Ratio of held-out errors up to which two combinations may be equivalent.
+_EQUAL_ERROR = 1.5
 # Relative difference of held-out errors within which the result with fewer parameters is preferred.
 _AS_GOOD = 0.01
 
@@ -35,8 +41,11 @@ def is_open(search: SearchState) -> bool:
     """Returns whether a result asks for other beginnings: much is missing, or the residual depends on the drive."""
     if search.error.value > MUCH or base_at_bound(search):
         return True
-    found = adequacy_of(search.current, search.shooting, forced_states(search.current.fit.model))
-    return found is not None and found.share > _STRUCTURE
+    found = remainder_of(search.current, search.shooting, forced_states(search.current.fit.model))
+    if found is None:
+        return False
+    depends = found.share > _STRUCTURE and structural_error(found, search.error.value) > _SIZE
+    return depends or (found.spread > _SPREAD and found.spread_errors > SURE and search.error.value > _SIZE)
 
 
 def base_at_bound(search: SearchState) -> tuple[str, ...]:
@@ -104,10 +113,11 @@ def _accept(other: SearchState, begin: JointTrial, joint: Sequence[JointTrial], 
     ]
     for item in joint:
         gain = gain_over(other.first, item.trial, item.shooting)
+        equals = _equal_combinations(begin, joint) if item is begin else ()
         decision, reason = "rejected", f"fitted together: gain on unseen blocks {gain:.1f} standard errors"
         if item is begin:
             decision = "accepted"
-        judged = JudgedTrial(0, item.trial, gain, item.error, decision, reason, (), search.first_error.value)
+        judged = JudgedTrial(0, item.trial, gain, item.error, decision, reason, equals, search.first_error.value)
         other.candidates.append(judged)
     singles = [item.trial.effects[0] for item in known]
     for name in begin.trial.effects:
@@ -115,6 +125,19 @@ def _accept(other: SearchState, begin: JointTrial, joint: Sequence[JointTrial], 
     other.added = list(begin.trial.effects)
     other.shooting, other.current, other.error = begin.shooting, begin.trial, begin.error
     other.note_error()
+
+
+def _equal_combinations(begin: JointTrial, joint: Sequence[JointTrial]) -> tuple[str, ...]:
+    """Returns the combinations that unseen blocks do not distinguish from the best one, the closest first."""
+    limit = _EQUAL_ERROR * begin.error.value
+    near = [item for item in joint if item is not begin and item.error.value < limit]
+    same = [
+        item
+        for item in sorted(near, key=lambda item: item.error.value)
+        if not set(item.trial.effects) & set(begin.trial.effects)
+        and abs(gain_over(item.trial, begin.trial, begin.shooting)) < SIMPLER
+    ]
+    return tuple(item.trial.name for item in same)
 
 
 def gain_over(null: EffectTrial, trial: EffectTrial, shooting: Shooting) -> float:
