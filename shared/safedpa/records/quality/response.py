@@ -1,8 +1,9 @@
 """How the states of a log answer to states and commands: one regression that checks of channels compare.
 
-For each state x over a window of m rows, x[k + m] - x[k] = sum_f theta_f mean(f), where f are states, commands of the
-window and of up to three windows before (for lags and delays), their products, and what turns with an angle. It is
-linear in theta, so a changed channel is judged by one more least-squares fit. No physics is assumed beyond that.
+For each state x over a window of m rows, x[k + m] - x[k] = T sum_f theta_f mean(f). T is the duration of the window, and
+f are states, commands of the window and of up to three windows before (for lags and delays), their products, and what
+turns with an angle. It is linear in theta, so a changed channel is judged by one more least-squares fit. No physics is
+assumed beyond that.
 """
 
 from __future__ import annotations
@@ -105,7 +106,8 @@ class Response:
             for mean in (command(k, k + m), command(k - m, k)):
                 found += [mean[:, [index]] * around for index in range(u.shape[1])]
                 found += [mean[:, [one]] * mean[:, [other]] for one, other in self._pairs]
-        return np.concatenate(found, axis=1), x[k + m] - x[k]
+        seconds = self.t[k + m] - self.t[k]
+        return np.concatenate(found, axis=1) * (seconds / np.median(seconds))[:, None], x[k + m] - x[k]
 
     @cached_property
     def powers(self) -> NDArray[np.intp]:
