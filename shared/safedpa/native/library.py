@@ -26,9 +26,12 @@ from safedpa.errors import SafedpaError
 
 __all__ = ["NoKernelError", "cache_folder", "load", "remark"]
 
-_FLAGS: Final = ("-O2", "-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
+_FLAGS: Final = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 """No fused multiply-add, which rounds once where NumPy rounds twice. Without errno, sqrt is one instruction; its result
 is the same."""
+_LINES: Final = ((4000, "-O2"), (8000, "-O1"))
+"""Up to so many lines a source is optimised so far, and beyond not at all: a compiler takes about a second for each.
+Results do not depend on it."""
 _SECONDS: Final = 60.0
 """s after which a compiler is ended."""
 _MOST_FILES: Final = 200
@@ -71,10 +74,11 @@ def cache_folder() -> Path:
 
 @cache
 def _load(source: str, folder: Path) -> ctypes.PyDLL:
-    key = _digest(repr((source, _FLAGS, platform.machine(), platform.libc_ver(), platform.system())).encode())
+    flags = (_optimisation(source), *_FLAGS)
+    key = _digest(repr((source, flags, platform.machine(), platform.libc_ver(), platform.system())).encode())
     try:
         _make_private(folder)
-        path = _cached(folder, key) or _compiled(folder, key, source)
+        path = _cached(folder, key) or _compiled(folder, key, source, flags)
     except OSError as error:
         raise NoKernelError(f"{folder}: {why_not_written(error)}") from error
     try:
@@ -82,6 +86,11 @@ def _load(source: str, folder: Path) -> ctypes.PyDLL:
         return ctypes.PyDLL(str(path))
     except OSError as error:
         raise NoKernelError(f"{path.name} cannot be loaded: {str(error).splitlines()[0]}") from error
+
+
+def _optimisation(source: str) -> str:
+    lines = source.count("\n")
+    return next((flag for most, flag in _LINES if lines <= most), "-O0")
 
 
 def _digest(data: bytes) -> str:
@@ -115,7 +124,7 @@ def _cached(folder: Path, key: str) -> Path | None:
     return None
 
 
-def _compiled(folder: Path, key: str, source: str) -> Path:
+def _compiled(folder: Path, key: str, source: str, flags: tuple[str, ...]) -> Path:
     import subprocess  # only where a kernel is compiled: a service must start in 0.7 s
 
     compiler = _compiler()
@@ -124,7 +133,7 @@ def _compiled(folder: Path, key: str, source: str) -> Path:
     ) as work:  # 0700; on the same disk, so renaming is atomic
         text, made = Path(work) / "kernel.c", Path(work) / "kernel.so"
         text.write_text(source, encoding="utf-8")
-        command = [*compiler, *_FLAGS, "-o", str(made), str(text), "-lm"]
+        command = [*compiler, *flags, "-o", str(made), str(text), "-lm"]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_SECONDS, stdin=subprocess.DEVNULL
