@@ -1,6 +1,6 @@
 """How the states of a log answer to states and commands: one regression that checks of channels compare.
 
-For each state x over a window of m rows, x[k + m] - x[k] = T sum_f theta_f mean(f). T is the duration of the window, and
+For each state x over a window of m rows, x[k + m] - x[k] = T sum_f theta_f mean(f). T is the duration of the window;
 f are states, commands of the window and of up to three windows before (for lags and delays), their products, and what
 turns with an angle. It is linear in theta, so a changed channel is judged by one more least-squares fit. No physics is
 assumed beyond that.
