@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -132,6 +133,11 @@ def test_the_last_text_is_the_last_line_of_the_log_that_is_not_json(log, phrase,
     if log is not None:
         child.log.write_text(log)
     assert child.last_text() == phrase
+
+
+def test_a_full_disk_is_named_where_no_message_could_be_written(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=0))
+    assert f"no space is left on the disk of {tmp_path}" in child_of(tmp_path).last_text()
 
 
 STUBBORN = """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -31,6 +32,8 @@ _MOST_RESTARTS, _RESTART_WINDOW_SECONDS = 30, 3600.0
 """Nor is one that was restarted so often within this time [s]."""
 _LONGEST_CAUSE = 300
 """Characters of the log in a cause."""
+_FULL_BYTES = 1 << 16
+"""Free disk space below which a log may end in the middle of a line."""
 _PROGRAM = re.compile(r"^safedpa-[a-z_-]+: ")
 
 
@@ -182,7 +185,12 @@ class Child:
         with contextlib.suppress(OSError):
             lines = self.log.read_text(errors="replace").splitlines()
         lines = [line for line in lines if line.strip() and not line.startswith("{")]
-        return _PROGRAM.sub("", lines[-1]) if lines else "it wrote no message"
+        if lines:
+            return _PROGRAM.sub("", lines[-1])
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(self.log.parent).free < _FULL_BYTES:
+                return f"it could write no message: no space is left on the disk of {self.log.parent}"
+        return "it wrote no message"
 
     def terminate(self) -> None:
         """Sends SIGTERM once; a second signal would skip its orderly shutdown."""

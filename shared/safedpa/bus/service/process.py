@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
+import io
 import os
 import signal
 import sys
@@ -19,7 +20,7 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Final, TextIO
 
 from safedpa.bus.logging import log_event
 from safedpa.bus.messages.service_info import mark_as_supervised, software_version
@@ -193,6 +194,7 @@ def run_process(
     threading.excepthook = lambda arguments: _end_at_once(
         arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
     )
+    sys.stdout, sys.stderr = _LogStream(sys.stdout), _LogStream(sys.stderr)
     parser.add_argument("--realtime", action="store_true", help="use real-time scheduling if the system permits it")
     parser.add_argument("--log", choices=("text", "json"), help="default: text on a terminal, json in a pipe")
     parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
@@ -215,6 +217,31 @@ def run_process(
         code = EXIT_NOT_LET_IN if isinstance(error, JoinError) else EXIT_BAD_INPUT
         sys.stderr.write(f"{parser.prog}: {readable(' '.join(str(error).split()), 2000)}\n")
     _leave(code)
+
+
+class _LogStream(io.TextIOBase):
+    """Standard output or error of a process whose log may be on a full disk: what cannot be written is left out.
+
+    A message that cannot be written must not end the process, which would then be restarted and end again.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # also closed, or None
+            self._stream.flush()
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
 
 
 def _watch_supervisor(stop: StopSignal) -> None:
