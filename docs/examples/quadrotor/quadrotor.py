@@ -24,7 +24,7 @@ from safedpa.systems import System, Variable
 GRAVITY = 9.81  # m/s2
 STRONGEST = 20.0  # m/s2 of thrust
 QUICKEST = 4.0  # rad/s about each axis
-CEILING = 3.0  # m
+HIGHEST = 3.0  # m
 STEEPEST = 0.7  # rad of tilt
 AHEAD = 0.7  # s; heights are judged where it will be by then, which leaves the time to level and to brake
 
@@ -143,15 +143,15 @@ class Quadrotor(AbstractRobot):
         return FilterSettings(system="quadrotor", action_low=low, action_high=high, eta=0.1, epsilon=epsilon)
 
     def barriers(self, state, model, latent, settings):
-        """h = height over the floor and under the ceiling, some time ahead; the tilt left."""
+        """h = height over the floor and below the top, some time ahead; the tilt left."""
         floor, steepest = settings.barrier("floor"), cos(STEEPEST)
 
         def heights(x):
             ahead = x[2] + AHEAD * x[5]
-            return np.array([ahead - floor, CEILING - ahead])
+            return np.array([ahead - floor, HIGHEST - ahead])
 
         return (
-            FunctionBarrier(heights, names=("floor", "ceiling"), kind="height", reads=STATES),
+            FunctionBarrier(heights, names=("floor", "top"), kind="height", reads=STATES),
             FunctionBarrier(lambda x: up_of(*x[6:])[2] - steepest, names=("tilt",), kind="tilt", reads=STATES),
         )
 
