@@ -174,7 +174,10 @@ def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_ti
             assert clock.now - before <= 0.06
             assert (len(asked) == 5) or capsys.readouterr().err == ""
             clock.now += 0.01
-    assert capsys.readouterr().err == f"workbench {PAGE}\n"
+    shown, file = capsys.readouterr().err, tmp_path / "page-address"
+    assert shown == f"workbench http://127.0.0.1:8080/live (the address with its token is in {file}, for you alone)\n"
+    assert file.read_text() == f"{PAGE}\n"
+    assert file.stat().st_mode & 0o777 == 0o600
     assert [later - earlier for earlier, later in pairwise(asked)] == pytest.approx([0.25] * 4, abs=0.015)
 
 

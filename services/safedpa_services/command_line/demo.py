@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -134,13 +135,14 @@ class _DemoRun:
 
     def _open(self, report_progress: Callable[[str], None]) -> None:
         from safedpa_services.supervisor.screen import answers
-        from safedpa_services.web.browser import show
+        from safedpa_services.web.browser import show, shown_address
 
         address = self.plan.workbench_address
         if not address or self._opened or not answers(address):
             return
         self._opened = True
-        report_progress(f"live page: {address}")
+        shown = shown_address(address, self.plan.folder, is_terminal=sys.stdout.isatty())
+        report_progress(f"live page: {shown}")
         if not (self._options["no_browser"] or self._options["as_json"]):
             show(address)
 

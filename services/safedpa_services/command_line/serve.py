@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -128,10 +129,13 @@ def _drive_options(robot_file: ServedRobot, options: dict[str, Any]) -> dict[str
 
 
 def _report_start(plan: Plan) -> None:
+    from safedpa_services.web.browser import shown_address
+
     where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.listen or plan.endpoint}
     report_progress(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
     if plan.workbench_address:
-        report_progress(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
+        shown = shown_address(plan.workbench_address, plan.folder, is_terminal=sys.stdout.isatty())
+        report_progress(f"workbench {shown}", facts={"workbench": shown})
     if plan.certificates is not None:
         facts = {"certificates": str(plan.certificates.folder)}
         report_progress(f"status: safedpa status --watch {plan.join_options}", facts=facts)

@@ -8,16 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.log_warnings import LogWarnings
 from safedpa_services.supervisor.run_monitor import RunMonitor
-
-if TYPE_CHECKING:
-    pass
-
+from safedpa_services.web.browser import shown_address
 
 _REDRAW_SECONDS = 0.25
 _PROBE_SECONDS = 0.05
@@ -47,7 +43,8 @@ def screen(
     from safedpa_services.supervisor.view import render_view
     from safedpa_services.terminal import SanitizedRenderable, terminal
 
-    addresses, console = _addresses(watch, page), terminal(stderr=True)
+    console = terminal(stderr=True)
+    addresses = _addresses(watch, page, shown_address(page, folder, is_terminal=console.is_terminal))
     if not console.is_terminal:
         say = partial(console.print, soft_wrap=True)
         for hint in hints:
@@ -86,8 +83,11 @@ def _announcement(
     return announce
 
 
-def _addresses(watch: RunMonitor, page: str) -> Callable[[], list[str]]:
-    """Returns a function that returns a line for dashboard and workbench, once they accept connections."""
+def _addresses(watch: RunMonitor, page: str, shown: str) -> Callable[[], list[str]]:
+    """Returns a function that returns a line for dashboard and workbench, once they accept connections.
+
+    :param shown: the text for the workbench's ``page``
+    """
     page_answers, next_look = False, 0.0
 
     def lines() -> list[str]:
@@ -97,7 +97,7 @@ def _addresses(watch: RunMonitor, page: str) -> Callable[[], list[str]]:
             page_answers = answers(page)
         known = watch.health.get("dashboard")  # its health message has the address
         live_view = [f"live view {known[0].detail}"] if known is not None and known[0].detail else []
-        return [*live_view, *([f"workbench {page}"] if page_answers else [])]
+        return [*live_view, *([f"workbench {shown}"] if page_answers else [])]
 
     return lines
 

@@ -64,7 +64,7 @@ def _answered(
     while len(found) < len(pages):
         while not lines.empty():
             notice = lines.get()
-            reported |= {page.strip(): notice.removeprefix(page).strip() for page in pages if notice.startswith(page)}
+            reported |= {page.strip(): _address(notice.removeprefix(page)) for page in pages if notice.startswith(page)}
         for page, address in reported.items():
             if page not in found and answers(address):
                 found[page] = time.monotonic() - began
@@ -75,6 +75,12 @@ def _answered(
             raise SafedpaError(f"safedpa up: no answer of {absent} within {_PATIENCE_SECONDS:.0f} s")
         time.sleep(_PAGE_LOOK_SECONDS)
     return found
+
+
+def _address(text: str) -> str:
+    """The address in a line of ``safedpa up``; in a pipe, the one with the token is in a file that the line names."""
+    _, mark, rest = text.partition(" is in ")
+    return Path(rest.partition(", for")[0]).read_text(encoding="utf-8").strip() if mark else text.strip()
 
 
 def _hand_on(stream: IO[str], lines: queue.SimpleQueue[str]) -> None:
