@@ -276,7 +276,7 @@ def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:
     yield "safedpa_refused_messages_total", which, float(service.refused)
     if service.name == "recorder":
         yield "safedpa_recorder_acknowledged_total", (str(health.pid),), float(health.acknowledged)
-        if health.free_bytes:
+        if health.free_bytes and service.age(now) <= _SILENT_SECONDS:
             yield "safedpa_recorder_free_bytes", (str(health.pid),), float(health.free_bytes)
 
 

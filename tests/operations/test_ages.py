@@ -1,0 +1,79 @@
+"""What is sent to people and to Prometheus: no value of a robot without its age, and no old one as the present."""
+
+import re
+from typing import Any
+
+import pytest
+from rich.console import Console
+from tests.messages import finding_of, state_of, verdict_of
+
+from safedpa.dynamics import load_model
+from safedpa.safety.defaults import settings_named
+from safedpa_services.command_line.status import document_of
+from safedpa_services.command_line.status_table import render_status_table
+from safedpa_services.dashboard.display_settings import display_settings
+from safedpa_services.dashboard.now_page import NowPage
+from safedpa_services.metrics.exporter import FAMILIES, FleetCollector
+from safedpa_services.workbench.live.panels import drive_table
+from safedpa_services.workbench.live.store import RobotHistory
+
+H = 0.6
+"""h of the fleet's verdicts."""
+OF_A_MESSAGE = {
+    "safedpa_barrier_value", "safedpa_margin", "safedpa_margin_coverage", "safedpa_margin_coverage_promised",
+    "safedpa_model_error", "safedpa_model_error_band", "safedpa_diagnosis_stage", "safedpa_recorder_free_bytes",
+}  # fmt: skip
+"""Gauges with the value of one message; the others count, or say what is true at the time of the scrape."""
+PRESENT = {
+    "safedpa_missing", "safedpa_silent_seconds", "safedpa_robot_up", "safedpa_robot_healthy",
+    "safedpa_message_age_seconds", "safedpa_service_processes", "safedpa_service_info", "safedpa_service_robots",
+    "safedpa_heartbeat_age_seconds",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
+def test_metrics_have_the_age_of_each_message_and_no_value_of_an_old_one(fleet: Any, age: float) -> None:
+    gauges = {name for name, family in FAMILIES.items() if family.kind == "gauge"}
+    assert gauges == OF_A_MESSAGE | PRESENT, "a further gauge is one or the other"
+    fleet.drive(1)
+    fleet.finding("r1", "watching", "")
+    fleet.overview.listen(0.0)
+    fleet.now += age
+    samples = [sample for family in FleetCollector(fleet.overview).collect() for sample in family.samples]
+    aged = {sample.labels["topic"] for sample in samples if sample.name == "safedpa_message_age_seconds"}
+    assert aged == {"state", "verdict", "finding"}
+    assert bool({sample.name for sample in samples} & OF_A_MESSAGE) is (age == 0.0)
+
+
+@pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
+def test_the_status_shows_no_h_and_no_verdict_of_the_past_and_its_document_has_their_ages(fleet: Any, age: float):
+    fleet.drive(1)
+    fleet.now += age
+    document = document_of(fleet.overview)
+    (row,) = document["robots"]
+    assert row["state_age"] == pytest.approx(age, abs=0.3)
+    assert row["verdict_age"] == pytest.approx(age, abs=0.3)
+    console = Console(width=220, force_terminal=False)
+    with console.capture() as captured:
+        console.print(render_status_table(document, 220))
+    (shown,) = [line for line in captured.get().splitlines() if (line.startswith("r1 ") and "trouble" in line) or
+                (line.startswith("r1 ") and "well" in line)]  # fmt: skip
+    assert (f"{H:+.2f}" in shown) is (age == 0.0)
+    assert ("passed" in shown) is (age == 0.0)
+    assert age == 0.0 or f"{age:.0f} s ago" in shown
+
+
+@pytest.mark.parametrize("age", [0.0, 0.9, 7.0, 300.0])
+def test_every_value_of_the_pages_is_followed_by_its_age(age: float) -> None:
+    page, history = NowPage(display_settings(load_model("car"), settings_named("car"))), RobotHistory("r1")
+    for message in (state_of(), verdict_of("passed", h_now=H), finding_of("watching")):
+        page.take(message, 1000.0)
+        history.update(message, 1000.0)
+    text = page.page(1000.0 + age).text.replace("\\", "")
+    old = f"{age:.1f} s old" if age < 10.0 else f"{age:.0f} s old"
+    for value in (r"clock [\d.]+ s, goals \d+, collisions \d+", r"h [\d.]+ m, margin [\d.]+ m", r"diagnosis \w+"):
+        assert re.search(rf"{value} \({old}\)", text), (value, text)
+    assert text.startswith("**passed**") is (age < 0.75)
+    rows = re.findall(r"<tr><td>.*?</td><td>.*?</td><td>(.*?)</td></tr>", drive_table(history, 1000.0 + age))
+    assert len(rows) == drive_table(history, 1000.0 + age).count("<tr>") == 6
+    assert all(old in row for row in rows)
