@@ -97,8 +97,9 @@ class RobotSession(GuardedSession[StateMessage]):
 
         ``before`` is the margin under the previous model, from which the margin changes gradually. ``period`` is the
         robot's period [s], over which the model predicts. ``limits`` are the thresholds of an implausible state;
-        ``SHIPPED_LIMITS``: those that ship for the robot, else those that its bounds imply; None: none. Raises
-        InputError if the settings are another robot's or there are no barriers for this one.
+        ``SHIPPED_LIMITS``: those that ship for the robot, else those that its bounds imply; None: none. A filter that
+        is not enabled judges no state. Raises InputError if the settings are another robot's or there are no barriers
+        for this one.
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
@@ -107,6 +108,7 @@ class RobotSession(GuardedSession[StateMessage]):
         phased = None if before is None else MarginRamp(before, calibration.epsilon, settings.eta)
         margin = OnlineMarginMonitor(calibration, ErrorClip.of_settings(settings), phased, longer)
         known = limits_for(model.system, model.period) if isinstance(limits, str) else limits
+        known = known if settings.enabled else None
         return cls(held, filtering, model, scene, margin, known)
 
     def is_same_scene(self, state: StateMessage) -> bool:

@@ -251,7 +251,8 @@ def nodes_of(
     if method.filter_model is None:
         return [adaptation, policy, SafetyFilterNode(model, dataclasses.replace(settings, enabled=False))]
     if method.filter_model == method.model:
-        return [adaptation, policy, SafetyFilterNode(model, settings, margin)]
+        # The thresholds of an implausible state are those of models that predict as well as the shipped one.
+        return [adaptation, policy, SafetyFilterNode(model, settings, margin, limits=None)]
     other = named_model(method.filter_model, folder)
     return [adaptation, policy, BlindFilterNode(other, settings, margin)]
 
@@ -294,7 +295,7 @@ class BlindFilterNode(AbstractNode):
                 f"blind filter: got a model with latent {', '.join(model.latent_names)}, wanted one without; "
                 "give it to adaptation and filter alike"
             )
-        self._filter = SafetyFilterNode(model, settings, margin)
+        self._filter = SafetyFilterNode(model, settings, margin, limits=None)
         self._fingerprint = fingerprint(model)
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
