@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from safedpa.check_robot import check_robot
 from safedpa.diagnosis.add_effect import add_effect
 from safedpa.dynamics import PhysicsModel, load_user_file
 from safedpa.dynamics.base import bases_of
 from safedpa.errors import InputError
 from safedpa.records.run import Run
 from safedpa.systems import System, Variable, add_system
+from safedpa.systems.robots import robot_named
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "quadrotor" / "quadrotor.py"
 OWN = runpy.run_path(str(EXAMPLE))
@@ -71,6 +73,15 @@ def test_a_rotation_of_other_than_four_states_is_refused(entries: Any) -> None:
     states = tuple(Variable(name, "1", -1.1, 1.1) for name in "wxyz")
     with pytest.raises(InputError, match="wanted four states"):
         add_system(System("turning", states, (), rotations=(entries,)))
+
+
+@pytest.mark.long
+def test_its_filter_leaves_the_yaw_rate_alone_and_touches_nothing() -> None:
+    load_user_file(EXAMPLE)
+    rows = check_robot(robot_named("quadrotor"))
+    wrong = [str(row) for row in rows if not row.ends_well]
+    assert len(wrong) == 1
+    assert "no barrier that entry 3 of the action changes" in wrong[0]
 
 
 @pytest.mark.long
