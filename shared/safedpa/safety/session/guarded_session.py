@@ -97,6 +97,9 @@ class GuardedSession(SessionMemory[StateT]):
     @property
     def epsilon(self) -> dict[str, float]:
         """The margins in force: the calibrated ones times the number of periods that are predicted."""
+        # A stopped robot waits: its margin would grow without an end.
+        if self.latched:
+            return self.margin.epsilon
         return {kind: (1 + self.lost) * value for kind, value in self.margin.epsilon.items()}
 
     @property
@@ -137,7 +140,7 @@ class GuardedSession(SessionMemory[StateT]):
         usable, known = not self.problem, self._believed
         self._was_lost = self.lost > 0
         self.evidence = None
-        self._commands.appendleft(tuple(state.applied))
+        self._commands.appendleft(self._applied(state))
         compared = not usable or bool(self.latched) or self.limits is not None
         predicted = self._predicted(state) if known is not None and compared else None
         if usable and not self.latched and self.limits is not None:
@@ -265,6 +268,14 @@ class GuardedSession(SessionMemory[StateT]):
             return (tuple(after.tolist()), memory) if np.isfinite(after).all() else None
         return None
 
+    def _applied(self, state: StateT) -> Plain:
+        """The action of the last period: that of the last decision, if the robot says that it applied it."""
+        last = self.decision
+        follows = last is not None and (state.epoch, state.tick) == (last.state.epoch, last.state.tick + 1)
+        if last is not None and follows and state.applied_by == "filter":
+            return tuple(last.verdict.action.tolist())
+        return tuple(state.applied)
+
     def _acting(self, state: StateT, late: int) -> Plain:
         """The action that acted ``late`` periods before the last one ended: of a delayed robot, one sent earlier."""
         delay = max(self.until_action, state.until_action)
@@ -273,7 +284,9 @@ class GuardedSession(SessionMemory[StateT]):
         return self._commands[min(known + late, len(self._commands) - 1)] if self._commands else state.applied
 
     def _is_at_rest(self, state: StateT, action: FloatArray, latent: FloatArray | None) -> bool:
-        following = self._next(state, action, latent)
+        following: Any = ()
+        with suppress(InputError, ValueError, ArithmeticError):  # values without a prediction
+            following = self._next(state, action, latent)
         if not following:
             return False
         motion = self.deadlock_detector.displacement(state.values, following[0])

@@ -120,13 +120,18 @@ class SessionMemory(Generic[StateT]):
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
         late, others = None, list[DelayedPrediction]()
         if self.pending and state.applied_by == "filter":
-            late = self.history.delayed_prediction(self.until_action)
-            possible = [self.history.delayed_prediction(delay) for delay in self.possible_delays]
+            late = self._delayed_prediction(self.until_action)
+            possible = [self._delayed_prediction(delay) for delay in self.possible_delays]
             others = [prediction for prediction in possible if prediction is not None]
         same = self.is_same_scene(state)
         self.margin.observe(state.values, barriers, same_scene=same, late=late, others=others)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
+
+    def _delayed_prediction(self, delay: float) -> DelayedPrediction | None:
+        with suppress(InputError, ValueError, ArithmeticError):  # an invalid latent; the decision reports it
+            return self.history.delayed_prediction(delay)
+        return None
 
     def predict_states(self, state: StateT, verdict: Verdict, latent: FloatArray | None) -> Rows:
         """Predicts as ``predicted`` does, and stores the result for comparison in the next tick."""

@@ -143,7 +143,5 @@ def limits_named(name: str) -> StateLimits | None:
 def limits_for(system: System, period: float) -> StateLimits:
     """The limits that ship for a system, else those that its bounds imply at this ``period`` [s]."""
     robot = robot_like(system)
-    # A variant with another actuator has limits of its own, named after its first action.
-    names = () if robot is None else (f"{robot.name}_{system.action_names[0]}", robot.name)
-    shipped = [found for name in names if (found := limits_named(name)) is not None]
-    return shipped[0] if shipped else StateLimits.of_system(system, period)
+    shipped = None if robot is None else limits_named(robot.settings_name)
+    return StateLimits.of_system(system, period) if shipped is None else shipped
