@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, stamp, state_at
+from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, scripted_node, stamp, state_at
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT as LATENTS
@@ -23,7 +23,6 @@ from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
 from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
-from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
 from safedpa.safety.defaults import margin_for
 from safedpa.safety.margins.calibration import calibration_from_errors, margin_from_text, margin_text
@@ -41,7 +40,7 @@ LONGER = "A step is 10 times as long as those that the margin was calibrated on"
 
 
 def answered(calibration: MarginCalibration | None, period: float = 0.05, settings: FilterSettings = SETTINGS):
-    node, state = SafetyFilterNode(CAR, settings, calibration), state_at(0, period=period)
+    node, state = scripted_node(CAR, settings, calibration), state_at(0, period=period)
     return node, asked(node, state, latent_at(state))
 
 
@@ -217,7 +216,7 @@ def test_the_shipped_ones_say_their_models_period(name: str) -> None:
 
 def driven_ticks(period: float, seconds: float, seed: int = 3) -> list[DriveTick]:
     robot = CarRobot(Scene.random(seed, "none"), period)
-    nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, SETTINGS, margin_for(CAR))]
+    nodes = [AdaptationNode(CAR), PolicyNode(CAR), scripted_node(CAR, SETTINGS, margin_for(CAR))]
     latents: dict[int, LatentMessage] = {}
 
     def hear(item: ReceivedMessage) -> None:
