@@ -202,6 +202,16 @@ def test_a_kernel_that_disagrees_with_its_functions_is_given_up() -> None:
     assert "other values" in barrier.not_compiled
 
 
+def test_a_function_that_keeps_what_it_was_given_is_not_compiled() -> None:
+    kept: list[Any] = [0.0]
+
+    def keeping(x: Any, operations: Any) -> Any:
+        kept[0] = x[0]
+        return room(x, operations)
+
+    assert "changes what it reads" in RolloutBarrier(boat, brake, keeping, 40, NAMES).not_compiled
+
+
 def branching(x: Any, operations: Any) -> Any:
     return stop(x, operations) if x[0] > -9.0 else [0.0, 0.0]
 

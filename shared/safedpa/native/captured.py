@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dis
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, Final, final
 
@@ -27,7 +27,12 @@ _TRUSTED: Final = (
     "builtins",
 )
 """Packages whose functions read nothing that changes."""
-_WRITES: Final = ("STORE_GLOBAL", "STORE_ATTR", "DELETE_ATTR", "DELETE_GLOBAL", "IMPORT_NAME")
+_WRITES: Final = {
+    **dict.fromkeys(("STORE_GLOBAL", "STORE_ATTR", "DELETE_ATTR", "DELETE_GLOBAL"), "writes"),
+    "IMPORT_NAME": "imports",
+    "STORE_DEREF": "nonlocal",
+}
+"""Instructions that a pure function has not, and what they do."""
 _INPUTS: Final = ("open", "input", "eval", "exec", "globals", "setattr", "__import__")
 """Built-in functions that read or write what is not an argument."""
 
@@ -135,18 +140,29 @@ def _read_by(function: FunctionType, whole: Captured) -> Iterator[Callable[[], A
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     yield from (partial(_cell, cell) for cell in cells.values())
     yield from (lambda: function.__defaults__, lambda: function.__kwdefaults__)
-    names = list[str]()
-    for code in _codes(function.__code__):
-        names += code.co_names
-        for instruction in dis.get_instructions(code):
-            nonlocal_ = instruction.opname == "STORE_DEREF" and instruction.argval in cells
-            builtin = instruction.opname == "LOAD_GLOBAL" and instruction.argval in _INPUTS
-            if instruction.opname in _WRITES or nonlocal_ or builtin:
-                verb = "calls" if builtin else "writes" if instruction.opname != "IMPORT_NAME" else "imports"
-                place = f"{code.co_filename.rpartition('/')[2]} line {_line(instruction, code)}"
-                whole.impure = whole.impure or f"{place}: it {verb} '{instruction.argval}'"
+    names, suspicions = _facts(function.__code__)
+    for kind, name, place in suspicions:
+        # a local variable of an outer function may be stored, unless this one shares it
+        if kind != "nonlocal" or name in cells:
+            whole.impure = whole.impure or f"{place}: it {'writes' if kind == 'nonlocal' else kind} '{name}'"
     space = function.__globals__
-    yield from (partial(space.get, name) for name in dict.fromkeys(names) if name in space)
+    yield from (partial(space.get, name) for name in names if name in space)
+
+
+@lru_cache(maxsize=256)
+def _facts(code: CodeType) -> tuple[tuple[str, ...], tuple[tuple[str, str, str], ...]]:
+    """Returns the names that a function reads, and the instructions that a pure function has not: verb, name, line."""
+    names, found = list[str](), list[tuple[str, str, str]]()
+    for each in _codes(code):
+        names += each.co_names
+        for instruction in dis.get_instructions(each):
+            verb = _WRITES.get(instruction.opname, "")
+            if instruction.opname == "LOAD_GLOBAL" and instruction.argval in _INPUTS:
+                verb = "calls"
+            if verb:
+                place = f"{each.co_filename.rpartition('/')[2]} line {_line(instruction, each)}"
+                found.append((verb, str(instruction.argval), place))
+    return tuple(dict.fromkeys(names)), tuple(found)
 
 
 def _line(instruction: dis.Instruction, code: CodeType) -> int:

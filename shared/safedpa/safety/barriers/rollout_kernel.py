@@ -74,6 +74,8 @@ def find_kernel(parts: RolloutParts, states: int | None) -> Found:
         kernel, reason = _compiled(parts.model, parts.backup, h, reads, states, parts.actions, parts.latents)
     except TypeError as error:  # an object that has no hash cannot be cached
         return None, str(error), watched
+    if not all(each.unchanged() for each in watched):
+        return None, "a function depends on more than its arguments: it changes what it reads", watched
     return kernel, reason, watched
 
 
