@@ -32,6 +32,8 @@ from safedpa_services.workbench.tab import AbstractTab, run_script
 _REDRAW_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
 _END_TIMEOUT = 10.0
+_OLD_FINDING_SECONDS = 5.0
+"""Age of a finding from which its error is not called the present one; the diagnosis reports once a second."""
 _CONNECTION_LOST_SCRIPT = """<script>
   const lines = ['No connection to the live page.',
     'The drive has ended, or this machine is too busy. The page shows the last state received.'];
@@ -146,6 +148,7 @@ class LivePage(AbstractTab):
         history, link = self._history, self._link
         self._what.set_content(escaped(f"{link.title}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
         if history is None:
+            self._verdict.set_visibility(True)
             self._verdict.set_content(escaped(f"No message from any robot ({link.title}). Start one with: safedpa up"))
             self._show_problem(link.store.last_refusal and f"Refused: {link.store.last_refusal}")
             return
@@ -153,14 +156,15 @@ class LivePage(AbstractTab):
         now = time.monotonic()
         present = history.headline(now)
         found = _capitalized(finding.sentence) if finding else "No finding yet."
-        self._verdict.set_content(escaped(present or found))
+        self._verdict.set_content(escaped(found))
+        self._verdict.set_visibility(not present)  # the alert below it is then the headline
         latest = history.problems[-1] if history.problems else ""
         self._show_problem(history.silence_message(now) or history.mismatch() or latest)
         deadlock = history.deadlock_message(now)
         self._deadlock.set_visibility(bool(deadlock))
         self._deadlock.set_content(escaped(deadlock))
         self._filter.set_content(escaped(_filter_sentence(history, now)))
-        self._where_text.set_content(escaped(_where_text(history)))
+        self._where_text.set_content(escaped(_where_text(history, now)))
         self._legend.set_content(field_legend(self._theme))
         self._drive.set_content(drive_table(history, now))
         self._field.update_figure(field_figure(history, self._theme))
@@ -172,13 +176,15 @@ class LivePage(AbstractTab):
     def _show_error(self, history: RobotHistory) -> None:
         """Redraws the error only when it is new, once a second: these figures are the most expensive to draw."""
         newest = history.errors[-1] if history.errors else None
-        state = (self._robot, history.epoch, newest, len(history.marks), self._theme)
+        age = history.finding_age(time.monotonic())
+        is_old = age is not None and age > _OLD_FINDING_SECONDS
+        state = (self._robot, history.epoch, newest, len(history.marks), self._theme, is_old)
         if state == self._drawn_errors:
             return
         self._drawn_errors = state
         self._error.update_figure(error_figure(history, self._theme))
         self._evidence.update_figure(evidence_figure(history, self._theme))
-        self._bars.set_content(error_bars(history))
+        self._bars.set_content(error_bars(history, is_old=is_old))
         self._changes.set_content(change_lines(history))
 
     async def _end(self) -> None:
@@ -187,6 +193,7 @@ class LivePage(AbstractTab):
         self._show_problem("")
         self._deadlock.set_visibility(False)
         summary = "" if history is None else f" {history.summary()}"
+        self._verdict.set_visibility(True)
         self._verdict.set_content(escaped(f"The drive has ended.{summary} The page shows its last state."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed.")
         self._back.set_visibility(False)
@@ -307,12 +314,12 @@ def _consequence_texts(answer: Answer, history: RobotHistory) -> dict[str, str]:
     return {effect: f"If you accept: {text or pending}.{now} {after}" for effect, text in foreseen}
 
 
-def _where_text(history: RobotHistory) -> str:
-    finding = history.finding
-    if finding is None:
+def _where_text(history: RobotHistory, now: float) -> str:
+    finding, age = history.finding, history.finding_age(now)
+    if finding is None or age is None:
         return ""
     where = f"{finding.where}; " if finding.where else ""
-    return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin"
+    return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin ({age_text(age)})"
 
 
 def _filter_sentence(history: RobotHistory, now: float) -> str:

@@ -23,14 +23,17 @@ _MEDIAN_OF = 5
 """Number of latest errors whose median is shown as the present error."""
 
 
-def error_bars(history: RobotHistory) -> str:
-    """HTML with bars: the error before the last model change, the present error, and the end of its band."""
+def error_bars(history: RobotHistory, *, is_old: bool = False) -> str:
+    """HTML with bars: the error before the last model change, the present error, and the end of its band.
+
+    :param is_old: whether the newest error is not the present one
+    """
     recent = sorted(entry[1] for entry in list(history.errors)[-_MEDIAN_OF:] if entry[1] > 0)
     now = recent[len(recent) // 2] if recent else None
     band = history.finding.band if history.finding is not None and history.finding.band > 0 else None
     rows = [
         ("before the last change", history.error_before_change, "given"),
-        ("now", now, ""),
+        ("last" if is_old else "now", now, ""),
         ("end of its band", band, "band"),
     ]
     shown = [(name, value, style) for name, value, style in rows if value is not None]

@@ -187,6 +187,10 @@ class RobotHistory:
         of_state = None if self.state is None else max(0.0, now - self.heard_at)
         return of_state, None if self.verdict_at is None else max(0.0, now - self.verdict_at)
 
+    def finding_age(self, now: float) -> float | None:
+        """Age of the latest finding at ``now``, s by this machine's clock; None if there was none."""
+        return None if self.diagnosis_heard_at is None else max(0.0, now - self.diagnosis_heard_at)
+
     def headline(self, now: float) -> str:
         """What is wrong with the robot's messages at ``now``; empty if they are recent."""
         sentence = headline(*self.ages(now), 0.0 if self.state is None else self.state.period)
