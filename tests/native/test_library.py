@@ -64,6 +64,11 @@ def open_to_all(folder: Path) -> None:
     folder.chmod(0o777)
 
 
+def open_above(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    folder.parent.chmod(0o777)
+
+
 def link(folder: Path) -> None:
     (folder.parent / "elsewhere").mkdir(parents=True)
     folder.symlink_to(folder.parent / "elsewhere")
@@ -77,7 +82,8 @@ def owned_by_another(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("prepare", "reason"), [(open_to_all, "chmod go-w"), (link, "a link"), (owned_by_another, "user 12345")]
+    ("prepare", "reason"),
+    [(open_to_all, "chmod go-w"), (open_above, "chmod go-w"), (link, "a link"), (owned_by_another, "user 12345")],
 )
 def test_a_folder_that_others_may_write_is_refused(folder: Path, prepare: Callable[[Path], None], reason: str) -> None:
     prepare(folder)
