@@ -400,6 +400,7 @@ class RosterEntry:
     silent_for: Number = -1.0
     """Age in s, at sending, of its last state (robot) or heartbeat (service); -1: none was received."""
     restarts: Count = 0
+    """How often the supervisor restarted it in this run."""
     cause: str = ""
     """Why it ended last; empty: it never did."""
     given_up: bool = False
