@@ -63,11 +63,10 @@ def test_a_scene_that_sensors_see_is_another_one_with_each_tick(monkeypatch, bef
 
 
 @pytest.mark.parametrize(
-    ("pending", "applied_by", "late"), [(True, "filter", True), (True, "watchdog", False), (False, "filter", False)]
+    ("model", "applied_by", "late"), [(LATE, "filter", True), (LATE, "watchdog", False), (CAR, "filter", True)]
 )
-def test_where_the_action_acts_late_the_prediction_is_of_that_moment(monkeypatch, pending, applied_by, late):
-    memory = driven(LATE if pending else CAR)
-    assert bool(memory.pending) is pending
+def test_where_the_action_acts_late_the_prediction_is_of_that_moment(monkeypatch, model, applied_by, late):
+    memory = driven(model)
     delayed_prediction = object()
     monkeypatch.setattr(CommandHistory, "delayed_prediction", lambda *_: delayed_prediction)
     calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
@@ -80,7 +79,6 @@ def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyP
     calls = kept_calls(monkeypatch, CommandHistory, "mark_decided")
     memory = driven(model)
     assert calls == ([tuple(model.latent.tolist())] if memory.pending else [])
-    assert bool(memory.pending) is (model is LATE)
 
 
 class Watched:
@@ -164,7 +162,7 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
     ("applied_by", "sources", "stood", "learns"),
     [
         ("filter", (), False, True), ("filter", (), True, True), ("filter", ("laser",), False, True),
-        ("filter", ("laser",), True, False), ("watchdog", (), False, False),
+        ("filter", ("laser",), True, True), ("watchdog", (), False, False),
     ],
 )  # fmt: skip
 def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(monkeypatch, applied_by, sources, stood, learns):
@@ -173,7 +171,7 @@ def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(monkeypatch, ap
     monkeypatch.setattr(CommandHistory, "last_transition", lambda *_: passed)
     calls = kept_calls(monkeypatch, DelayEstimator, "observe")
     memory._watch_delay(state_at(1, applied=reported(memory), applied_by=applied_by, sources=sources), CAR.latent)
-    assert calls == ([passed] if learns else [])
+    assert calls == ([{"stationary": stood}] if learns else [])
 
 
 def test_a_delay_is_weighed_by_the_ranges_of_the_actions() -> None:

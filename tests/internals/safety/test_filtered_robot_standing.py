@@ -147,7 +147,9 @@ def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(monkeypatch: 
     memory = driven(CAR, ticks=3)
     state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=reported(memory), until_action=0.12)
     memory.observe_state(state)
-    begin = memory.filter.tools.prediction.effect_start(state.values, tuple(CAR.latent.tolist()), memory.pending)
+    begin = memory.filter.tools.prediction.effect_start(
+        state.values, tuple(CAR.latent.tolist()), memory.pending._replace(alternatives=())
+    )
     assert begin is not None
     assert begin.at_once
     assert not isinstance(memory.barriers, str)

@@ -181,10 +181,11 @@ def test_hostile_drives_are_counted_by_kind() -> None:
 @pytest.mark.parametrize(("corrected", "beyond"), [(30, 0), (5, 13)])
 def test_drives_with_late_commands_are_reported_with_their_delay(corrected: int, beyond: int) -> None:
     statuses = Counter(passed=2, corrected=corrected, relaxed=9, violated=6, fallback=3)
-    driven = DelayedDrives(Lateness(0.15, "both", "clock"), 7, 2, 5, 11, -0.5, statuses)
-    collisions, worse, goals, least = LateDrives().reported([driven]).rows
+    driven = DelayedDrives(Lateness(0.15, "both", "clock"), 7, 2, 5, 11, -0.5, statuses, 4, 1)
+    collisions, after, worse, goals, least = LateDrives().reported([driven]).rows
     assert collisions.what.startswith("150 ms, reported by the clock: drives with a collision (corrected ")
     assert (collisions.measured, collisions.of) == (2, 7)
+    assert (after.measured, after.of, after.held) == (1, 7, False)
     assert (worse.measured, worse.of) == (beyond, 20 + corrected)
     assert (goals.measured, goals.of, least.measured, least.of) == (11, 7, -0.5, 7)
 

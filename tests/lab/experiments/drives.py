@@ -20,7 +20,7 @@ def tick(status: str = "passed", h: float = 1.0, **values: Any) -> Any:
     state = SimpleNamespace(robot_time=values.get("period", 0.05) * number, tick=number, values=(*place, 0.0, speed))
     verdict = SimpleNamespace(
         status=status, h_now=h, microseconds=100.0, predicted=(), nominal=values.get("nominal", ()),
-        action=values.get("action", (0.0, 0.0)), stationary_reason="",
+        action=values.get("action", (0.0, 0.0)), stationary_reason="", sentence="",
     )  # fmt: skip
     return SimpleNamespace(verdict=verdict, state=state)
 

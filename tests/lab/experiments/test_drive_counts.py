@@ -211,7 +211,8 @@ def test_drives_under_a_delay_are_added_up(collisions: list[int], monkeypatch: P
     robots = [robot(count, n + 1) for n, count in enumerate(collisions)]
     loads: list[str] = []
 
-    def made(seed: int, load: str) -> Any:
+    def made(seed: int, load: str, heavier: float) -> Any:
+        assert heavier == 1.0
         loads.append(load)
         return robots[seed - 10]
 
@@ -220,7 +221,7 @@ def test_drives_under_a_delay_are_added_up(collisions: list[int], monkeypatch: P
             yield tick(status, -0.1 * own.goals_reached)
 
     monkeypatch.setattr(delayed_drives, "drive", driven)
-    lateness: Any = SimpleNamespace(model=load_model, robot=made)
+    lateness: Any = SimpleNamespace(model=load_model, robot=made, seconds=0.1)
     reported: list[tuple[int, int]] = []
     found = delayed_drives.delayed_drives(
         lateness, 3, 10, loads=("none", "box"), on_drive=lambda *done: reported.append(done)

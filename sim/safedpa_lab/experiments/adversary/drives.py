@@ -12,6 +12,7 @@ import numpy as np
 from safedpa.bus import AbstractNode, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
+from safedpa.safety.prediction.delay_estimator import STATED_DELAY
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row, notice_of
 from safedpa_lab.experiments.common.drives import (
     LOADS,
@@ -82,6 +83,11 @@ def falling(state: StateMessage, random: np.random.Generator) -> tuple[float, ..
     low, high = state.corridor[:2]
     outwards = 1.0 if state.values[0] > 0.5 * (low + high) else -1.0
     return (_TORQUE * outwards * float(random.choice((1.0, 1.0, -1.0))),)
+
+
+def hostile_driver(seed: int) -> AbstractNode:
+    """A policy node that drives the car at the nearest obstacle."""
+    return _hostile_node(at_nearest, seed)
 
 
 def _places(state: StateMessage) -> list[tuple[float, ...]]:
@@ -218,8 +224,7 @@ KINDS: Final[Mapping[str, Run]] = {
 _CASES: Final = (
     *(Lateness(seconds) for seconds in (0.1, 0.2, 0.3, 0.4)),
     Lateness(0.2, reported="clock"),
-    Lateness(0.1, reported="none"),
-    Lateness(0.15, reported="none"),
+    *(Lateness(seconds, reported="none") for seconds in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)),
 )
 _SMALL_CASES: Final = (Lateness(0.2), Lateness(0.15, reported="none"))
 _LATE_FULL: Final = (40, 12.0)
@@ -229,10 +234,14 @@ _LATE_SMALL: Final = (1, 3.0)
 
 @final
 class LateDrives(AbstractAttack):
-    """Collisions, what the verdicts are, and goals. A model that knows the delay has a margin that was measured so."""
+    """Collisions and what the verdicts are. A model that knows the delay has a margin that was measured so.
+
+    The policy drives at the nearest obstacle. Beyond the stated delay a collision counts once a verdict has reported
+    the delay and its command could act.
+    """
 
     name = "late"
-    sentence = "drives whose commands arrive late, known and unknown"
+    sentence = "hostile drives whose commands arrive late, known and unknown"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
         return [(case, seed, small) for case in (_SMALL_CASES if small else _CASES)]
@@ -241,7 +250,7 @@ class LateDrives(AbstractAttack):
         case, seed, small = piece
         count, seconds = _LATE_SMALL if small else _LATE_FULL
         margin = margin_with_delay(case) if case.reported == "model" and not small else None
-        return delayed_drives(case, count, 1000 * seed, seconds, margin=margin)
+        return delayed_drives(case, count, 1000 * seed, seconds, margin=margin, policy=hostile_driver)
 
     def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         return Result([row for found in answers for row in _late_rows(found)])
@@ -254,8 +263,12 @@ def _late_rows(found: DelayedDrives) -> list[Row]:
     name, ticks, notice = f"{1000 * late.seconds:.0f} ms, {who}", sum(statuses.values()), notice_of(statuses)
     beyond = sum(statuses[status] for status in ("relaxed", "violated", "fallback"))
     asked = None if late.reported == "none" else 0
+    promised = late.reported != "none" or late.seconds <= STATED_DELAY
     return [
-        Row(f"{name}: drives with a collision ({notice})", found.collided, found.drives, most=0),
+        Row(f"{name}: drives with a collision ({notice})", found.collided, found.drives, most=0 if promised else None),
+        Row(
+            f"{name}: drives with a collision after the delay was reported", found.collided_after, found.drives, most=0
+        ),
         Row(f"{name}: relaxed and worse beyond corrected", max(0, beyond - statuses["corrected"]), ticks, most=asked),
         Row(f"{name}: goals", found.goals, found.drives),
         Row(f"{name}: least h", found.least_h, found.drives, unit="m"),

@@ -7,12 +7,13 @@ from its seed. Where the services' model has the delay, the margin is calibrated
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from safedpa.bus import AbstractNode
 from safedpa.calibration.from_drives import barrier_residuals
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
@@ -31,13 +32,15 @@ from safedpa_lab.experiments.common.drives import (
     statuses_of,
 )
 from safedpa_lab.experiments.record import ReportProgress, silent
-from safedpa_sim.closed_loop import drive
+from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.car.scene import Scene
 
 CHANNELS = ("both", "drive", "steer")
 """Which commands arrive late."""
 _EFFECTS = {"both": "actuator_delay", "drive": "drive_delay", "steer": "steering_delay"}
+_LATE = "commands act about"
+"""What every verdict about a delay says."""
 _COVERAGE = 0.99
 _CALIBRATION_SEED = 5_000_000
 """Far from the seeds of the drives that are counted."""
@@ -61,12 +64,15 @@ class Lateness:
         if self.reported == "clock" and self.channel != "both":
             raise InputError(f"channel: got {self.channel!r}, wanted both: the clock's delay holds for all commands")
 
-    def robot(self, seed: int, load: str) -> CarRobot:
-        """The car, its commands late."""
+    def robot(self, seed: int, load: str, heavier: float = 1.0) -> CarRobot:
+        """The car, its commands late; ``heavier`` is a factor of the mass of its load."""
         drive_seconds, steer_seconds = (self.seconds if self.channel in ("both", one) else 0.0 for one in CHANNELS[1:])
         reported = self.seconds if self.reported == "clock" else 0.0
         late = DelayedCommands(drive_seconds, steer_seconds)
-        return CarRobot(Scene.random(seed, load), PERIOD, late=late, until_action=reported)
+        scene = Scene.random(seed, load)
+        if scene.load is not None and heavier != 1.0:
+            scene = replace(scene, load=replace(scene.load, mass_ratio=heavier * scene.load.mass_ratio))
+        return CarRobot(scene, PERIOD, late=late, until_action=reported)
 
     def model(self, name: str) -> PhysicsModel:
         """The services' model."""
@@ -88,6 +94,10 @@ class DelayedDrives:
     """Smallest barrier value that was measured, m."""
     statuses: Counter[str] = field(default_factory=Counter)
     """Verdicts by status."""
+    reported: int = 0
+    """Ticks whose verdict mentions that commands act late."""
+    collided_after: int = 0
+    """Drives with a collision after the first such verdict, later than a command of that verdict begins to act."""
 
 
 def model_with_delay(model: PhysicsModel, seconds: float, channel: str = "both") -> PhysicsModel:
@@ -125,18 +135,23 @@ def delayed_drives(
     margin: MarginCalibration | None = None,
     loads: Sequence[str] = LOADS,
     model: str = "car",
+    policy: Callable[[int], AbstractNode] | None = None,
+    heavier: float = 1.0,
     on_drive: ReportProgress = silent,
 ) -> DelayedDrives:
     """Drives scene ``seed``, ``seed`` + 1, ... for ``seconds`` each, with ``loads`` in turn, one after the other.
 
-    ``margin``: that of the model, by default the one that ships for it, or that of the settings. The same arguments
-    give the same outcome, bit for bit.
+    ``margin``: that of the model, by default the one that ships for it, or that of the settings. ``policy``: makes the
+    node in place of the model's controller from the seed. ``heavier``: factor of the mass of the load. The same
+    arguments give the same outcome, bit for bit.
     """
-    known, outcomes = lateness.model(model), list[Outcome]()
+    known, outcomes, mentions = lateness.model(model), list[Outcome](), list[_Mentions]()
     for index in range(drives):
-        robot = lateness.robot(seed + index, loads[index % len(loads)])
-        nodes = shipped_nodes(known, settings_named("car"), margin=margin)
-        outcomes.append(counted(robot, drive(robot, nodes, round(seconds / PERIOD))))
+        robot = lateness.robot(seed + index, loads[index % len(loads)], heavier)
+        own = () if policy is None else (policy(seed + index),)
+        nodes = shipped_nodes(known, settings_named("car"), *own, margin=margin)
+        mentions.append(_Mentions(robot, lateness.seconds))
+        outcomes.append(counted(robot, mentions[-1].watched(drive(robot, nodes, round(seconds / PERIOD)))))
         on_drive(index + 1, drives)
     return DelayedDrives(
         lateness,
@@ -146,4 +161,26 @@ def delayed_drives(
         sum(one.goals for one in outcomes),
         min((one.least_h for one in outcomes), default=float("inf")),
         Counter(statuses_of(one.statuses for one in outcomes)),
+        sum(one.ticks for one in mentions),
+        sum(one.collided for one in mentions),
     )
+
+
+class _Mentions:
+    """Counts the verdicts of one drive that mention late commands, and whether it collides after them."""
+
+    def __init__(self, robot: CarRobot, seconds: float) -> None:
+        self._robot, self._seconds = robot, seconds
+        self.ticks, self.collided = 0, False
+
+    def watched(self, ticks: Iterable[Tick]) -> Iterator[Tick]:
+        """The ticks themselves."""
+        acts, before = float("inf"), 0
+        for tick in ticks:
+            now, collisions = tick.state.robot_time, len(self._robot.collisions)
+            self.collided |= collisions > before and now > acts
+            before = collisions
+            if _LATE in tick.verdict.sentence.lower():
+                self.ticks += 1
+                acts = min(acts, now + self._seconds)
+            yield tick
