@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.effects import general_effects
+from safedpa.effects import CommandEffect, general_effects
 from safedpa.effects.general import position_of_rate
 from safedpa.errors import InputError
+from safedpa.operations import FLOATS
 from safedpa.systems import System, Variable
 
 X, Y, YAW = Variable("x", "m", -9, 9), Variable("y", "m", -9, 9), Variable("yaw", "rad", -9, 9, angle=True)
@@ -33,7 +34,13 @@ def named(state: tuple[Variable, ...], action: tuple[Variable, ...], **more: obj
         (PLANE, (FORCE, OTHER), {}, set(), {"vx_spring", "vx_bias", "velocity_body_drag", "force_torque_speed"}),
         (PLANE, (FORCE,), {"heading": "yaw"}, {"velocity_body_drag"}, set()),
         (PLANE, (FORCE,), {"positions": {"vx": "x"}}, {"vx_scale", "x_sensor_delay"}, {"turn_bias"}),
-        (TANK, (PUMP,), {}, {"pump_lag", "level_push"}, {"pump_dead_zone", "level_spring", "level_bias"}),
+        (
+            TANK,
+            (PUMP,),
+            {},
+            {"pump_lag", "level_push", "pump_reservoir"},
+            {"pump_dead_zone", "level_spring", "level_bias"},
+        ),
         (JOINT, (FORCE, VOLTS), {"supply": {"battery": 12.0}}, {"force_supply"}, {"battery_gain"}),
     ],
 )
@@ -75,6 +82,21 @@ def test_lags_and_delays_of_many_periods_are_in_bounds_at_any_period(exponent: f
         if item.family in ("lag", "delay"):
             assert scaled.parameters[0].high >= 99.0 * period
             assert scaled.parameters[0].typical >= 2.0 * period
+
+
+@given(inflows=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12), emptiness=st.floats(0.5, 20.0))
+def test_a_vessel_in_front_of_an_actuator_keeps_its_balance(inflows: list[float], emptiness: float) -> None:
+    (item,) = (each for each in general_effects(System("any", TANK, (PUMP,))) if each.family == "reservoir")
+    assert isinstance(item, CommandEffect)
+    memory = item.initial_memory({"pump": inflows[0]})
+    before, total = 0.5 * emptiness * memory["pump"] ** 2, 0.0
+    for inflow in inflows:
+        felt, memory = item.transform({"pump": inflow}, memory, {"seconds": emptiness}, 1.0, FLOATS)
+        total += inflow - felt["pump"]
+        again, _ = item.transform({"pump": inflow}, memory, {"seconds": 0.0}, 1.0, FLOATS)
+        assert again["pump"] == inflow
+    assert 0.0 <= memory["pump"] <= 1.0 + 1e-12
+    assert 0.5 * emptiness * memory["pump"] ** 2 == pytest.approx(before + total, abs=1e-9)
 
 
 def test_partners_are_effects_of_the_same_system() -> None:

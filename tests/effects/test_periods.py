@@ -1,4 +1,4 @@
-"""Lags and delays are found at any period of the logs, from a millisecond to an hour."""
+"""Lags, delays and hidden vessels are found at any period of the logs, from a millisecond to an hour."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from safedpa.dynamics import AbstractBase
 from safedpa.effects import Parameter, general_effects
 from safedpa.systems import System, Variable
 
-SYSTEM = System("vessel", (Variable("level", "m", -5.0, 5.0),), (Variable("pump", "1", -1.0, 1.0),))
+SYSTEM = System("vessel", (Variable("level", "m", -5.0, 5.0),), (Variable("pump", "1", 0.0, 1.0),))
 
 
 class Vessel(AbstractBase):
@@ -31,15 +31,21 @@ EFFECTS = general_effects(SYSTEM, moving={"level": 0.5})
 
 
 def drive(kind: str, seed: int, period: float) -> Run:
-    """A log of 800 rows whose pump follows with a lag of 6 periods, or a delay of 9.5; exact for held commands."""
+    """A log of 800 rows whose pump follows with a lag of 6 periods, a delay of 9.5, or through a hidden vessel."""
     random, fine = np.random.default_rng(seed), 20
-    commands = np.repeat(random.uniform(-1.0, 1.0, 80), random.integers(5, 25, 80))[:800]
+    commands = np.repeat(random.uniform(0.0, 1.0, 80), random.integers(5, 25, 80))[:800]
     felt, level, states = float(commands[0]), 0.0, []
+    content = 0.5 * 8.0 * felt * felt
     for row in range(len(commands)):
         states.append(level)
         for part in range(fine):
             late = commands[max(row + (part - 190) // fine, 0)]
-            felt = late if kind == "delay" else felt + (commands[row] - felt) * (1.0 - np.exp(-1.0 / (6.0 * fine)))
+            if kind == "reservoir":
+                content += (commands[row] - felt) / fine
+                felt = float(np.sqrt(2.0 * max(content, 0.0) / 8.0))
+            else:
+                lagging = felt + (commands[row] - felt) * (1.0 - np.exp(-1.0 / (6.0 * fine)))
+                felt = late if kind == "delay" else lagging
             level += (felt - level) * (1.0 - np.exp(-0.2 / fine))
     measured = np.array(states)[:, None] + 0.002 * random.standard_normal((len(states), 1))
     t = period * np.arange(len(states))
@@ -48,8 +54,11 @@ def drive(kind: str, seed: int, period: float) -> Run:
 
 @pytest.mark.long
 @pytest.mark.parametrize("period", [0.001, 1.0, 3600.0])
-@pytest.mark.parametrize(("kind", "name", "periods"), [("lag", "time_constant", 6.0), ("delay", "seconds", 9.5)])
-def test_a_lag_and_a_delay_of_several_periods_are_found(
+@pytest.mark.parametrize(
+    ("kind", "name", "periods"),
+    [("lag", "time_constant", 6.0), ("delay", "seconds", 9.5), ("reservoir", "seconds", 8.0)],
+)
+def test_lag_delay_and_hidden_vessel_of_several_periods_are_found(
     kind: str, name: str, periods: float, period: float, tmp_path: Path
 ) -> None:
     robot, model = tmp_path / "vessel.py", tmp_path / "vessel.toml"

@@ -16,7 +16,7 @@ import numpy as np
 from safedpa.arrays import FloatArray, IndexArray
 from safedpa.comparison.windows import Windows
 from safedpa.effects import AbstractEffect, CommandEffect
-from safedpa.effects.channel_effects import KINDS, ChannelEffect
+from safedpa.effects.channel_effects import KINDS, ChannelEffect, drained
 from safedpa.operations import FLOATS, NUMPY
 
 _BACKLASH = {"backlash": "torque"}
@@ -153,11 +153,22 @@ def _oscillated(column: FloatArray, values: tuple[float, ...], windows: Windows)
     return felt, found.real + pole.real * felt
 
 
+def _drained(column: FloatArray, emptiness: tuple[float, ...], windows: Windows) -> FloatArray:
+    """Returns the outflow at the beginning of each row of a vessel that the command fills."""
+    begins, felt, found = set(_first_rows(windows).tolist()), 0.0, []
+    for row, (command, period) in enumerate(zip(column.tolist(), windows.period.tolist(), strict=True)):
+        felt = command if row in begins else felt
+        found.append(felt)
+        felt = drained(command, felt, emptiness[0], period, FLOATS)[1]
+    return np.array(found)
+
+
 _MEMORY: Mapping[str, Callable[[FloatArray, tuple[float, ...], Windows], Any]] = {
     "slew_limit": _slewed,
     "slew_limit_up_down": _slewed,
     "lag_up_down": _lagged_up_down,
     "second_order": _oscillated,
+    "reservoir": _drained,
 }
 """The memory at the beginning of each row, by kind."""
 

@@ -135,6 +135,36 @@ def oscillated(
     return operations.where(free, command, command + mean), ends
 
 
+_DRAINING_STEPS = 4
+"""Implicit steps in a period: the outflow is then within 1 % of the exact one for time constants above a period."""
+
+
+def drained(
+    inflow: Scalar, outflow: Scalar, emptiness: Scalar, period: float, operations: Operations
+) -> tuple[Scalar, Scalar]:
+    """Returns the mean outflow over one period of a vessel with a hole, and the outflow at its end; both at least 0.
+
+    The content h has h' = inflow - c sqrt(h), c^2 = 2 / emptiness, so the outflow q has emptiness q q' = inflow - q: a
+    lag whose time constant is emptiness q. At emptiness 0 the outflow is the inflow. The steps are implicit, so they
+    are stable for every emptiness; the mean outflow is the inflow less the change of the content.
+
+    Source: Torricelli, 1643; Schoukens and Noel, IFAC-PapersOnLine 50, 2017 (two vessels in a row).
+    """
+    some = operations.maximum(emptiness, _SMALLEST_TIME_CONSTANT)
+    # content and step in units in which the outflow is the root of the content: h = emptiness q^2 / 2
+    root, part = operations.maximum(outflow, 0.0), period / _DRAINING_STEPS
+    first = 0.5 * some * root * root
+    content = first
+    for _ in range(_DRAINING_STEPS):
+        filled = operations.maximum(content + part * inflow, 0.0)
+        # some q^2 / 2 + part q = filled, by the formula without cancellation
+        root = 2.0 * filled / (part + operations.sqrt(part * part + 2.0 * some * filled))
+        content = 0.5 * some * root * root
+    free = emptiness <= _SMALLEST_TIME_CONSTANT
+    mean = inflow - (content - first) / period
+    return operations.where(free, inflow, mean), operations.where(free, inflow, root)
+
+
 EVERY: tuple[str, ...] = ()
 """All commands alike."""
 
@@ -233,6 +263,12 @@ KINDS: Mapping[str, ChannelKind] = {
         Stage.COMMAND_LAG,
         "T d({u}_felt)/dt = {u} - {u}_felt, T = {p} while it rises and {q} while it falls",
         lambda u, memory, p, _, period, operations: _lag_up_down(u, memory, p, period, operations),
+        settle=lambda u: u,
+    ),
+    "reservoir": ChannelKind(
+        Stage.COMMAND_LAG,
+        "{p} {u}_felt d({u}_felt)/dt = {u} - {u}_felt",
+        lambda u, memory, p, _, period, operations: drained(u, memory, p[0], period, operations),
         settle=lambda u: u,
     ),
     "delay": ChannelKind(

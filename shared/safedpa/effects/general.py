@@ -121,7 +121,8 @@ def _vectors(system: System, sizes: Mapping[str, float]) -> dict[str, tuple[str,
 def _of_command(system: System, action: Variable, supply: Mapping[str, float]) -> Iterator[AbstractEffect]:
     largest = max(abs(action.low), abs(action.high))
     size = largest if isfinite(largest) else 1.0
-    kinds = [name for name in _CHANNEL if name not in ("dead_zone", "limit_up_down") or action.low < 0.0]
+    kinds = [name for name in _CHANNEL if name not in _SIGNED or action.low < 0.0]
+    kinds += ["reservoir"] if action.low >= 0.0 else []
     for kind in kinds:  # an action that cannot be negative starts at its own dead zone: an offset says the same
         declare, about = partial(channel_parameters, kind, action.unit, size), TABLE[kind]
         yield ChannelEffect(
@@ -148,7 +149,8 @@ _CHANNEL: Final = (
     "gain", "offset", "lag", "delay", "limit", "dead_zone", "curve", "limit_up_down", "backlash", "slew_limit",
     "slew_limit_up_down", "second_order", "lag_up_down",
 )  # fmt: skip
-_BY_PERIOD: Final = ("lag", "lag_up_down", "delay", "slew_limit", "slew_limit_up_down", "second_order")
+_SIGNED: Final = ("dead_zone", "limit_up_down")
+_BY_PERIOD: Final = ("reservoir", "lag", "lag_up_down", "delay", "slew_limit", "slew_limit_up_down", "second_order")
 
 
 def _between(robot: str, commands: Sequence[Variable]) -> Iterator[AbstractEffect]:

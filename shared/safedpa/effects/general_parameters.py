@@ -19,7 +19,7 @@ def channel_parameters(kind: str, unit: str, size: float, period: float) -> tupl
     its memory is that long.
     """
     time = max(0.15, 3.0 * period), max(2.0, 1e4 * period)
-    per_second = f"{unit}/s" if "/" not in unit else f"({unit})/s"
+    per_second = _per(unit if "/" not in unit else f"({unit})", "s")
     rate = Parameter("rate", per_second, 1e-4 * size / period, _FASTEST * size, 0.1 * size / period, _FASTEST * size)
     if kind in ("slew_limit_up_down", "lag_up_down"):
         single = channel_parameters(kind.removesuffix("_up_down"), unit, size, period)[0]
@@ -34,6 +34,7 @@ def channel_parameters(kind: str, unit: str, size: float, period: float) -> tupl
         "lag": Parameter("time_constant", "s", 0.0, time[1], time[0]),
         "delay": Parameter("seconds", "s", 0.0, max(1.0, 100.0 * period), max(0.1, 2.0 * period)),
         "slew_limit": rate,
+        "reservoir": Parameter("seconds", _per("s", unit), 0.0, time[1] / size, 3.0 * time[0] / size),
     }
     if kind == "limit_up_down":
         high = Parameter("high", unit, 0.0, size, 0.6 * size, neutral=size)
@@ -43,6 +44,10 @@ def channel_parameters(kind: str, unit: str, size: float, period: float) -> tupl
         frequency = Parameter("frequency", "rad/s", 1e-3 * typical, _FASTEST, typical, _FASTEST)
         return frequency, Parameter("damping", "1", 0.02, 0.99, 0.5, neutral=None)
     return (found[kind],)
+
+
+def _per(unit: str, other: str) -> str:
+    return unit if other == "1" else f"{unit}/({other})" if "/" in other else f"{unit}/{other}"
 
 
 def _twice(parameter: Parameter) -> tuple[Parameter, Parameter]:

@@ -76,6 +76,12 @@ TABLE: Mapping[str, Kind] = {
         "a residual after each change of the action, of opposite sign to the change, dying out",
         "first-order actuator; Astrom and Murray, Feedback Systems, 2nd ed., ch. 3",
     ),
+    "reservoir": Kind(
+        "a residual after each change of the action that dies out, the more slowly the larger the action is",
+        "Torricelli, 1643; Schoukens and Noel, IFAC-PapersOnLine 50, 2017 (a hidden upper tank)",
+        ("gain",),
+        rare=True,
+    ),
     "lag_up_down": Kind(
         "a residual after each change of the action that dies out sooner to one side than to the other",
         "spin-up and spin-down of a rotor; Faessler et al., IEEE Robotics and Automation Letters 3, 2018",
