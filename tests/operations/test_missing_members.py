@@ -49,6 +49,10 @@ class Run:
             time.sleep(0.05)
         return time.monotonic() - began
 
+    def command(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "safedpa_services", *arguments, "--connect", self.endpoint]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+
     def pid_of(self, name: str) -> int:
         if name == "supervisor":
             return self.up.pid
@@ -109,10 +113,7 @@ def test_who_hangs_or_dies_is_trouble_within_two_seconds_and_until_it_returns(ru
         if victim != "supervisor":
             word = "r1: missing" if victim == "robot" else f"{victim}: missing"
             assert word in run.printed(), "the terminal says so"
-            done = subprocess.run(
-                [sys.executable, "-m", "safedpa_services", "status", "--connect", run.endpoint, "--json"],
-                capture_output=True, text=True, check=False, timeout=60.0,
-            )  # fmt: skip
+            done = run.command("status", "--json")
             assert done.returncode == 1, "a status that joins later is right, too"
             assert not json.loads(done.stdout)["healthy"]
         os.kill(pid, signal.SIGCONT)
@@ -127,6 +128,24 @@ def test_who_hangs_or_dies_is_trouble_within_two_seconds_and_until_it_returns(ru
         except AssertionError as error:
             raise AssertionError(f"{left}") from error
         print(f"{victim}: trouble after {seen:.1f} s, well {back:.1f} s after its return")
+
+
+def test_a_dismissed_robot_is_no_trouble_and_stop_names_a_robot_that_did_not_answer(run: Run) -> None:
+    pid = run.pid_of("robot")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        time.sleep(2.5)
+        assert run.command("stop").returncode == 1
+        assert "r1: did not answer" in run.command("stop").stdout
+        dismissed = run.command("dismiss", "r1", "policy", "--who", "Ann")
+        assert (dismissed.returncode, dismissed.stdout) == (1, "r1: dismissed by Ann, until it returns\n")
+        assert "policy: not missing" in dismissed.stderr
+        status = run.command("status")
+        assert status.returncode == 0, status.stdout
+        assert "dismissed by Ann" in status.stdout
+    finally:
+        os.kill(pid, signal.SIGCONT)
+        run.command("go")
 
 
 def _judge_restart(run: Run, victim: str, about: Callable[[], list[str]]) -> None:

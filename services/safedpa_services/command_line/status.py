@@ -140,7 +140,9 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
 
     now = fleet.clock()
     concerns = fleet_alerts(fleet)
-    robots = [_robot(robot, now) for robot in fleet.robots.values()]
+    robots = [
+        _robot(robot, now, dismissed=fleet.roster.is_dismissed("robot", robot.name)) for robot in fleet.robots.values()
+    ]
     robots.sort(key=lambda row: (_LEVELS.index(row["health"]), -row["late"], -row["fallback"], row["robot"]))
     services = [_service(known, concerns, now) for known in fleet.services.values() if not fleet.replaced(known)]
     services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
@@ -185,14 +187,14 @@ def _level(concerns: Sequence[Alert]) -> str:
     return next((level for level in _LEVELS if level in levels), "well")
 
 
-def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
+def _robot(robot: RobotOverview, now: float, *, dismissed: bool) -> dict[str, Any]:
     from safedpa.bus.monitor import robot_alerts
 
     state, verdict = robot.state, robot.verdict
     p50, p99 = robot.latency(0.5), robot.latency(0.99)
     row: dict[str, Any] = {
         "robot": robot.name,
-        "health": _level(robot_alerts(robot, now)),
+        "health": "attention" if dismissed else _level(robot_alerts(robot, now)),
         "verdict": verdict.status if verdict else "",
         "verdict_age": round(max(0.0, now - robot.verdict_at), 3) if verdict else None,
         "state_age": round(max(0.0, now - robot.state_at), 3) if state else None,

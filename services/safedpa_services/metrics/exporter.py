@@ -196,9 +196,14 @@ class FleetCollector:
     def _samples(self) -> Iterator[Sample]:
         now = self._fleet.clock()
         yield from _of_roster(self._fleet, now)
-        for _, robot in sorted(self._fleet.robots.items()):
+        roster = self._fleet.roster
+        for name, robot in sorted(self._fleet.robots.items()):
+            if roster.is_dismissed("robot", name):
+                continue
             yield from _of_robot(robot, now, self._fleet)
-        for name in self._fleet.roster.expected("robot").keys() - self._fleet.robots.keys():
+        for name in roster.expected("robot").keys() - self._fleet.robots.keys():
+            if roster.is_dismissed("robot", name):
+                continue
             yield "safedpa_robot_up", (name,), 0.0
             yield "safedpa_robot_healthy", (name,), 0.0
         processes = self._fleet.services.values()

@@ -48,7 +48,9 @@ def robot_alerts(robot: RobotOverview, now: float) -> list[Alert]:
 def fleet_alerts(fleet: FleetOverview) -> list[Alert]:
     """Returns all alerts about the fleet and its robots now, trouble first."""
     now = fleet.clock()
-    found = [alert for robot in fleet.robots.values() for alert in robot_alerts(robot, now)]
+    # Services may still report a robot that was dismissed.
+    expected = [robot for robot in fleet.robots.values() if not fleet.roster.is_dismissed("robot", robot.name)]
+    found = [alert for robot in expected for alert in robot_alerts(robot, now)]
     found += [alert for service in fleet.services.values() for alert in _about_process(service, now, fleet)]
     found = [*_about_roster(fleet, found, now), *found]
     if fleet.robot not in ("*", *fleet.robots) and fleet.robot not in {alert.robot for alert in found}:
@@ -163,7 +165,7 @@ def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -
     # Services of the loop are reported per robot, in `_about_services`.
     name, health, reported = service.name, service.health, service.name not in _LOOP
     if service.age(now) > SILENT_SECONDS:
-        if reported and not fleet.replaced(service):
+        if reported and not fleet.replaced(service) and not fleet.roster.is_dismissed("service", name):
             # A drive without a recording cannot be examined later; other processes are often stopped on purpose.
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
             yield Alert(level, f"{name}: silent for {service.age(now):.0f} s", service=name)

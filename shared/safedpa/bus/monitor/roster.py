@@ -142,6 +142,11 @@ class Roster:
         found = [known for known in self.members.values() if known.is_missing(now)]
         return sorted(found, key=lambda known: (known.kind != SUPERVISOR, known.kind, known.name))
 
+    def is_dismissed(self, kind: str, name: str) -> bool:
+        """Whether a person declared that a member is not expected any more."""
+        known = self.members.get((kind, name))
+        return known is not None and bool(known.dismissed_by)
+
     def expected(self, kind: str) -> dict[str, Member]:
         """Returns the members of a kind by name."""
         return {name: known for (own, name), known in self.members.items() if own == kind}
