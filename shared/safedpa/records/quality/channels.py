@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import BoolArray, FloatArray
-from safedpa.records.column_map.derive import slopes_within
 from safedpa.records.quality.clock import change_rows, hold_rows
 from safedpa.records.quality.findings import count_text, finding
+from safedpa.records.quality.response import Response, response_of
 from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System
 
@@ -28,12 +28,10 @@ _DEAD_SECONDS = 3.0
 """A dead command is constant for at least so many seconds,"""
 _DEAD_SHARE = 0.25
 """and this share of the run."""
-_MIN_EXPLAINED = 0.3
-"""Share of the variance that a command must explain outside a span; otherwise its silence means nothing."""
-_MIN_SPREAD, _MIN_RESIDUAL = 0.5, 4.0
-"""Within a dead span the residual must exceed this share of the variance, and this multiple of the usual residual."""
-_WINDOW = 0.3
-"""Window of the derivatives, s."""
+_MATTERS = 1.5
+"""How many times more is unexplained outside a span without a command that matters."""
+_CONTRADICTS, _AS_WITHOUT = 4.0, 0.4
+"""In a dead span more than this multiple of the usual is unexplained, and this share of that without the command."""
 _STEPS_AFTER = 4.0
 """Multiples of a quick step by which a state may differ after it stood: a frozen sensor has missed a motion."""
 _FOLLOWS = 0.7
@@ -81,7 +79,9 @@ def dead_rows(rows: RawRows, stretches: list[Stretch], system: System) -> Found:
     bad = np.zeros(len(rows.t), dtype=bool)
     found = []
     total_time = sum(float(rows.t[part.stop - 1] - rows.t[part.start]) for part in stretches)
-    motion = _motion(rows, stretches, system)
+    response = response_of(rows, stretches, system)
+    if response is None:
+        return bad, found
     for index, variable in enumerate(system.action):
         shortest = max(_DEAD_SECONDS, _DEAD_SHARE * total_time)
         spans = _unchanged_spans(rows.t, rows.actions[:, index], stretches, shortest)
@@ -89,7 +89,7 @@ def dead_rows(rows: RawRows, stretches: list[Stretch], system: System) -> Found:
             span
             for span in spans
             if (rows.actions[span.start, index] == 0.0 or span.stop >= stretches[-1].stop)
-            and _contradicts_command(motion, rows, system, index, span)
+            and _contradicts_command(response, index, rows.t[span.start], rows.t[span.stop - 1])
         ]
         if not spans:
             continue
@@ -215,47 +215,23 @@ def _usually_changes(values: FloatArray, spans: list[slice]) -> bool:
     return len(steps) > _FROZEN_ROWS and float((steps == 0.0).mean()) < _MAX_REPEATS
 
 
-def _motion(rows: RawRows, stretches: list[Stretch], system: System) -> NDArray[np.float64]:
-    """Derivatives of the states (rows, states), NaN outside stretches and for positions, which follow from speeds."""
-    found = np.full(rows.states.shape, np.nan)
-    for index, variable in enumerate(system.state):
-        if variable.unit != "m":
-            found[:, index] = slopes_within(rows.t, rows.states[:, index], stretches, _WINDOW)
-    return found
+def _contradicts_command(response: Response, action: int, begin: float, end: float) -> bool:
+    """Whether a state that depends on a command elsewhere moves as if commanded otherwise between two times.
 
-
-def _contradicts_command(motion: NDArray[np.float64], rows: RawRows, system: System, action: int, span: slice) -> bool:
-    """Whether some derivative that depends on the command elsewhere contradicts the recorded command in a span.
-
-    Derivatives are regressed on states, actions and their products outside the span; the residual in the span is then
-    compared with the usual one.
+    The regression of the rest of the log, which has the command, predicts the span; its residual is compared with the
+    usual one, and with that of a regression without the command.
     """
-    outside = np.ones(len(rows.t), dtype=bool)
-    outside[span] = False
-    states, actions = rows.states - np.nanmean(rows.states, axis=0), rows.actions
-    products = [
-        actions[:, index, None] * part for index in range(actions.shape[1]) for part in (states, np.abs(states))
-    ]
-    every = np.hstack([states, np.ones((len(rows.t), 1)), actions, *products])
-    still = np.hstack([states, np.ones((len(rows.t), 1)), np.delete(actions, action, axis=1)])
-    for slopes in motion.T:
-        good = np.isfinite(slopes) & np.isfinite(every).all(axis=1)
-        outside_rows, span_rows = good & outside, good & ~outside
-        if outside_rows.sum() < 10 * every.shape[1] or span_rows.sum() < _FROZEN_ROWS:
-            continue
-        spread = float(np.var(slopes[outside_rows]))
-        without, usual = (_residual_power(part, slopes, outside_rows, outside_rows) for part in (still, every))
-        now = min(_residual_power(every, slopes, outside_rows, span_rows), float(np.var(slopes[span_rows])))
-        if without - usual > _MIN_EXPLAINED * spread and now > max(_MIN_SPREAD * spread, _MIN_RESIDUAL * usual):
-            return True
-    return False
-
-
-def _residual_power(columns: NDArray[np.float64], wanted: FloatArray, fitted: BoolArray, judged: BoolArray) -> float:
-    """Mean squared residual in the rows ``judged`` of a linear regression over the rows ``fitted``."""
-    size = np.linalg.norm(columns[fitted], axis=0) + 1e-12
-    solution = np.linalg.lstsq(columns[fitted] / size, wanted[fitted], rcond=1e-9)[0]
-    return float(np.mean((wanted[judged] - (columns[judged] / size) @ solution) ** 2))
+    times = response.t[response.start]
+    inside = (times >= begin) & (times <= end)
+    if min(inside.sum(), (~inside).sum()) < _FROZEN_ROWS:
+        return False
+    outside, span = response.sums(parts=[np.flatnonzero(~inside), np.flatnonzero(inside)])
+    usual, without = (
+        outside.rest() / outside.count,
+        outside.where(response.powers[:, action] == 0).rest() / outside.count,
+    )
+    now = np.minimum(span.rest(outside.solution()), span.power) / span.count
+    return bool(((without > _MATTERS * usual) & (now > _CONTRADICTS * usual) & (now > _AS_WITHOUT * without)).any())
 
 
 _SMALLEST_JUMP = {"m": 0.1, "rad": 0.3, "m/s": 1.5, "rad/s": 5.0}

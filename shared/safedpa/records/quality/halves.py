@@ -207,6 +207,8 @@ _CLIPPED = 5.0
 """Standard deviations of a residual beyond which it counts no more."""
 _MISSED = 4.0
 """Multiple of a usual step by which a command goes on after a repeat in which it was stale."""
+_SLOW_SOURCE = 0.25
+"""s; a command that is held for longer is a manoeuvre, not a slow source."""
 _REGULAR = 0.8
 """Share of the times between changes that a source with a rate of its own explains."""
 _REPEATS = 5
@@ -276,7 +278,7 @@ def _early_changes(
     """Whether a command often changes later in the log than for the robot; when first, and the share of changes."""
     values, start = response.actions[:, action], response.start
     steps = np.abs(np.diff(values))
-    if _source_rows(steps):
+    if 0.0 < _source_rows(steps) * float(np.median(np.diff(response.t))) <= _SLOW_SOURCE:
         return False, np.inf, 0.0  # a source that is slower than the log is late by its own rate
     same = np.convolve(steps == 0.0, np.ones(_REPEATS), "full")[: len(steps)] == _REPEATS
     large = steps > min(_JUMP * float(np.ptp(values)), _MISSED * _usual_step(steps))

@@ -63,6 +63,10 @@ class Sums:
         gram, moment = self.gram * factors * factors[:, None], self.moment * factors[:, None]
         return Sums(gram, moment, self.power, self.count)
 
+    def where(self, retained: NDArray[np.bool_]) -> Sums:
+        """The sums with some of the regressors only."""
+        return Sums(self.gram[np.ix_(retained, retained)], self.moment[retained], self.power, self.count)
+
     def solution(self) -> NDArray[np.float64]:
         """theta (p, states) by least squares; a little ridge separates equal regressors."""
         size = self.gram.shape[0]
