@@ -107,7 +107,9 @@ class RobotSession(GuardedSession[StateMessage]):
         calibration, longer = held.margin_over(model.period, settings)
         phased = None if before is None else MarginRamp(before, calibration.epsilon, settings.eta)
         margin = OnlineMarginMonitor(calibration, ErrorClip.of_settings(settings), phased, longer)
-        known = limits_for(model.system, model.period) if isinstance(limits, str) else limits
+        # A robot without a safe standstill cannot wait for a confirmation.
+        shipped = limits_for(model.system, model.period) if scene.can_stop else None
+        known = shipped if isinstance(limits, str) else limits
         known = known if settings.enabled else None
         return cls(held, filtering, model, scene, margin, known)
 

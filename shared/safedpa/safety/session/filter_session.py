@@ -88,7 +88,9 @@ class FilterSession(GuardedSession[Measurement]):
         monitor = OnlineMarginMonitor(known.select(settings.margin), ErrorClip.of_settings(settings))
         if isinstance(limits, str):
             # Functions without a system have no units: nothing is known about how fast an entry may change.
-            limits = None if not model.system.name else limits_for(model.system, model.period)
+            # A robot without a safe standstill cannot wait for a confirmation.
+            known_system = bool(model.system.name) and can_stop
+            limits = limits_for(model.system, model.period) if known_system else None
         super().__init__(model, safe, monitor, limits)
         self.can_stop = can_stop
         self.deadlock_detector.reported_after = _REPORTED_AFTER
