@@ -75,7 +75,7 @@ def test_perception_that_restarts_mid_drive_reports_that_it_has_not_looked_yet(l
 
 def test_sources_that_vanish_leave_no_empty_world() -> None:
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
-    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL), limits=None)
     wall = tuple((0.8, 0.1 * k, 0.05) for k in range(-5, 6))
     assert asked(node, state, surroundings(state, points=wall)).status == "violated"
     gone = replace(state, tick=state.tick + 1, robot_time=state.robot_time + state.period, sources=())
@@ -144,7 +144,7 @@ def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(wrong: 
 
 def commands_while_reported(state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True):
     """The commands while the laser is lost and these speeds are reported; one tick in ``every`` comes."""
-    node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), []
+    node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL), limits=None), []
     for speed in speeds:
         state = replace(state, values=(0.0, 0.0, 0.0, speed))
         action = asked(node, state, surroundings(state, problems=("the source laser is frozen",))).action
