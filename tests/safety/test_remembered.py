@@ -363,3 +363,11 @@ def test_a_period_comes_with_the_earlier_commands_and_the_memory_of_then(count: 
     wanted = [((0.1 * tick, 0.0), f"after {tick - 1}") for tick in range(count - 1, 0, -1)]
     wanted += [((0.0, 0.0), "after 0")] * 4
     assert list(found.commands) == wanted[:4]
+
+
+@pytest.mark.parametrize(("seconds", "known"), [(0.05, 2), (0.09, 2), (0.11, 1), (-0.05, 1), (0.0, 1)])
+def test_ticks_that_follow_each_other_but_are_apart_in_time_are_a_gap(seconds: float, known: int) -> None:
+    history = CommandHistory(CAR)
+    history.add(0, (0.0, 0.0, 0.0, 0.5), (1.0, 0.0), (), 7.0)
+    history.add(1, (0.0, 0.0, 0.0, 0.5), (2.0, 0.0), (), 7.0 + seconds)
+    assert len(history.commands(2, (3.0, 0.0))) == known + 1

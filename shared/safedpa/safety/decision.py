@@ -31,7 +31,7 @@ from safedpa.safety.solver.qp_scaling import clip_to_bounds
 from safedpa.safety.solver.sqp import DecisionError, backtrack_towards, line_search
 from safedpa.safety.solver.sqp import solve_sqp as _solve_sqp
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input, checked_names, checked_output
-from safedpa.safety.verdict import Status, Verdict
+from safedpa.safety.verdict import TOO_LATE, Status, Verdict
 
 __all__ = ["Backup", "Decision", "FilterContext", "FilterInput"]
 
@@ -418,7 +418,7 @@ class Decision:
         if constraints is not None and constraints.min_h_in_flight < min_h_next:
             min_h_next = constraints.min_h_in_flight
             if min_h_next < 0.0 and status in (Status.passed, Status.corrected):
-                status, reason = Status.relaxed, "Some h falls below 0 before this action takes effect."
+                status, reason = Status.relaxed, TOO_LATE
         return self._answer(status, candidate.action, reason, solver, candidate.violation, active, min_h_next)
 
     def _answer(

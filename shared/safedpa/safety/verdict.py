@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Status", "Verdict", "resting_verdict"]
+__all__ = ["TOO_LATE", "Status", "Verdict", "resting_verdict"]
 
 
 @final
@@ -45,6 +45,11 @@ _SENTENCES = {
     Status.disabled: "The filter is switched off; the nominal action is handed on within the actuator limits.",
     Status.stopped: "The robot is to stop; no nominal action is handed on.",
 }
+
+
+TOO_LATE: Final = "Some h falls below 0 before this action takes effect."
+"""Reason of a verdict whose action satisfies every condition but comes too late."""
+_ACTS_LATE: Final = "The action satisfies every barrier condition from the moment at which it acts."
 
 
 @final
@@ -116,7 +121,9 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """Status and reason as text."""
-        return f"{self.status.sentence} {self.reason}".strip()
+        # Such an action does satisfy the conditions; what happens before it acts is another matter.
+        status = _ACTS_LATE if self.reason.startswith(TOO_LATE) else self.status.sentence
+        return f"{status} {self.reason}".strip()
 
     @property
     def intervened(self) -> bool:

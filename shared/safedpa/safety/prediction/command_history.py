@@ -27,6 +27,8 @@ Plain = tuple[float, ...]
 
 LONGEST_AGE: Final = 1.0
 """Largest delay [s] from a state to its action; beyond it the state says nothing about where the robot is then."""
+_GAP: Final = 2.0
+"""Periods between two states from which on commands may be missing; clocks jitter by less than a period."""
 _ROUNDING: Final = 1e-9
 """s; shorter intervals are rounding errors of sums of periods."""
 
@@ -60,16 +62,28 @@ class CommandHistory:
 
     def __init__(self, model: PhysicsModel) -> None:
         self._model, self._actuators = model, ActuatorModel(model)
+        self._seconds: float | None = None
         # Long enough for the longest dead time and the oldest usable state, and no longer: a fleet has many of them.
         self._entries: deque[_DatedTransition] = deque(maxlen=MAX_PERIODS + ceil(LONGEST_AGE / model.period) + 2)
 
-    def add(self, tick: int, values: Plain, applied: Plain, memory: Any) -> None:
-        """Adds a tick's state, the action applied before it, and the actuator memory; starts again after a gap."""
+    def add(self, tick: int, values: Plain, applied: Plain, memory: Any, seconds: float | None = None) -> None:
+        """Adds a tick's state, the action applied before it, and the actuator memory; starts again after a gap.
+
+        ``seconds``: when the state was measured. Ticks that follow each other two periods apart, or backwards, are a
+        gap as well; None: not known.
+        """
         # After a gap the commands between are unknown: a history with a hole would predict wrong states.
-        if self._entries and self._entries[-1].tick != tick - 1:
+        if (self._entries and self._entries[-1].tick != tick - 1) or not self.is_next(seconds):
             self._entries.clear()
+        self._seconds = seconds
         before = self._entries[-1].memory if self._entries else memory
         self._entries.append(_DatedTransition(tick, values, applied, memory, (applied, before)))
+
+    def is_next(self, seconds: float | None) -> bool:
+        """Whether a state measured at ``seconds`` follows the newest one by about a period; true if not known."""
+        if seconds is None or self._seconds is None:
+            return True
+        return 0.0 < seconds - self._seconds < _GAP * self._model.period
 
     def commands(self, tick: int, applied: Plain) -> list[Plain]:
         """The actions applied before each tick up to this one, oldest first; ``applied`` alone after a gap."""

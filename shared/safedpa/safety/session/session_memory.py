@@ -83,6 +83,8 @@ class SessionMemory(Generic[StateT]):
         self.until_action = 0.0
         """Time in s from the newest state until its action acts: the larger of the reported and the estimated one."""
         self._reported_delay = 0.0
+        self._follows = True
+        """Whether the newest state was measured about one period after the one before."""
         self.possible_delays: tuple[float, ...] = ()
         """Other delays in s that are not ruled out, under which the constraints are imposed as well."""
         self.deadlock_detector = DeadlockDetector(position_entries(model.system))
@@ -114,7 +116,7 @@ class SessionMemory(Generic[StateT]):
     def watch_margin(self, state: StateT) -> None:
         """Compares the last prediction with the measured state, and lets a new model's margin rise."""
         # The prediction is for the filter's own action over one tick; anything else says nothing about the model.
-        if state.tick != self.tick + 1 or state.applied_by != "filter":
+        if state.tick != self.tick + 1 or state.applied_by != "filter" or not self._follows:
             self.margin.expect(None)
         self.tick = state.tick
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
@@ -174,7 +176,8 @@ class SessionMemory(Generic[StateT]):
             for command in sent if self.memory else ():
                 self.memory = model.felt(command, self.memory, period=state.period)[1]
         self.former = None
-        self.history.add(state.tick, state.values, state.applied, self.memory)
+        self._follows = self.history.is_next(state.robot_time)
+        self.history.add(state.tick, state.values, state.applied, self.memory, state.robot_time)
         self.until_action = min(self.delay.delay_to_compensate(state.until_action), LONGEST_AGE)
         # A robot that cannot stop could not keep its promise under every possible delay.
         self._reported_delay = state.until_action
