@@ -149,7 +149,7 @@ class GuardedSession(SessionMemory[StateT]):
             if self.latched and self._is_unanswered():
                 predicted = self._since_moved(state) or predicted
         if usable and not self.latched:
-            if self._monitor.accept(state.values, self.evidence):
+            if self._monitor.accept(state.values, self.evidence, self.lost):
                 self._free_memory = None
             self.lost, self._fastest = 0, 0.0
             self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)

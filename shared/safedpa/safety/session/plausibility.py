@@ -107,14 +107,15 @@ class StateMonitor:
         self._free = free
         return Evidence(jump, drift, self._unanswered(values))
 
-    def accept(self, values: Plain, evidence: Evidence | None) -> bool:
+    def accept(self, values: Plain, evidence: Evidence | None, lost: int = 0) -> bool:
         """Takes in a believed state and what ``observe`` returned for it; None for the first one.
 
-        Returns whether ``free`` begins at this state again.
+        ``lost``: states lost before it; the error of a longer prediction is no drift. Returns whether ``free`` begins
+        at this state again.
         """
         if evidence is not None:
             error, ways = self._newest
-            self._errors.append(error)
+            self._errors.append(tuple(0.0 for _ in error) if lost else error)
             self._ways.append(ways)
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
@@ -142,7 +143,7 @@ class StateMonitor:
                     return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 text = f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
                 return Contradiction(text, self._others({unit}))
-        for unit, (size, way) in evidence.drift.items():
+        for unit, (size, way) in () if lost else evidence.drift.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
                 limit += self._limits.drift_share.get(unit, 0.0) * way
