@@ -269,6 +269,24 @@ def test_an_essential_service_is_killed_and_restarted_after_ten_seconds_of_silen
     assert bool(made.happened("restarted")) is bool(killed)
 
 
+def test_a_supervisor_that_was_stopped_itself_kills_no_service_for_the_heartbeats_it_did_not_read(loop):
+    made = loop(stopped_at=30.0)
+    made.add("policy")
+    listen = made.watch.listen
+
+    def listened(wait):
+        if 1.0 < made.clock.now < 2.0:
+            made.clock.now += 12.0  # stopped meanwhile
+            made.watch.silent["policy"] = 12.0
+        elif made.clock.now > 15.0:
+            made.watch.silent["policy"] = 0.1
+        listen(wait)
+
+    made.watch.listen = listened
+    made.run()
+    assert made.happened("killed") == []
+
+
 @pytest.mark.parametrize(
     ("other_ends_at", "stopped_at", "waited"),
     [(0.0, inf, 0.0), (3.0, inf, 2.0), (inf, inf, 5.0), (inf, 2.0, 1.0), (inf, 1.0, 0.0)],

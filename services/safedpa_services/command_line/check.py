@@ -17,7 +17,8 @@ from safedpa_services.command_line.options import as_json_option
 def command(file: Path, seed: int, as_json: bool) -> int:
     """Check a robot of your own. Prints one line per part: fine, missing or wrong; exit code 2 if any is not fine.
 
-    FILE.py declares the robot, a class derived from AbstractRobot. For the test, its simulation is driven by random
+    FILE.py declares the robot, a class derived from AbstractRobot. The file is executed: check only files that you
+    trust. For the test, its simulation is driven by random
     nominal actions through its filter.
     """
     from safedpa.api.robot_check import check

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", type=PATH, metavar="ROBOT.toml")
-@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own; the file is executed")
 @click.option("--policy", "controller", metavar="NAME", help="run this policy: goal_seeker, learned, planner ...")
 @click.option(
     "--perception", default="", metavar="FILE.toml", help="file with settings, sources and zones of perception"

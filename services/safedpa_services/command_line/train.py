@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("robot", shell_complete=complete_robots)
 @click.argument("runs", nargs=-1, type=PATH, metavar="[RUN...]")
-@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own; the file is executed")
 @click.option("--configuration", "source", metavar="FILE", help="training configuration, or the name of a shipped one")
 @click.option(
     "--model",

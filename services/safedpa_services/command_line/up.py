@@ -76,7 +76,7 @@ GROUPS = {
 @click.option(
     "--robot", shell_complete=complete_robots, help=f"kind of robot; default: {DEFAULT_ROBOT}, or that of --robot-file"
 )
-@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own")
+@click.option("--robot-file", type=PATH, metavar="FILE.py", help="a robot of your own; the file is executed")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option(
     "--robots", type=int, default=1, show_default=True, help="number of robots, each in a scene of its own: r1, r2 ..."
@@ -124,7 +124,7 @@ GROUPS = {
 @click.option(
     "--model", shell_complete=complete_models, help="model file, or the name of a shipped one; default: the robot's"
 )
-@click.option("--effects", type=PATH, metavar="FILE.py", help="Python file with your own effects")
+@click.option("--effects", type=PATH, metavar="FILE.py", help="Python file with your own effects; it is executed")
 @click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the model's shipped one, if any")
 @click.option(

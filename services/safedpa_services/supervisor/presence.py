@@ -16,6 +16,8 @@ from safedpa_services.supervisor.run_monitor import RunMonitor
 
 _INTERVAL_SECONDS = 0.5
 """An observer that joins learns within this time who should be there."""
+_STALL_SECONDS = 1.0
+"""A turn that is later than this says nothing about the others: the supervisor itself was stopped or starved."""
 
 
 @dataclass
@@ -48,6 +50,9 @@ class RunPresence:
         now = time.monotonic()
         if now < self._next:
             return
+        if now - self._next > _STALL_SECONDS and self._next > 0.0:
+            self.roster.excuse(now)
+            self._report(f"the supervisor itself did not run for {now - self._next:.0f} s")
         self._next = now + _INTERVAL_SECONDS
         message = RosterMessage(**header(), source=self._source, entries=tuple(self._entries(now)))
         self.roster.hear(message, now)

@@ -27,6 +27,8 @@ _SERVICE_PATIENCE_SECONDS = 6.0
 _HUNG_SECONDS = 10.0
 """A service without a heartbeat for this long is hung. Four are sent per second; a busy machine delays them by 1 to 2
 s."""
+_OWN_STALL_SECONDS = 2.0
+"""A turn that is later than this finds every heartbeat old, because this process itself was stopped or starved."""
 _LAST = ("recorder", "router")
 """End last: the recorder records the end of the other services, and all messages go through the router."""
 _BAD_INPUT = 2
@@ -51,6 +53,9 @@ class Supervisor:
     """Further robots. The run ends with the first robot."""
     presence: RunPresence | None = None
     """Publishes the roster; None: without a roster."""
+    _turned: float | None = None
+    """Time of the last turn [s]."""
+    _judges_from: float = 0.0
 
     def run(self) -> int:
         """Returns the robot's exit code, or 0 if stopped. All processes have ended when this returns or raises.
@@ -113,14 +118,22 @@ class Supervisor:
         while not self.stopped() and time.monotonic() < end and any(c.exit_code is None for c, _ in self.others):
             self._turn()
 
+    def _may_judge(self) -> bool:
+        """Whether this process itself has run for long enough to know that another one is silent."""
+        return time.monotonic() >= self._judges_from
+
     def _turn(self) -> None:
         self.watch.listen(_TURN_SECONDS)
         for _, watch in self.others:
             watch.listen(0.0)
+        now = time.monotonic()
+        if self._turned is not None and now - self._turned > _OWN_STALL_SECONDS:
+            self._judges_from = now + _OWN_STALL_SECONDS  # heartbeats of that time are still to be read
+        self._turned = now
         for child in self.services:
             if child.exit_code is not None:
                 self._restart(child)
-            elif child.essential and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
+            elif child.essential and self._may_judge() and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
                 child.kill(f"hung: no heartbeat for {_HUNG_SECONDS:.0f} s")  # the next turn restarts it
         if self.presence is not None:
             self.presence.turn()

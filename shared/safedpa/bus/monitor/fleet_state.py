@@ -316,7 +316,10 @@ class FleetOverview:
         # Sleep instead of waiting for messages, which would wake this process for each one and take CPU time from the
         # control loop.
         while (rest := end - self.clock()) > 0.0:
+            before = self.clock()
             time.sleep(min(rest, 0.05))
+            if self.clock() - before > SILENT_SECONDS:
+                self.roster.excuse(self.clock())
         for inbox in (self._inbox, self._fleet_wide):
             for item in inbox.take(0.0) if inbox is not None else ():
                 if isinstance(item, ReceivedMessage):

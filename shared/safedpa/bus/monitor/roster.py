@@ -137,6 +137,12 @@ class Roster:
             if known.label in names and known.silent_for(at) > SILENT_SECONDS:
                 known.dismissed_by, known.dismissed_at = who or "a person", at
 
+    def excuse(self, now: float) -> None:
+        """Counts the time until ``now`` [s] against no member: this observer itself did not run meanwhile."""
+        for known in self.members.values():
+            if known.heard_at is not None and not known.is_missing(known.heard_at):
+                known.heard_at = now
+
     def missing(self, now: float) -> list[Member]:
         """Returns who is missing, supervisors first."""
         found = [known for known in self.members.values() if known.is_missing(now)]
