@@ -104,6 +104,19 @@ def test_a_silent_supervisor_is_trouble_until_it_ends_in_order_or_a_later_run_ha
     assert trouble(fleet) == []
 
 
+def test_after_a_run_that_ended_in_order_nothing_of_it_is_missed(fleet: Any) -> None:
+    fleet.list_members(ROBOT, *SERVICES)
+    fleet.drive(1)
+    fleet.list_members(ended=True)
+    fleet.drive(1)
+    assert "r1" in fleet.overview.robots, "it still brakes"
+    fleet.now += 3.0
+    fleet.overview.listen(0.0)
+    assert trouble(fleet) == []
+    assert not fleet.overview.robots
+    assert not fleet.overview.services
+
+
 def test_supervised_processes_without_any_roster_are_trouble(fleet: Any) -> None:
     fleet.drive(1)
     fleet.beat("recorder", supervised=True, acknowledged=1)

@@ -272,6 +272,8 @@ _FORGET_SECONDS = 300.0
 # Silent robots and processes that are kept although they are on no roster. Any client of a plain-text bus may invent
 # names; the ones that are silent for longest are left out first.
 _MOST_SILENT = 1000
+# A run that ends in order takes up to 20 s: robots brake, and the recorder ends last.
+_ENDING_SECONDS = 60.0
 # A service without a heartbeat about a robot for this long no longer serves it.
 _LEFT_SECONDS = 5.0
 
@@ -292,6 +294,8 @@ class FleetOverview:
     """Number of rejected messages."""
 
     def __post_init__(self) -> None:
+        self._ended: dict[str, float] = {}
+        """By name of a robot or service: when its supervisor ended its run in order."""
         topics = (STATE, VERDICT, HEALTH, FINDING, SURROUNDINGS, *((ROSTER,) if self.robot == "*" else ()))
         self._inbox = self.bus.inbox(topics, self.robot, keep_all=True, clock=self.clock)
         # Processes that serve no robot send their heartbeats under "-", which a subscription to one robot excludes.
@@ -332,6 +336,9 @@ class FleetOverview:
         """Handles one message."""
         message = item.message
         if isinstance(message, RosterMessage):
+            if message.ended:
+                members = self.roster.members.values()
+                self._ended |= {known.name: item.at for known in members if known.source == message.source}
             self.roster.hear(message, item.at)
             if message.dismisses:
                 self._dismiss(message.dismisses)
@@ -377,12 +384,15 @@ class FleetOverview:
     def _forget(self) -> None:
         """Leaves out what ended in order or has a successor; everything else stays until it returns or is dismissed."""
         now = self.clock()
+        self._ended = {name: at for name, at in self._ended.items() if now - at <= _ENDING_SECONDS}
         for name, robot in list(self.robots.items()):
-            if robot.ended_in_order and robot.silent_for(now) > _FORGET_SECONDS:
+            left = robot.ended_in_order and robot.silent_for(now) > _FORGET_SECONDS
+            if left or (name in self._ended and robot.silent_for(now) > SILENT_SECONDS):
                 del self.robots[name]
         for which, service in list(self.services.items()):
             service.forget(now - _LEFT_SECONDS)
-            if service.age(now) > _FORGET_SECONDS and self.replaced(service):
+            left = service.age(now) > _FORGET_SECONDS and self.replaced(service)
+            if left or (service.name in self._ended and service.age(now) > SILENT_SECONDS):
                 del self.services[which]
         if len(self.robots) + len(self.services) > _MOST_SILENT:
             self._bound(now)
