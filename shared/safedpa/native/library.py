@@ -100,7 +100,7 @@ def _digest(data: bytes) -> str:
 def _make_private(folder: Path) -> None:
     """Creates the folder for this user alone. Raises NoKernelError for one that another user owns or may write."""
     folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    # whoever may write the folder above could exchange this one between the check and the loading
+    # a user who may write the folder above could exchange this one between the check and the loading
     _check_owner(folder.parent, stat.S_ISDIR)
     folder.mkdir(mode=0o700, exist_ok=True)
     _check_owner(folder, stat.S_ISDIR)
