@@ -1,0 +1,45 @@
+"""The laboratory's failed states: what the source sends, and that the experiment's drives are stopped."""
+
+import numpy as np
+import pytest
+
+from safedpa_lab.experiments.driving.implausible_states import StateDrive, run_state_drive
+from safedpa_lab.experiments.driving.state_faults import FAULTS, ROBOTS, FaultyState, StateFault
+from safedpa_lab.experiments.driving.state_limits import HealthyDrive, measured_evidence
+
+CAR = ROBOTS["car"]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_fault_changes_the_message_and_not_the_robot(fault: StateFault) -> None:
+    robot = CAR.make("none", 3)
+    begun = StateFault(fault.kind, fault.size, begin=0.0)
+    source = FaultyState(robot, CAR.system, begun, 3, noise=0.0)
+    sent = []
+    for _ in range(5):
+        sent.append(source.state_message())
+        source.advance()
+    if fault.kind == "jump":
+        gap = np.subtract(sent[0].values, CAR.make("none", 3).values)[:2]
+        assert np.hypot(*gap) == pytest.approx(fault.size)
+    if fault.kind == "clock":
+        stamps, arrivals = (np.ptp([getattr(one, name) for one in sent]) for name in ("robot_time", "publish_time"))
+        assert stamps / arrivals == pytest.approx(fault.size)
+    if fault.kind.startswith("frozen"):
+        assert len({one.values for one in sent}) == 1
+    assert robot.tick == 5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", [StateFault("jump", 0.8, 1.0), StateFault("frozen", begin=1.0)])
+def test_a_drive_with_a_fault_is_stopped_for_the_right_reason(fault: StateFault) -> None:
+    found = run_state_drive(StateDrive("car", "none", 11, 2.0, fault))
+    assert any(reason in found["stopped"] for reason in fault.reasons)
+    assert (found["hits"], found["after_seconds"] <= 0.3) == ([], True)
+
+
+@pytest.mark.long
+def test_a_healthy_drive_shows_small_errors_of_every_unit() -> None:
+    rows = measured_evidence(HealthyDrive("car", "none", 5, 1.5))
+    assert set(rows[-1].jump) == {"m", "rad", "m/s"}
+    assert max(row.jump["m"] for row in rows) < 0.1
