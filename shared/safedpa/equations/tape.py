@@ -120,9 +120,9 @@ for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "
     setattr(Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
 
 
-for _name, _form in {**dict.fromkeys(("sin", "cos", "tan", "tanh", "exp", "sqrt")), "arctan": "atan"}.items():
+for _name, _called in {**dict.fromkeys(("sin", "cos", "tan", "tanh", "exp", "sqrt"), ""), "arctan": "atan"}.items():
     # NumPy calls a method of an object by the name of its function: np.sin(number) is recorded, too
-    setattr(Recorded, _name, lambda self, form=_form or _name: self.tape.record(form, self))
+    setattr(Recorded, _name, lambda self, form=_called or _name: self.tape.record(form, self))
 
 
 def name_of(operand: Any) -> str:

@@ -69,7 +69,7 @@ class Bus:
 
     def report_health(self, service: str, **fields: Any) -> None:
         """Publishes a heartbeat of this process that is about no robot, with further fields of ``HealthMessage``."""
-        process = {"pid": os.getpid(), "software": software_version(), "supervised": is_supervised()}
+        process: dict[str, Any] = {"pid": os.getpid(), "software": software_version(), "supervised": is_supervised()}
         message = HealthMessage(**header(), service=service, **process, **fields)
         self.publish(HEALTH, NO_ROBOT, message, service)
 

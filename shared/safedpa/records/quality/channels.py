@@ -77,7 +77,7 @@ def dead_rows(rows: RawRows, stretches: list[Stretch], system: System) -> Found:
     A constant command in the middle of a run is a manoeuvre, not a defect.
     """
     bad = np.zeros(len(rows.t), dtype=bool)
-    found = []
+    found: list[Finding] = []
     total_time = sum(float(rows.t[part.stop - 1] - rows.t[part.start]) for part in stretches)
     response = response_of(rows, stretches, system)
     if response is None:
