@@ -412,3 +412,28 @@ def test_a_margin_of_messages_stays_a_number_that_they_carry() -> None:
     for power in range(80):
         online.update(10.0**power)
     assert online.value == 1e12
+
+
+class Recording:
+    """A recording of two stretches, with one step of another length."""
+
+    def parts(self) -> Any:
+        rows = np.array([[0.0], [1.0], [2.0], [3.0]])
+        yield np.array([0.0, 0.05, 0.10, 0.30]), rows, np.ones((4, 1))
+        yield np.array([9.0, 9.05]), 10.0 + rows[:2], np.ones((2, 1))
+
+
+def test_recorded_drives_and_pairs_give_the_margin_of_their_transitions() -> None:
+    """x+ is predicted as x + 1.25, and measured as x + 1: h = -x errs by -0.25, h = x by 0.25."""
+    prediction, barrier = Prediction(lambda x: (x + 0.25, np.eye(1))), FunctionBarrier(lambda x: x[0], kind="wall")
+    pair = np.arange(4.0)[:, None], np.ones((4, 1))
+    for drives in ([Recording()], [pair], [Recording(), Recording()]):
+        found = calibrate_margin(prediction, [barrier], drives, coverage=0.5, date="2026-11-29")
+        assert found.epsilon == pytest.approx({"wall": 0.25})
+    assert calibrate_margin(prediction, [barrier], [Recording()], coverage=0.5, date="").transitions == 3
+
+
+@pytest.mark.parametrize("drives", [[], [(np.zeros((1, 1)), np.zeros((1, 1)))], [(np.zeros((3, 1)), np.zeros((2, 1)))]])
+def test_drives_without_a_step_or_with_unequal_tables_are_refused(drives: Any) -> None:
+    with pytest.raises(InputError, match="drives: got"):
+        calibrate_margin(Prediction(lambda x: (x, np.eye(1))), [], drives, coverage=0.5, date="")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,11 +27,17 @@ __all__ = [
     "margin_from_text",
     "margin_text",
     "one_step_errors",
+    "transitions_of",
 ]
 
 Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 """The barriers: the same for all transitions, or a function that returns those of a transition's index."""
 
+Drive = Any
+"""A recording with ``parts()``, stretches of time, states and actions; or a pair of states and actions."""
+
+_SAME_STEP = 0.1
+"""Share by which a step may differ from the usual one."""
 _FORMAT = 2
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
@@ -196,9 +202,9 @@ class MarginCalibration:
 def calibrate_margin(
     model: AbstractDynamics | Prediction,
     barriers: Scene,
-    states: ArrayLike,
-    actions: ArrayLike,
-    next_states: ArrayLike,
+    states: ArrayLike | Sequence[Drive],
+    actions: ArrayLike | None = None,
+    next_states: ArrayLike | None = None,
     latents: ArrayLike | None = None,
     *,
     coverage: float,
@@ -207,14 +213,52 @@ def calibrate_margin(
 ) -> MarginCalibration:
     """Margins from n transitions that were not used to fit the model: states (n, states), actions (n, actions), ...
 
-    There is one error for each transition and kind, the worst over the kind's barriers, so that the coverage holds for
-    all of them at once. Raises InputError if n is too small for the coverage, or shapes do not fit.
+    Without ``actions``, ``states`` are recorded drives: recordings as ``safedpa.read`` returns them, or pairs of states
+    (n, states) and actions (n, actions), one row a period. There is one error for each transition and kind, the worst
+    over the kind's barriers, so that the coverage holds for all of them at once. Raises InputError if n is too small
+    for the coverage, or shapes do not fit.
     """
+    if actions is None or next_states is None:
+        if actions is not None or next_states is not None or latents is not None:
+            raise InputError("transitions: got states without actions or next states, wanted all three, or drives")
+        states, actions, next_states = transitions_of(cast("Sequence[Drive]", states))
     errors = one_step_errors(model, barriers, states, actions, next_states, latents)
     # Only a physics model has a fingerprint and a period of its own.
     if not isinstance(model, PhysicsModel):
         return calibration_from_errors(errors, coverage, date, model_fingerprint)
     return calibration_from_errors(errors, coverage, date, model_fingerprint or fingerprint(model), model.period)
+
+
+def transitions_of(drives: Sequence[Drive]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """States (n, states), actions (n, actions) and next states (n, states) of all steps of one length.
+
+    Steps of a recording that differ by more than 10 % from the median of all are left out. Raises InputError without
+    any step, or for a drive of another form.
+    """
+    parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    for drive in drives:
+        # Of a pair, one row a period: the length of a step has no influence.
+        stretches = drive.parts() if hasattr(drive, "parts") else [(np.arange(len(drive[0])), *drive)]
+        for stretch in stretches:
+            t, states, actions = (np.asarray(table, dtype=np.float64) for table in stretch)
+            parts.append((t, states, actions))
+    for t, states, actions in parts:
+        if states.ndim != 2 or actions.ndim != 2 or not len(t) == len(states) == len(actions):
+            raise InputError(f"drives: got tables of shapes {states.shape} and {actions.shape}, wanted as many rows")
+    steps = [np.diff(t) for t, _, _ in parts]
+    if not sum(map(len, steps)):
+        raise InputError("drives: got no step, wanted drives of two rows or more")
+    usual = float(np.median(np.concatenate(steps)))
+    near = [np.abs(step - usual) <= _SAME_STEP * usual for step in steps]
+    found = [
+        np.concatenate([table[keep] for table, keep in zip(tables, near, strict=True)])
+        for tables in (
+            [states[:-1] for _, states, _ in parts],
+            [actions[:-1] for _, _, actions in parts],
+            [states[1:] for _, states, _ in parts],
+        )
+    ]
+    return found[0], found[1], found[2]
 
 
 def calibration_from_errors(
