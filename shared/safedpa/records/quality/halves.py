@@ -26,6 +26,8 @@ _FACTORS = (-1.0, 0.25, 0.5, 2.0, 4.0)
 """Factors of a command that are tried from some time on."""
 _UNDONE = 0.5
 """Share of the unexplained changes of some state that may remain when a wrong factor is undone."""
+_UNDONE_USUAL = 0.75
+"""The same without the windows that are explained worst."""
 _VARIED = 0.5
 """Least standard deviation of a command in units of its mean."""
 _OTHER_FACTOR = 0.6
@@ -35,6 +37,8 @@ _DRIFTS = (5.0, 14.0, 36.0)
 _FINER = (0.6, 0.75, 0.87, 1.15, 1.35, 1.6)
 _DRIFTED, _DRIFTED_STATE = 0.12, 0.88
 """Least fall of the log of what is unexplained, summed over states, and what may remain of one state."""
+_CONFIRMED = 0.5
+"""Share of that fall without the windows that are explained worst."""
 _SHIFTED = 0.15
 """The same fall for an offset."""
 _SHORT = 4
@@ -52,11 +56,10 @@ def halves_findings(rows: RawRows, stretches: Sequence[Stretch], system: System)
     short = response_of(rows, stretches, system, _SHORT)
     if response is None or short is None:
         return []
-    # Impacts and emergency brakes are no faults of the data; a few such windows would hide or imitate one.
-    response = without_worst(response, _TRIMMED)
-    before = response.sums()[0]
-    found = _changed_command(response) or _drift(response, before)
-    return found or _stale(short) or _offset(response, short, before)
+    # Impacts and emergency brakes are no faults of the data: without such windows a fault still has to show.
+    usual = without_worst(response, _TRIMMED)
+    found = _changed_command(response, usual) or _drift(response, usual)
+    return found or _stale(short) or _offset(usual, short, usual.sums()[0])
 
 
 _TRIMMED = 0.05
@@ -70,7 +73,7 @@ def _done(kind: str, where: str = "") -> str:
 # ----------------------------------------------------------------------------------------------- sign and factor
 
 
-def _changed_command(response: Response) -> list[Finding]:
+def _changed_command(response: Response, usual: Response) -> list[Finding]:
     """A command whose sign or factor is another one from some time on."""
     parts = np.array_split(np.arange(len(response.start)), _PARTS)
     sums = response.sums(parts=parts)
@@ -92,6 +95,10 @@ def _changed_command(response: Response) -> list[Finding]:
     action, factor, part, state = what
     name, answer = response.system.action_names[action], response.system.state_names[state]
     begin = _finer_begin(response, action, factor, parts[part][0])
+    corrected = usual.actions.copy()
+    corrected[usual.t >= begin, action] /= factor
+    if (usual.sums(actions=corrected)[0].rest() / usual.sums()[0].rest()).min() > _UNDONE_USUAL:
+        return []
     means = "has the opposite sign" if factor < 0.0 else "acts otherwise"
     text = (
         f"{name} {means} from t = {begin:.3f} s on: it fits the answer of {answer} when it is multiplied by "
@@ -146,11 +153,11 @@ def _groups(system: System) -> Iterator[_Group]:
         yield from (_Group((name,), (), (at,)) for at, name in enumerate(actions))
 
 
-def _drift(response: Response, before: Sums) -> list[Finding]:
+def _drift(response: Response, usual: Response) -> list[Finding]:
     """Channels that come later and later, or earlier and earlier, compared with the others."""
-    rest = before.rest()
     best, what = -0.25 * _DRIFTED, None
     for group in _groups(response.system):
+        rest = _undrifted(response, group)
         for rows in (sign * size for size in _DRIFTS for sign in (1.0, -1.0)):
             gain = float(np.log(_drifted(response, group, rows).rest() / rest).sum())
             if gain < best:
@@ -158,11 +165,13 @@ def _drift(response: Response, before: Sums) -> list[Finding]:
     if what is None:
         return []
     group, rows = what
-    gains = {
-        size: np.log(_drifted(response, group, size).rest() / rest) for size in (rows * by for by in (1.0, *_FINER))
-    }
+    rest, sizes = _undrifted(response, group), [rows * by for by in (1.0, *_FINER)]
+    gains = {size: np.log(_drifted(response, group, size).rest() / rest) for size in sizes}
     rows = min(gains, key=lambda size: float(gains[size].sum()))
     if float(gains[rows].sum()) > -_DRIFTED or float(np.exp(gains[rows]).min()) > _DRIFTED_STATE:
+        return []
+    confirmed = np.log(_drifted(usual, group, rows).rest() / _undrifted(usual, group))
+    if float(confirmed.sum()) > -_CONFIRMED * _DRIFTED:
         return []
     seconds = abs(rows) * float(np.median(np.diff(response.t)))
     names, many = " and ".join(group.names), len(group.names) > 1
@@ -176,14 +185,22 @@ def _drift(response: Response, before: Sums) -> list[Finding]:
     return [finding("clock_drift", text, len(response.t), float(response.t[0]), _done("clock_drift", "'s times"))]
 
 
+def _undrifted(response: Response, group: _Group) -> FloatArray:
+    """What is unexplained without a drift; of states also with a drift of a row, which smooths noise as any other."""
+    sizes = (0.0, 1.0, -1.0) if group.states else (0.0,)
+    return np.asarray(np.min([_drifted(response, group, size).rest() for size in sizes], axis=0))
+
+
 def _drifted(response: Response, group: _Group, rows: float) -> Sums:
-    """The sums if a group were read so many rows later at the end than at the beginning, in whole rows."""
+    """The sums if a group were read so many rows later at the end than at the beginning."""
     count = len(response.t)
-    at = np.clip(np.arange(count) + np.round(rows * np.linspace(-0.5, 0.5, count)).astype(np.intp), 0, count - 1)
+    moved = np.arange(count) + rows * np.linspace(-0.5, 0.5, count)
+    at = np.clip(np.round(moved).astype(np.intp), 0, count - 1)
     states, actions = response.states, response.actions
     if group.states:
         states = states.copy()
-        states[:, group.states] = response.states[np.ix_(at, np.array(group.states))]
+        for index in group.states:
+            states[:, index] = np.interp(moved, np.arange(count), response.states[:, index])
     if group.actions:
         actions = actions.copy()
         actions[:, group.actions] = response.actions[np.ix_(at, np.array(group.actions))]
