@@ -33,6 +33,7 @@ from safedpa.safety.prediction.predictor import Prediction
 __all__ = [
     "EVIDENCE",
     "MAX_DELAY",
+    "POSSIBLE_EVIDENCE",
     "STATED_DELAY",
     "TOLERATED_DELAY",
     "USUAL_DELAY",
@@ -50,9 +51,12 @@ TOLERATED_DELAY: Final = 2
 """Periods up to which nothing is compensated."""
 USUAL_DELAY: Final = 1
 """Periods of every delay that are not compensated."""
-EVIDENCE: Final = 16.0
-"""Difference of two log-likelihoods that rejects a delay. Model errors are correlated over ticks, so there are fewer
+POSSIBLE_EVIDENCE: Final = 16.0
+"""Difference of two log-likelihoods that rules a delay out. Model errors are correlated over ticks, so there are fewer
 independent ones than ticks: hence much more than the 3 to 5 of textbooks."""
+EVIDENCE: Final = 24.0
+"""Difference of two log-likelihoods beyond which a delay is found. More than what rules one out: a message must be
+true, while the constraints hold for every possible delay anyway. Chosen so that a load of twice the mass is none."""
 _FORGETTING_TIME: Final = 2.0
 """Time constant [s] of the forgetting."""
 _MIN_COUNT: Final = 6.0
@@ -93,19 +97,22 @@ class Transition(NamedTuple):
 class _Evidence:
     """The sums S_nj of squared errors with forgetting, and the delays that they do not reject."""
 
-    def __init__(self, period: float) -> None:
-        self._keep = exp(-period / _FORGETTING_TIME)
+    def __init__(self, period: float, evidence: float) -> None:
+        self._keep, self._evidence = exp(-period / _FORGETTING_TIME), evidence
         self._count = 0.0
         self._sums: list[list[float]] = []
         self.accepted: list[int] = []
         """Delays [periods] that are not rejected, ascending; empty without evidence."""
+        self.likely: list[int] = []
+        """The same with ``POSSIBLE_EVIDENCE``."""
 
     def add(self, squares: list[list[float]]) -> None:
         """Adds the squared errors of each delay and state."""
         # Another number of delays or states means another model: its errors cannot be added to the old ones.
         states = len(squares[0])
         if len(self._sums) != len(squares) or len(self._sums[0]) != states:
-            self._sums, self._count, self.accepted = [[0.0] * states for _ in squares], 0.0, []
+            self._sums, self._count = [[0.0] * states for _ in squares], 0.0
+            self.accepted, self.likely = [], []
         self._count = self._keep * self._count + 1.0
         keep = self._keep
         for delay in range(len(squares)):  # over indices: compiled, an iterator over pairs takes five times as long
@@ -129,8 +136,9 @@ class _Evidence:
                     value = self._sums[delay][state]
                     costs[delay] += log(value if value > smallest else smallest)
         # ``costs`` are -2 L / N, so the difference of log-likelihoods is scaled by 2 / N.
-        limit = min(costs) + 2.0 * EVIDENCE / self._count
-        self.accepted = [delay for delay, cost in enumerate(costs) if cost <= limit]
+        best, most = min(costs), 2.0 / self._count
+        self.accepted = [delay for delay, cost in enumerate(costs) if cost <= best + most * self._evidence]
+        self.likely = [delay for delay, cost in enumerate(costs) if cost <= best + most * POSSIBLE_EVIDENCE]
 
 
 @final
@@ -139,7 +147,7 @@ class DelayEstimator:
 
     def __init__(self, prediction: Prediction, ranges: Sequence[float], period: float) -> None:
         self._prediction, self._ranges, self._period = prediction, ranges, period
-        self._all, self._moving = _Evidence(period), _Evidence(period)
+        self._all, self._moving = _Evidence(period, POSSIBLE_EVIDENCE), _Evidence(period, EVIDENCE)
         self.periods = 0
         """The estimated delay beyond the model's own; what the robot reports is part of it."""
 
@@ -226,6 +234,10 @@ class DelayEstimator:
         # The smallest plausible delay: compensating too much would act on a state that the robot has not reached yet.
         if accepted and min(self.periods, len(squares) - 1) not in accepted:
             self.periods = accepted[0]
+        # Beyond the stated delay no promise holds: the robot brakes as soon as all others are ruled out.
+        likely = self._moving.likely
+        if likely and self.periods < likely[0] and (likely[0] - USUAL_DELAY) * self._period > STATED_DELAY + _ROUNDING:
+            self.periods = likely[0]
 
     def _squared_errors(self, transition: Transition, latent: Plain | None) -> list[list[float]]:
         """Squared error of each state (states,), in its unit squared, for each delay."""
