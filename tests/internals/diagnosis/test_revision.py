@@ -93,7 +93,7 @@ def test_only_accepted_candidates_are_reported_as_replaced(searching: Any) -> No
     for stage, decision in enumerate(("rejected", "accepted")):
         for names in (("a",), ("b",)):
             search.candidates.append(JudgedTrial(stage, trial(*names), 4.0, NOTHING, decision, f"stage {stage}", ()))
-    backward_revision._replace(search, ("a",), ("d",), trial("d", "b"))
+    backward_revision.replace_effects(search, ("a",), ("d",), trial("d", "b"))
     assert search.added == ["d", "b"]
     found = [(item.stage, item.trial.effects, item.decision) for item in search.candidates]
     assert found == [

@@ -96,7 +96,7 @@ def exchange_effects(search: SearchState) -> None:
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_effect_names(search)})
         spurious = is_spurious_delay(replace(best, effects=(new,)), None, search.error, 0.0)
         if block_gain(search.current, best, search.shooting) > SIMPLER and not spurious:
-            _replace(search, (name,), (new,), best)
+            replace_effects(search, (name,), (new,), best)
 
 
 def _justifies_its_parameters(trial: EffectTrial, search: SearchState) -> bool:
@@ -112,7 +112,7 @@ def _justifies_its_parameters(trial: EffectTrial, search: SearchState) -> bool:
     return more <= 0 or better > more
 
 
-def _replace(search: SearchState, group: Sequence[str], new: Sequence[str], best: EffectTrial) -> None:
+def replace_effects(search: SearchState, group: Sequence[str], new: Sequence[str], best: EffectTrial) -> None:
     """Replaces accepted effects by others, with which the model is ``best``, and updates the candidates."""
     index = search.added.index(group[0])
     search.added[index : index + 1] = new
@@ -236,7 +236,7 @@ def merge_effects(search: SearchState) -> bool:
         for whole in _merged_rivals(search, pair, by_name):
             best = refit_effects(search, [*others, whole])
             if _is_as_good(best, search):
-                _replace(search, pair, (whole.name,), best)
+                replace_effects(search, pair, (whole.name,), best)
                 return True
     return False
 
@@ -356,7 +356,7 @@ def exchange_for_fewer_parameters(search: SearchState) -> None:
         if not found:
             return
         group, trial, names = min(found, key=lambda one: one[1].loss)
-        _replace(search, group, names, trial)
+        replace_effects(search, group, names, trial)
 
 
 def split_effect(search: SearchState) -> None:
@@ -379,7 +379,7 @@ def split_effect(search: SearchState) -> None:
             trial = refit_effects(search, [by_name[item] for item in (*retained, *new)])
         gain = block_gain(search.current, trial, search.shooting)
         if trial.fit.free.all() and passes(gain, search.error_of(trial.fit), search.error):
-            _replace(search, (name, *idle), new, trial)
+            replace_effects(search, (name, *idle), new, trial)
 
 
 def effects_at_bounds(trial: EffectTrial) -> set[str]:

@@ -83,7 +83,7 @@ from safedpa.diagnosis.search.final_parameters import (
 )
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
-from safedpa.diagnosis.search.restarts import is_open, try_other_beginnings
+from safedpa.diagnosis.search.restarts import exchange_for_refused, is_open, try_other_beginnings
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, accept_trial, known_effects
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
@@ -116,6 +116,7 @@ def run_search(
         _add_effects(other, report_progress, other_horizons)
         report_progress(0, 3, f"revising the effects that were added; {_so_far(other)}")
         # Revision comes after all additions: which effect is superfluous is clear only once the others are known.
+        exchange_for_refused(other)
         _revise(other)
 
     search.library = [item for item in library if not item.rare]

@@ -17,8 +17,9 @@ from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, ratio_gain, tri
 from safedpa.diagnosis.residuals.adequacy import remainder_of, structural_error
 from safedpa.diagnosis.residuals.dependence import forced_states
 from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, SURE, passes
+from safedpa.diagnosis.search.backward_revision import refit_effects, replace_effects
 from safedpa.diagnosis.search.joint_trials import JointTrial, fit_jointly, textbook_combinations
-from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, known_effects
 from safedpa.effects import AbstractEffect
 
 # Share of the squares that depends on what was driven, from which other beginnings are tried.
@@ -29,6 +30,8 @@ _SIZE = 0.01
 _SPREAD = 2.5
 # Reduction of the held-out error, relative to the greedy search with as many effects, that makes a new beginning.
 _BETTER = 0.05
+# Refused trials that are tried in the place of an accepted effect.
+_REFUSED = 2
 # Beginnings from which the search is repeated at most.
 _BEGINNINGS = 2
 # Ratio of held-out errors up to which two combinations may be equivalent.
@@ -73,6 +76,38 @@ def try_other_beginnings(
         complete(other)
         if is_better(other, search):
             search.continue_from(other)
+
+
+def exchange_for_refused(search: SearchState) -> None:
+    """Exchanges an accepted effect for what it blocks: a refused trial that passes in its place.
+
+    Example: with a delay of all actuators in the model, a lag of each is refused as a second delay of the same command.
+    """
+    last = max((item.stage for item in search.candidates), default=0)
+    refused = [
+        item
+        for item in search.candidates
+        if item.stage == last
+        and item.decision == "suspected"
+        and item.gain > SURE
+        and (item.fall or 0.0) > FALL
+        and set(item.trial.effects) <= {effect.name for effect in search.available}
+    ]
+    by_name = known_effects(search)
+    for item in sorted(refused, key=lambda one: -(one.fall or 0.0))[:_REFUSED]:
+        new = [by_name[name] for name in item.trial.effects]
+        tried = {
+            name: refit_effects(search, [*(by_name[other] for other in search.added if other != name), *new])
+            for name in search.added
+        }
+        usable = [name for name, trial in tried.items() if trial.fit.free.all()]
+        if not usable:
+            continue
+        name = min(usable, key=lambda one: tried[one].loss)
+        gain = block_gain(search.current, tried[name], search.shooting)
+        if passes(gain, search.error_of(tried[name].fit), search.error):
+            replace_effects(search, (name,), item.trial.effects, tried[name])
+            return
 
 
 def _combinations(
