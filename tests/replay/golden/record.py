@@ -28,7 +28,7 @@ from safedpa.replay.tape import read_tape
 HERE = Path(__file__).parent
 RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "car_box": (("--lockstep", "--load", "box", "--seconds", "6"), {}),
-    "car_killed": (("--load", "chair", "--seconds", "9"), {"policy": 1.5, "adaptation": 3.5, "safety_filter": 5.5}),
+    "car_killed": (("--load", "chair", "--seconds", "10"), {"policy": 3.0, "adaptation": 5.0, "safety_filter": 7.0}),
     "car_learned": (("--lockstep", "--model", "car_learned", "--load", "box", "--seconds", "3"), {}),
     "pendulum": (("--lockstep", "--robot", "pendulum", "--wind", "2", "--seconds", "1"), {}),
 }
