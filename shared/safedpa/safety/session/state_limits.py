@@ -21,6 +21,8 @@ SHIPPED_LIMITS: Final = "shipped"
 _FORMAT: Final = 1
 _STILL: Final = 0.05
 """Share of the largest way at which a window counts as one without motion."""
+_SUMMED: Final = 1.6
+"""Further factor on what adds up over seconds: its largest values are rarer, and differ more from drive to drive."""
 _RESERVE: Final = 1.3
 """Factor on the largest value in healthy drives: another drive may exceed it a little."""
 
@@ -110,7 +112,7 @@ _TABLES: Final = tuple(item.name for item in fields(StateLimits))
 
 
 def limits_from_evidence(evidence: Iterable[Evidence], *, reserve: float = _RESERVE) -> StateLimits:
-    """The limits that healthy drives imply: the largest of each value, times ``reserve``.
+    """The limits that healthy drives imply: the largest of each value, times ``reserve``; times 1.6 more for sums.
 
     ``drift`` is the largest sum in windows without motion; ``drift_share`` what others exceed it by, per way.
     Raises InputError without any evidence.
@@ -127,10 +129,9 @@ def limits_from_evidence(evidence: Iterable[Evidence], *, reserve: float = _RESE
         # A robot that never rests, such as one that balances, has no windows without motion: its shortest ways count.
         resting = [total for total, way in pairs if way <= still] or [min(pairs, key=lambda pair: pair[1])[0]]
         drift[unit] = reserve * max(*resting, jump[unit] / reserve)
-        share[unit] = max(
-            0.0, *(reserve * (total - drift[unit] / reserve) / way for total, way in pairs if way > still)
-        )
-    return StateLimits(jump, drift, share, silent)
+        share[unit] = max([0.0, *((reserve * total - drift[unit]) / way for total, way in pairs if way > still)])
+    slow = ({unit: _SUMMED * value for unit, value in table.items()} for table in (drift, share, silent))
+    return StateLimits(jump, *slow)
 
 
 def limits_named(name: str) -> StateLimits | None:
