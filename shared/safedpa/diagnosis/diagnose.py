@@ -28,7 +28,8 @@ from safedpa.diagnosis.fit.data_checks import (
     finding_row,
     prepare_runs,
 )
-from safedpa.diagnosis.fit.trial import values_of
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.trial import EffectTrial, values_of
 from safedpa.diagnosis.report_schema import (
     Candidate,
     Detectable,
@@ -108,7 +109,13 @@ def diagnose(
 
     # An empty library skips the additions but still refits the free parameters, whose error the report shows.
     search = run_search(
-        model, library if judge.enough else [], evidence.shooting, evidence.heldout, report_progress, other_horizons
+        model,
+        library if judge.enough else [],
+        evidence.shooting,
+        evidence.heldout,
+        report_progress,
+        other_horizons,
+        _remaining,
     )
     usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
@@ -147,9 +154,13 @@ def diagnose(
     )
 
 
+def _remaining(trial: EffectTrial, shooting: Shooting) -> Remainder | None:
+    return remainder_of(trial, shooting, forced_states(trial.fit.model))
+
+
 def _remainder(search: SearchState) -> Remainder | None:
     """Returns what the last model leaves of unseen data, with a sentence if it is neither noise nor disturbance."""
-    found = remainder_of(search.current, search.shooting, forced_states(search.current.fit.model))
+    found = _remaining(search.current, search.shooting)
     first = search.first_error.value if search.added else None
     return None if found is None else with_sentence(found, search.error.value, first)
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, ratio_gain, trial_of
-from safedpa.diagnosis.residuals.adequacy import remainder_of, structural_error
-from safedpa.diagnosis.residuals.dependence import forced_states
 from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, SURE, passes
 from safedpa.diagnosis.search.backward_revision import refit_effects, replace_effects
 from safedpa.diagnosis.search.joint_trials import JointTrial, fit_jointly, textbook_combinations
@@ -44,10 +44,11 @@ def is_open(search: SearchState) -> bool:
     """Returns whether a result asks for other beginnings: much is missing, or the residual depends on the drive."""
     if search.error.value > MUCH or base_at_bound(search):
         return True
-    found = remainder_of(search.current, search.shooting, forced_states(search.current.fit.model))
+    found = search.judge(search.current, search.shooting)
     if found is None:
         return False
-    depends = found.share > _STRUCTURE and structural_error(found, search.error.value) > _SIZE
+    structural = search.error.value * float(np.sqrt(max(found.share, 0.0)))
+    depends = found.share > _STRUCTURE and structural > _SIZE
     return depends or (found.spread > _SPREAD and found.spread_errors > SURE and search.error.value > _SIZE)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.least_squares import Fit, relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, trial_of
+from safedpa.diagnosis.report_schema import Remainder
 from safedpa.diagnosis.search.regions import RegionFit
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
@@ -35,6 +36,10 @@ class JudgedTrial:
         return None if self.error is None or not self.before > 0 else 1.0 - self.error.value / self.before
 
 
+RemainderJudge = Callable[[EffectTrial, Shooting], Remainder | None]
+"""Returns what a fitted model leaves of unseen data; None if the recordings are too short to judge that."""
+
+
 @dataclass
 class SearchState:
     """What a search has found, and everything that it tried."""
@@ -54,6 +59,8 @@ class SearchState:
     """The windows about the first model."""
     raw: Shooting | None = None
     """The windows with measured starts and uniform weights, about no model."""
+    judge: RemainderJudge = lambda _trial, _shooting: None
+    """Judges what a model leaves of unseen data."""
     least_errors: dict[int, float] = field(default_factory=dict)
     """By number of accepted effects, the lowest held-out error of a model on the way."""
     candidates: list[JudgedTrial] = field(default_factory=list)
@@ -104,7 +111,7 @@ class SearchState:
         """Returns a search that begins with the first model again."""
         windows, error = self.first_shooting or self.shooting, self.first_error
         start = SearchState(windows, self.first, error, self.first, error, self.heldout, self.library)
-        return replace(start, given=self.given, raw=self.raw, first_shooting=windows)
+        return replace(start, given=self.given, raw=self.raw, first_shooting=windows, judge=self.judge)
 
     def note_error(self) -> None:
         """Remembers the error of the current model by its number of accepted effects."""
