@@ -27,7 +27,9 @@ LONG = pytest.mark.long
 # A command without --json, and the function that gives the same.
 COMMANDS: list[Any] = [
     (f"compare {MODEL} {LOG} --before {OTHER} --out out", lambda: safedpa.compare(MODEL, LOG, before=OTHER)),
-    pytest.param(f"diagnose {MODEL} {LOG} --out out --force", lambda: safedpa.diagnose(MODEL, LOG, out="out"), marks=LONG),
+    pytest.param(
+        f"diagnose {MODEL} {LOG} --out out --force", lambda: safedpa.diagnose(MODEL, LOG, out="out"), marks=LONG
+    ),
     (f"diagnose {MODEL} {LOG} --check", lambda: safedpa.check_data(MODEL, LOG)),
     (f"add {MODEL} {FRICTION} {LOG} --out out.toml", lambda: safedpa.add(MODEL, FRICTION, LOG, out="out.toml")),
     (f"predict {MODEL} {LOG} --horizon 0.5 --out out.csv", lambda: safedpa.predict(MODEL, LOG, 0.5, out="out.csv")),
