@@ -21,9 +21,9 @@ SHIPPED_LIMITS: Final = "shipped"
 _FORMAT: Final = 1
 _STILL: Final = 0.05
 """Share of the largest way at which a window counts as one without motion."""
-_SUMMED: Final = 1.6
+_SUMMED: Final = 1.3
 """Further factor on what adds up over seconds: its largest values are rarer, and differ more from drive to drive."""
-_RESERVE: Final = 1.3
+_RESERVE: Final = 1.6
 """Factor on the largest value in healthy drives: another drive may exceed it a little."""
 
 
@@ -112,7 +112,7 @@ _TABLES: Final = tuple(item.name for item in fields(StateLimits))
 
 
 def limits_from_evidence(evidence: Iterable[Evidence], *, reserve: float = _RESERVE) -> StateLimits:
-    """The limits that healthy drives imply: the largest of each value, times ``reserve``; times 1.6 more for sums.
+    """The limits that healthy drives imply: the largest of each value, times ``reserve``; times 1.3 more for sums.
 
     ``drift`` is the largest sum in windows without motion; ``drift_share`` what others exceed it by, per way.
     Raises InputError without any evidence.
