@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -15,18 +15,19 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import AbstractBase
 from safedpa.effects.library import module_from
 from safedpa.operations import NUMPY
-from safedpa.records.column_map.recognise import changes
+from safedpa.records.column_map.recognise import PlanarMotion, changes
 from safedpa.systems import System, Variable
 
 __all__ = [
     "KINDS", "WHOLE", "Chain", "ProposedBase", "RateTerm", "base_of", "bases_of_chain", "fitted_start", "follows",
-    "moving", "whole_robot",
+    "moving", "planar_rates", "turning_base", "whole_robot",
 ]  # fmt: skip
 
 WHOLE: Final = {
     "bicycle": "states x, y, yaw, speed; actions with 'steer' in the name and one more",
     "differential_drive": "states x, y, yaw, speed, turn_rate; actions with 'turn' in the name and one more",
     "multirotor": "states vx, vy, vz; actions thrust, pitch, roll",
+    "planar": "positions on the floor, a heading, and velocities in the body's frame that change them",
 }
 """Bases of whole robots, with the names that they need."""
 KINDS: Final = ("integrator", "first_order", "double_integrator", "joint", "position_loop", *WHOLE)
@@ -313,6 +314,35 @@ def whole_robot(system: System) -> list[ProposedBase]:
         }
         found.append(ProposedBase("multirotor", rates))
     return found
+
+
+def planar_rates(motion: PlanarMotion, turn: str) -> dict[str, tuple[RateTerm, ...]]:
+    """Rates of position and heading: the velocities of the body's frame, turned by the heading, and the turn rate."""
+    forward, yaw = f'state["{motion.forward}"]', f'state["{motion.yaw}"]'
+    side = f'state["{motion.lateral}"]'
+    lateral = {
+        "x": (RateTerm("", "", f"{side} * operations.sin({yaw})", -1),),
+        "y": (RateTerm("", "", f"{side} * operations.cos({yaw})"),),
+    }
+    found = {
+        getattr(motion, axis): (
+            RateTerm("", "", f"{forward} * operations.{function}({yaw})"),
+            *(lateral[axis] if motion.lateral else ()),
+        )
+        for axis, function in _AXES
+    }
+    return {**found, motion.yaw: (RateTerm("", "", f'state["{turn}"]'),)}
+
+
+def turning_base(chain: Chain, forward: str) -> list[ProposedBase]:
+    """A turn rate that commands change in proportion to the forward velocity, as of a rudder or a steered wheel."""
+    name = chain.position.name
+    pushed = tuple(
+        replace(term, unit="1/s/m", expression=f'{term.expression} * state["{forward}"]')
+        for term in (_gain(chain, command, chain.position) for command in chain.commands)
+    )
+    damping = RateTerm(f"{chain.prefix}damping", "1/s", f'state["{name}"]', -1, True)
+    return [ProposedBase("turning", {name: (*pushed, damping)})] if pushed else []
 
 
 _AXES = (("x", "cos"), ("y", "sin"))

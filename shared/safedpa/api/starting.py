@@ -25,6 +25,8 @@ from safedpa.api.proposed_bases import (
     fitted_start,
     follows,
     moving,
+    planar_rates,
+    turning_base,
     whole_robot,
 )
 from safedpa.arrays import FloatArray
@@ -43,6 +45,7 @@ from safedpa.records.column_map.recognise import (
     changes,
     is_command,
     logged_column,
+    planar_motion,
     rate_pairs,
     time_column,
 )
@@ -54,6 +57,8 @@ from safedpa.systems import System, Variable, systems
 
 _TRAINING = 0.7
 """Share of the log on which the bases are fitted; they are compared on the rest."""
+_OF_REST = 0.4
+"""Share of the last part of a log that the default horizon lasts at most."""
 _CLEARLY = 0.95
 """A later base is taken instead of a simpler one if its error is below this share of the simpler one's."""
 _DERIVED_ROWS = 5
@@ -70,9 +75,9 @@ class StartedModel(AbstractResult):
     """A first model of a robot, from the tables ``logs``.
 
     ``system`` has the states and actions, ``kinds`` are the bases by state. ``error`` is that of the model on the last
-    part of the log, as a share of the usual change after ``horizon`` [s]; ``unused`` are columns of the log that are in
-    no role. ``folder`` has the files robot.py (system, base, effects), model.toml and columns.toml; ``command``
-    diagnoses the model with the log.
+    part of the log, as a share of the usual change after ``horizon`` [s], ``naive`` that of constant velocity;
+    ``unused`` are columns of the log that are in no role. ``folder`` has the files robot.py (system, base, effects),
+    model.toml and columns.toml; ``command`` diagnoses the model with the log.
 
     Example:
 
@@ -86,6 +91,7 @@ class StartedModel(AbstractResult):
     system: System
     kinds: dict[str, str]
     error: float
+    naive: float
     horizon: float
     unused: tuple[str, ...]
 
@@ -105,6 +111,7 @@ class StartedModel(AbstractResult):
             "actions": list(self.system.action_names),
             "bases": self.kinds,
             "error": self.error if np.isfinite(self.error) else None,
+            "constant_velocity": self.naive if np.isfinite(self.naive) else None,
             "horizon": self.horizon,
             "unused": list(self.unused),
             "next": self.command,
@@ -115,7 +122,15 @@ class StartedModel(AbstractResult):
         actions = ", ".join(f"{item.name} [{item.unit}]" for item in self.system.action)
         bases = ", ".join(f"{kind} ({name})" for name, kind in self.kinds.items())
         unused = [f"not used: {', '.join(map(printable, self.unused))}"] if self.unused else []
-        error = f"error on the last part of the log after {self.horizon:g} s: {self.error:.3g} of the usual change"
+        error = (
+            f"error on the last part of the log after {self.horizon:g} s: {self.error:.3g} of the usual change; "
+            f"constant velocity {self.naive:.3g}"
+        )
+        if not self.error < self.naive:
+            error += (
+                "\nno proposed base predicts better than constant velocity: the log may lack a command that moves the "
+                "robot, or its physics is none of these; name columns with --state and --action, or edit robot.py"
+            )
         checked = f"check names, units and bounds in {self.folder / 'robot.py'}, then:"
         return "\n".join(
             [f"states: {states}", f"actions: {actions}", f"base: {bases}", *unused, error, checked, f"  {self.command}"]
@@ -187,7 +202,7 @@ def init(
         if item.name in (*system.state_names, *system.action_names)
     }
     unused = tuple(column for column in table.names if column not in used | {table.time})
-    return StartedModel(folder, tuple(paths), system, found.kinds, found.error, started.horizon, unused)
+    return StartedModel(folder, tuple(paths), system, found.kinds, found.error, found.naive, started.horizon, unused)
 
 
 def _identifier(name: str) -> str:
@@ -265,6 +280,8 @@ class _Fit:
     proposed: ProposedBase
     model: PhysicsModel
     error: float
+    naive: float
+    """That of constant velocity."""
     source: str
     kinds: dict[str, str]
 
@@ -277,7 +294,10 @@ class _Proposal:
         measured = float(np.median(np.diff(columns.t)))
         self.period = float(f"{max(measured, _LEAST_PERIOD):.4g}")
         self.thinned = measured < 0.7 * _LEAST_PERIOD
-        self.horizon = horizon or float(f"{max(1.0, 20.0 * self.period):.3g}")
+        each = float(columns.t[-1] - columns.t[0]) / len(logs)
+        longest = _OF_REST * (1.0 - _TRAINING) * each  # of short logs the last part has to hold some windows
+        self.horizon = horizon or float(f"{min(max(1.0, 20.0 * self.period), max(longest, 6.0 * self.period)):.3g}")
+        self.reasons: list[str] = []
         pairs = rate_pairs(columns.t, columns.states)
         known = {item.name: item for item in columns.states}
         self.pairs = {position: rate for position, rate in pairs.items() if position in known and rate in known}
@@ -294,6 +314,9 @@ class _Proposal:
 
     def chosen(self, base: str | None) -> _Fit:
         """The base with the smallest error on the last part of the log."""
+        planar = self._planar() if base in (None, "planar") else None
+        if planar is not None:
+            return planar
         whole = self._whole(base)
         if base in WHOLE:
             if whole is None:
@@ -305,8 +328,31 @@ class _Proposal:
             best = replace(best, kinds={head: kind for one in chains for head, kind in one.kinds.items()})
             return best if whole is None or best.error < whole.error else whole
         if whole is None:
-            raise InputError(f"{self.logs[0]}: no base fits the columns; name them with --state and --action")
+            why = f" ({self.reasons[-1]})" if self.reasons else ""
+            raise InputError(f"{self.logs[0]}: no base fits the columns{why}; name them with --state and --action")
         return whole
+
+    def _planar(self) -> _Fit | None:
+        """A body on a plane: known kinematics, and a base for each velocity in its frame; None for other logs."""
+        motion = planar_motion(self.columns.t, [self.quantities[name] for name in self._measured()])
+        turn = "" if motion is None else self.pairs.get(motion.yaw, "")
+        if motion is None or not turn:
+            return None
+        parts = []
+        for name in filter(None, (motion.forward, motion.lateral, turn)):
+            chains = [replace(one, prefix=f"{name}_") for one in self._chain(name, several=True)[:1]]
+            parts.append(self._best([option for one in chains for option in bases_of_chain(one)]))
+            if parts[-1] is None:
+                return None
+        chosen = [one.proposed for one in parts if one is not None]
+        turning = [
+            option for one in self._chain(turn, several=True)[:1] for option in turning_base(one, motion.forward)
+        ]
+        options = [
+            ProposedBase("planar", {**planar_rates(motion, turn), **_joined(bases).rates})
+            for bases in (chosen, *([*chosen[:-1], option] for option in turning))
+        ]
+        return self._best(options)
 
     def _whole(self, base: str | None) -> _Fit | None:
         system = System(self.robot, tuple(map(self._variable, self._measured())), self.actions)
@@ -318,8 +364,9 @@ class _Proposal:
         for option in options:
             try:
                 found = self._fitted(option)
-            except SafedpaError:
-                continue  # a base that cannot be fitted to this log
+            except SafedpaError as error:  # a base that cannot be fitted to this log
+                self.reasons.append(f"{option.kind}: {error}")
+                continue
             if best is None or found.error < _CLEARLY * best.error:
                 best = found
         return best
@@ -371,7 +418,8 @@ class _Proposal:
                 if rest[1] < (1.0 - _DRIVEN) * rest[0]:
                     used.append(command)
                     break
-        return tuple(used)
+        # A robot with one command has to be moved by it, however little of the log shows that.
+        return tuple(used) or (self.actions if len(self.actions) == 1 else ())
 
     def _fitted(self, proposed: ProposedBase) -> _Fit:
         """The base, fitted to the first part of the log, and its error on the rest: of positions, if there are any."""
@@ -391,13 +439,15 @@ class _Proposal:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # predictions of an unsuitable base may diverge
             model = refit(PhysicsModel(made, (), settings, self.period), training, horizon=self.horizon).model
-            per_state = compare_model(model, rest, self.horizon).error.per_state
-        later = (*self.derived, *self.pairs.values())
+            errors = compare_model(model, rest, self.horizon).horizons[-1].errors
+            per_state, naive = errors["model"].per_state, errors["constant_velocity"].per_state
+        later = [*self.derived, *(rate for name, rate in self.pairs.items() if name in system.state_names)]
         heads = [at for at, state in enumerate(system.state_names) if state not in later]
         kinds = {system.state_names[heads[0]]: proposed.kind}
         if not np.isfinite(per_state[heads]).any():
             raise RunError(f"{self.logs[0]}: {proposed.kind} diverges")
-        return _Fit(proposed, model, float(np.nanmean(per_state[heads])), source, kinds)
+        error, of_naive = (float(np.nanmean(found[heads])) for found in (per_state, naive))
+        return _Fit(proposed, model, error, of_naive, source, kinds)
 
     def _driving(self, proposed: ProposedBase) -> tuple[Variable, ...]:
         text = " ".join(term.expression for terms in proposed.rates.values() for term in terms)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from safedpa.records.column_map.form import is_time, unit_named
 from safedpa.records.column_map.propose import COMMANDED
 from safedpa.records.column_map.units import UNITS
 
-__all__ = ["LoggedColumn", "changes", "is_command", "logged_column", "rate_pairs", "time_column"]
+__all__ = [
+    "LoggedColumn", "PlanarMotion", "changes", "is_command", "logged_column", "planar_motion", "rate_pairs",
+    "time_column",
+]  # fmt: skip
 
 _COMMAND_PARTS = {
     "throttle", "motor", "duty", "torque", "tau", "effort", "current", "voltage", "pump", "valve", "thrust", "rudder",
@@ -120,3 +124,54 @@ def _fit(changed: FloatArray, area: FloatArray) -> tuple[float, float]:
     gain = float(area @ changed) / power
     rest = changed - gain * area
     return 1.0 - float(rest @ rest) / total, gain
+
+
+@dataclass(frozen=True)
+class PlanarMotion:
+    """Names of the columns of a body on a plane: position on the floor, heading, and velocities in its own frame."""
+
+    x: str
+    y: str
+    yaw: str
+    forward: str
+    lateral: str = ""
+    """Velocity to the left; empty if there is none."""
+
+
+def planar_motion(t: FloatArray, columns: Sequence[LoggedColumn]) -> PlanarMotion | None:
+    """The columns with x' = v cos(yaw) - w sin(yaw) and y' = v sin(yaw) + w cos(yaw), or None.
+
+    They must explain 90 % of the changes of x and y, in their units; w is left out where it explains little.
+    """
+    positions, angles, speeds = (
+        [item for item in columns if item.si == unit][:_MOST_TRIED] for unit in ("m", "rad", "m/s")
+    )
+    best, found = _LEAST_FIT, None
+    for x, y in permutations(positions, 2):
+        for yaw, forward in product(angles, speeds):
+            for lateral in (None, *(item for item in speeds if item is not forward)):
+                fit = _planar_fit(t, x.values, y.values, yaw.values, forward.values, lateral)
+                # a lateral velocity has to explain a fifth of what remains without it
+                if (1.0 - fit) < (1.0 if lateral is None else _LATERAL) * (1.0 - best):
+                    best = fit
+                    found = PlanarMotion(x.name, y.name, yaw.name, forward.name, lateral.name if lateral else "")
+    return found
+
+
+_MOST_TRIED, _LATERAL = 4, 0.8
+"""Columns of one unit that are tried, and the share of the rest that may remain with a lateral velocity."""
+
+
+def _planar_fit(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, forward: FloatArray, lateral: LoggedColumn | None
+) -> float:
+    side = np.zeros_like(forward) if lateral is None else lateral.values
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    fits = []
+    for span in _SPANS:
+        rest, total = 0.0, 0.0
+        for position, velocity in ((x, cos * forward - sin * side), (y, sin * forward + cos * side)):
+            changed, area = changes(t, position, span)[0], changes(t, velocity, span)[1]
+            rest, total = rest + float(((changed - area) ** 2).sum()), total + float((changed**2).sum())
+        fits.append(1.0 - rest / total if total > 0.0 else 0.0)
+    return max(fits)
