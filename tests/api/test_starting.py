@@ -56,6 +56,13 @@ def test_the_printed_command_diagnoses_the_proposed_model(
             *("own_quadrotor", "t,vx,vy,vz,thrust,pitch,roll", ("vx", "vy", "vz"), {"vx": "multirotor"}),
             marks=pytest.mark.long,
         ),
+        pytest.param(
+            "own_boat",
+            "t,x,y,yaw,surge,turn,thrust,rudder",
+            ("x", "y", "yaw", "surge", "turn"),
+            {"x": "planar"},
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_commands_and_the_base_are_recognised(
