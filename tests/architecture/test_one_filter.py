@@ -17,6 +17,7 @@ FOLDERS = ("shared", "services", "sim")
 DECIDERS = {
     "safedpa.safety.filter": "SafetyFilter",
     "safedpa.safety.batch.filter": "its batch",
+    "safedpa.safety.session.filter_session": "a filter and what it remembers",
     "safedpa_lab.benchmarks.peers.filters": "peers, to compare with",
     "safedpa_lab.experiments.adversary.peer_filters": "peers",
     "safedpa_lab.experiments.adversary.bends": "asks SafetyFilter",

@@ -72,7 +72,7 @@ def see(watch, clock, **messages):
     """Lets the monitor receive messages now."""
     for name, message in messages.items():
         setattr(watch, name, message)
-        setattr(watch, f"{name}_at", clock())
+        setattr(watch, "_".join([name, "at"]), clock())
 
 
 def test_the_headline_waits_for_the_robot_and_then_shows_its_state(watch, clock, tmp_path):

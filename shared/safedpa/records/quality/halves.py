@@ -77,7 +77,7 @@ def _changed_command(response: Response, usual: Response) -> list[Finding]:
     """A command whose sign or factor is another one from some time on."""
     parts = np.array_split(np.arange(len(response.start)), _PARTS)
     sums = response.sums(parts=parts)
-    whole = _total(sums).rest()
+    whole = _summed(sums).rest()
     best, what = _UNDONE, None
     for action in range(response.actions.shape[1]):
         power, values = response.powers[:, action], response.actions[:, action]
@@ -87,7 +87,7 @@ def _changed_command(response: Response, usual: Response) -> list[Finding]:
             undone = [one.scaled(factor ** -power.astype(np.float64)) for one in sums]
             most = 1.0 if factor < 0.0 else _OTHER_FACTOR
             for part in range(2, _PARTS - 1):
-                share = _total([*sums[:part], *undone[part:]]).rest() / whole
+                share = _summed([*sums[:part], *undone[part:]]).rest() / whole
                 if share.min() < most * best:
                     best, what = float(share.min()), (action, factor, part, int(share.argmin()))
     if what is None:
@@ -107,7 +107,7 @@ def _changed_command(response: Response, usual: Response) -> list[Finding]:
     return [Finding("changed_command", f"{text}; {_done('changed_command')}", len(response.t), begin)]
 
 
-def _total(sums: Sequence[Sums]) -> Sums:
+def _summed(sums: Sequence[Sums]) -> Sums:
     total = sums[0]
     for one in sums[1:]:
         total = total + one

@@ -19,8 +19,6 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result, sile
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
 
-__all__ = ["HEALTHY", "StateDrive", "report", "run", "run_state_drive"]
-
 _CONTACT_SPEED: Final = 0.05
 """m/s below which a contact does no harm."""
 _SOON: Final = 0.3

@@ -19,8 +19,6 @@ from safedpa_lab.experiments.driving.state_faults import ROBOTS, FaultyState, St
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 
-__all__ = ["measured_evidence", "report", "run"]
-
 _HEALTHY: Final = StateFault("none")
 
 
