@@ -70,9 +70,6 @@ def _done(kind: str, where: str = "") -> str:
     return _DONE.format(kind=f'"{kind}"', where=where)
 
 
-# ----------------------------------------------------------------------------------------------- sign and factor
-
-
 def _changed_command(response: Response, usual: Response) -> list[Finding]:
     """A command whose sign or factor is another one from some time on."""
     parts = np.array_split(np.arange(len(response.start)), _PARTS)
@@ -127,9 +124,6 @@ def _finer_begin(response: Response, action: int, factor: float, first: int) -> 
         actions[row:, action] /= factor
         scores.append(float(np.log(response.sums(actions=actions)[0].rest()).sum()))
     return float(response.t[response.start[candidates[int(np.argmin(scores))]]])
-
-
-# ----------------------------------------------------------------------------------------------- clocks
 
 
 @dataclass(frozen=True)
@@ -206,8 +200,6 @@ def _drifted(response: Response, group: _Group, rows: float) -> Sums:
         actions[:, group.actions] = response.actions[np.ix_(at, np.array(group.actions))]
     return response.sums(states, actions)[0]
 
-
-# ----------------------------------------------------------------------------------------------- stale commands
 
 _AHEAD = (2, 3, 4, 6, 8, 11, 15, 20, 28)
 _BEHIND = (3, 6, 12)
@@ -318,8 +310,6 @@ def _early_changes(
     first = int(np.flatnonzero((moved > 0) & (certain > _FIRST_EVIDENCE))[0])
     return True, when[first], float(early.mean())
 
-
-# ----------------------------------------------------------------------------------------------- offsets
 
 _SURE, _ALONE = 8.0, 2.0
 """Standard deviations, and multiples of the next largest step, of a step that is no motion."""
