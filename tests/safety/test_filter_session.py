@@ -228,3 +228,22 @@ def test_a_fallback_that_coasts_without_a_state_is_an_issue_of_a_filter_and_none
     states = [[0.0, 0.0], [0.0, 1.0]]
     assert "lost state" in check_filter(filter_of_the_mass(), states).subjects
     assert "lost state" not in check_filter(session_of_the_mass(), states).subjects
+
+
+@pytest.mark.parametrize(("moved", "latched"), [(9.0, False), (11.0, True)])
+def test_after_a_pause_a_state_is_believed_as_far_away_as_the_rates_allow(moved: float, latched: bool) -> None:
+    session = session_of_the_mass()
+    session.decide([-45.0, 4.0], [0.0], time=0.0)
+    session.decide([-44.8, 4.0], [0.0], time=PERIOD)
+    session.decide([-44.8 + moved, 0.0], [0.0], time=2.0)
+    assert bool(session.latched) is latched
+
+
+@pytest.mark.parametrize(("late", "latched"), [(0, False), (2, False), (8, True)])
+def test_commands_that_act_up_to_an_allowed_delay_later_are_no_jump(late: int, latched: bool) -> None:
+    session = session_of_the_mass(StateLimits(jump={"m/s": 0.15}))
+    sent, x = [0.0] * 8, np.array([-40.0, 0.0])
+    for tick in range(40):
+        sent.append(float(session.decide(x, [2.0 if tick // 8 % 2 else -2.0]).action[0]))
+        x = A @ x + B @ [sent[-1 - late]]
+    assert bool(session.latched) is latched

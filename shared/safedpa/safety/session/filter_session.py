@@ -35,6 +35,10 @@ _REPORTED_AFTER: Final = 1.5
 """Time [s] after which a standstill is reported."""
 
 
+_LONGEST_PAUSE: Final = 3600.0
+"""Time [s] between two calls beyond which the clock must have been set."""
+
+
 @final
 class FilterSession(GuardedSession[Measurement]):
     """Decides for one robot, tick by tick, with what a filter must remember: call ``decide`` once per period.
@@ -190,7 +194,7 @@ class FilterSession(GuardedSession[Measurement]):
         if isinstance(time, (int, float)) and isfinite(time):
             # Missed periods count; a clock that was set back or far ahead does not.
             missed = (time - seconds) / period if last is not None else 0.0
-            tick += round(missed) if 0.0 <= missed < 1.0 / period else 0
+            tick += round(missed) if 0.0 <= missed < _LONGEST_PAUSE / period else 0
             seconds = float(time)
         by = "filter" if last is not None and action == tuple(sent) else "other" if last is not None else "none"
         delay = float(until_action) if isinstance(until_action, (int, float)) else inf

@@ -23,7 +23,7 @@ from safedpa.errors import InputError
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.margins.online import OnlineMarginMonitor
 from safedpa.safety.prediction.command_history import LONGEST_AGE
-from safedpa.safety.session.plausibility import ClockMonitor, Contradiction, StateMonitor
+from safedpa.safety.session.plausibility import NO_CONTRADICTION, ClockMonitor, Contradiction, StateMonitor
 from safedpa.safety.session.session_memory import SessionMemory, StateT
 from safedpa.safety.session.state_limits import Evidence, StateLimits
 from safedpa.safety.validation import InvalidInput, checked_input
@@ -197,13 +197,45 @@ class GuardedSession(SessionMemory[StateT]):
         if gap and not self.can_stop:
             self._monitor.restart()
             return ""
-        self.evidence = self._monitor.observe(state.values, known.values, predicted, self._free(state))
-        found = self._monitor.problem(self.evidence, self.lost + gap)
+        if gap * self.model.period > GRACE:
+            return self._too_far(state, known, gap + 1)
+        found = self._contradiction(state, known, predicted, gap)
         if late and not found.text:
             found = Contradiction(late, tuple(range(len(state.values))))
         self._trusted = frozenset(found.trusted)
         again = ", after its source restarted" if found.text and state.epoch != known.epoch else ""
         return found.text + again
+
+    def _contradiction(self, state: StateT, known: _Believed, predicted: Plain, gap: int) -> Contradiction:
+        """What the state contradicts under each delay of the commands that a robot may have unknown to the filter."""
+        free, lost = self._free(state), self.lost + gap
+        self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
+        found = self._monitor.problem(self.evidence, lost)
+        if not found.text or lost or state.values == known.values:
+            return found
+        for late in range(1, self._allowed_periods + 1):
+            following = self._advanced(known.values, state, self.memory, late)
+            if following is None:
+                break
+            self.evidence = self._monitor.observe(state.values, known.values, following[0], free)
+            if not self._monitor.problem(self.evidence).text:
+                return NO_CONTRADICTION
+        self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
+        return found
+
+    def _too_far(self, state: StateT, known: _Believed, periods: int) -> str:
+        """Whether the state is further from the last one than the bounds of the rates allow; empty if it is not.
+
+        Nobody knows what the robot applied while this filter was not asked, so nothing else can be compared.
+        """
+        self._monitor.restart()
+        reach = StateLimits.of_system(self.model.system, periods * self.model.period).jump
+        moved = self._monitor.observe(state.values, known.values, known.values).jump
+        for unit, limit in reach.items():
+            if moved[unit] > limit:
+                seconds = periods * self.model.period
+                return f"it moved by {moved[unit]:.2g} {unit} within {seconds:.2g} s (at most {limit:.2g} {unit})"
+        return ""
 
     def _is_unanswered(self) -> bool:
         return self.evidence is not None and any(self.evidence.unanswered.values())
