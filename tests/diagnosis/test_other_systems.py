@@ -524,7 +524,9 @@ def test_the_loop_runs_with_a_diagnosed_model(found_on_top):
     nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin)]
     robot = CarRobot(Scene.random(1, "none"), model.period)
     ticks = list(drive(robot, nodes, 60))
-    assert {tick.verdict.status for tick in ticks} <= {"passed", "corrected"}
+    # The simulated car has none of the drag, so conditions under every delay that is not yet ruled out may conflict.
+    assert {tick.verdict.status for tick in ticks} <= {"passed", "corrected", "relaxed"}
+    assert {tick.verdict.status for tick in ticks[20:]} <= {"passed", "corrected"}
     assert robot.collisions == []
 
 

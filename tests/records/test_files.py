@@ -1,8 +1,5 @@
 """Files that cannot be used are refused with one line each."""
 
-import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -152,25 +149,3 @@ def test_a_map_whose_column_is_missing_names_it(tmp_path: Path) -> None:
         load_run(path, PENDULUM, load_column_map("dfki_pendulum_columns"))
     with pytest.raises(ColumnMapError, match=r"the map is for a pendulum, the model for a car"):
         load_run(path, CAR, load_column_map("dfki_pendulum_columns.toml"))
-
-
-def test_ten_thousand_rows_of_fourteen_columns_load_at_once(tmp_path: Path) -> None:
-    """Compared with Python's own reading of each number, on the same machine at the same time."""
-    extra = ",".join(f"extra{index}" for index in range(7))
-    lines = [line(row) + ",1.234567890123" * 7 for row in range(10_000)]
-    path = write(tmp_path / "long.csv", lines, f"{HEADER},{extra}")
-    load_run(path, CAR)
-    pairs = [(_seconds(partial(load_run, path, CAR)), _seconds(partial(_one_by_one, path))) for _ in range(5)]
-    load, reference = (min(column) for column in zip(*pairs, strict=True))
-    assert load < 2.0 * reference  # 0.63 on an idle core
-
-
-def _one_by_one(path: Path) -> list[list[float]]:
-    _, *rows = path.read_text().splitlines()
-    return [[float(cell) for cell in row.split(",")] for row in rows]
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
