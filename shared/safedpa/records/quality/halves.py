@@ -26,6 +26,8 @@ _FACTORS = (-1.0, 0.25, 0.5, 2.0, 4.0)
 """Factors of a command that are tried from some time on."""
 _UNDONE = 0.5
 """Share of the unexplained changes of some state that may remain when a wrong factor is undone."""
+_WORSE = 1.25
+"""Share of the unexplained changes of any state above which a supposed fault contradicts that state."""
 _UNDONE_USUAL = 0.75
 """The same without the windows that are explained worst."""
 _VARIED = 0.5
@@ -85,7 +87,7 @@ def _changed_command(response: Response, usual: Response) -> list[Finding]:
             most = 1.0 if factor < 0.0 else _OTHER_FACTOR
             for part in range(2, _PARTS - 1):
                 share = _summed([*sums[:part], *undone[part:]]).rest() / whole
-                if share.min() < most * best:
+                if share.max() < _WORSE and share.min() < most * best:
                     best, what = float(share.min()), (action, factor, part, int(share.argmin()))
     if what is None:
         return []
