@@ -115,7 +115,7 @@ def test_no_more_than_16384_different_keys_wait_and_a_known_one_is_still_replace
 
 def padded(message: Message, size: int) -> bytes:
     """The message with a field that no one knows, of so many bytes in all."""
-    table = {field.name: getattr(message, field.name) for field in dataclasses.fields(message)}
+    table = dataclasses.asdict(message)
     rest = size - len(msgpack.packb({**table, "more": bytes(size - 5000)}))
     payload: bytes = msgpack.packb({**table, "more": bytes(size - 5000 + rest)})
     assert len(payload) == size
