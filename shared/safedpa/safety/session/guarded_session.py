@@ -226,7 +226,7 @@ class GuardedSession(SessionMemory[StateT]):
     def _too_far(self, state: StateT, known: _Believed, periods: int) -> str:
         """Whether the state is further from the last one than the bounds of the rates allow; empty if it is not.
 
-        Nobody knows what the robot applied while this filter was not asked, so nothing else can be compared.
+        What the robot applied while this filter was not asked is unknown, so nothing else can be compared.
         """
         self._monitor.restart()
         reach = StateLimits.of_system(self.model.system, periods * self.model.period).jump
