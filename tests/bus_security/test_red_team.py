@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
+from safedpa.bus import ROSTER, STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
 from safedpa.bus.messages.requests import AGREED, ORDER, REQUEST, SENSE, STATUS
 from safedpa.bus.security.access_control import roles_of
 from safedpa.errors import BusError
@@ -45,6 +45,8 @@ def may_write(network: Any, role: str, topic: Topic, robot: str, service: str) -
     """From the writer column, for robots that belong to the fleet."""
     kind = kind_of(role)
     own = {role.removeprefix("robot.")} if kind == "robot" else {*network.robots}
+    if topic is ROSTER:  # about the whole fleet, never about one robot
+        own = {"-"}
     if not topic.per_service:
         return kind == topic.writer and robot in own
     speaks = kind in LOOP if topic.name == "takeover" else role not in {*SILENT, *network.strangers}

@@ -13,7 +13,7 @@ from safedpa_services.command_line.group import COMMANDS, safedpa
 
 pytestmark = pytest.mark.processes
 READ_NO_FILE_OF_OTHERS = {
-    "accept", "certificates", "demo", "effects", "go", "reject", "roll-back", "sense", "status", "stop",
+    "accept", "certificates", "demo", "dismiss", "effects", "go", "reject", "roll-back", "sense", "status", "stop",
     "check",  # runs the Python file that it is given
     "screenshot",  # hands the file to the Rerun viewer
 }  # fmt: skip
