@@ -173,12 +173,12 @@ def test_the_bars_of_versions_are_as_long_as_their_errors(errors, widths, finish
     versions = [SimpleNamespace(label=f"version {at}", error=error, comparison=none) for at, error in enumerate(errors)]
     session = SimpleNamespace(
         versions=versions, number=0, shown=None, decisions=[], shown_version=SimpleNamespace(values={}, improved="2/3"),
-        comparison=none,
+        comparison=none, doubtful_effects=tuple, present=SimpleNamespace(model=SimpleNamespace(effects=())),
     )  # fmt: skip
 
     async def story():
         with Tab() as tab:
-            ErrorReductionPanel(lambda _: None, lambda: None, lambda: None).show(session)
+            ErrorReductionPanel(lambda _: None, lambda: None, lambda: None, lambda _: None).show(session)
             return " ".join(tab.lines)
 
     notice = finished(story())

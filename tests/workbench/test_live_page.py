@@ -1,5 +1,6 @@
 """The live page without a browser: answers, consequences, decisions, and what pops up."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -37,10 +38,10 @@ class Link:
 
     def __init__(self, *answers):
         self.answers, self.asked, self.pages_to_notify = list(answers), list[Any](), set[object]()
-        history = RobotHistory("r1")
-        history.update(state_of(tick=20, robot_time=1.0), 1.0)
-        history.update(verdict_of("passed", h_now=0.4, margin=0.03), 1.0)
-        history.update(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
+        history, now = RobotHistory("r1"), time.monotonic()
+        history.update(state_of(tick=20, robot_time=1.0), now)
+        history.update(verdict_of("passed", h_now=0.4, margin=0.03), now)
+        history.update(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), now)
         self.store = SimpleNamespace(robots={"r1": history}, last_refusal="")
 
     async def ask(self, robot, request):
