@@ -57,7 +57,7 @@ class Stack:
         shared = JointTransport(MemoryTransport(self.broker), frozenset(joint))
         buses = [Bus(shared, "test") if joint else self.bus() for _ in self.nodes]
         self.services = [ServiceLoop(*pair, clock=self.clock) for pair in zip(self.nodes, buses, strict=True)]
-        self.cars = {name: car(index) for index, name in enumerate(names)}
+        self.cars = {name: car(index, self.clock) for index, name in enumerate(names)}
         self.fleet = FleetLoop(self.cars, self.bus(), clock=self.clock) if names else None
         self._healths = self.bus().inbox((HEALTH,), clock=self.clock)
         self._verdicts = self.bus().inbox((VERDICT,), clock=self.clock)
@@ -98,10 +98,10 @@ class Stack:
         return {item.robot: item.message for item in items if isinstance(item.message, VerdictMessage)}
 
 
-def car(index: int) -> CarRobot:
-    """The car of a number: its scene, its load and its epoch."""
+def car(index: int, clock: Clock) -> CarRobot:
+    """The car of a number: its scene, its load and its epoch. Its states are dated by the clock that turns it."""
     scene = Scene.random(index, LOADS[index % len(LOADS)])
-    return CarRobot(scene, PERIOD, lockstep=False, epoch=1000 + index)
+    return CarRobot(scene, PERIOD, lockstep=False, epoch=1000 + index, wall_clock=clock)
 
 
 @pytest.fixture

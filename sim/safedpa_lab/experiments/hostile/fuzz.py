@@ -75,7 +75,7 @@ class DrivenLoop:
         model = load_model("car")
         nodes = shipped_nodes(model, settings_named("car"))
         self._services = [ServiceLoop(node, self._bus(), clock=self._clock) for node in nodes]
-        car = CarRobot(Scene.random(0, "none"), 0.05, lockstep=False, epoch=1)
+        car = CarRobot(Scene.random(0, "none"), 0.05, lockstep=False, epoch=1, wall_clock=self._clock)
         self._robots = FleetLoop({"r1": car}, self._bus(), clock=self._clock)
         self._stranger = MemoryTransport(self._broker)
         self._seeds = tuple(payload for _, payload in messages())
