@@ -176,7 +176,7 @@ def tick(number: int, *, by: str = "filter", adapted: bool = True) -> DriveTick:
     """The state of a tick is its number, and its latent ten times that; who drove until there."""
     state = replace(STATE, tick=number, values=(float(number), 0.0, 0.0, 1.0), applied=(0.1 * number, 0.0))
     latent = replace(LATENT, tick=number, values=(10.0 * number,)) if adapted else None
-    return DriveTick(replace(state, applied_by=by), latent)
+    return DriveTick(replace(state, applied_by=by, robot_time=STATE.period * number), latent)
 
 
 def test_a_transition_holds_what_was_known_before_it_and_what_became_of_it() -> None:
