@@ -84,7 +84,14 @@ from safedpa.diagnosis.search.final_parameters import (
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
 from safedpa.diagnosis.search.restarts import exchange_for_refused, is_open, try_other_beginnings
-from safedpa.diagnosis.search.search_state import JudgedTrial, RemainderJudge, SearchState, accept_trial, known_effects
+from safedpa.diagnosis.search.search_state import (
+    JudgedTrial,
+    RemainderJudge,
+    SearchState,
+    accept_trial,
+    known_effects,
+    no_remainder,
+)
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
@@ -108,7 +115,7 @@ def run_search(
     heldout: Heldout,
     report_progress: ReportProgress = lambda _done, _all, _message: None,
     other_horizons: OtherHorizons = lambda: (),
-    judge: RemainderJudge = lambda _trial, _shooting: None,
+    judge: RemainderJudge = no_remainder,
 ) -> SearchState:
     """Refits the free parameters, adds effects until none passes, revises them, adds laws and fits final parameters.
 

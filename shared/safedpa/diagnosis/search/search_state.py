@@ -40,6 +40,10 @@ RemainderJudge = Callable[[EffectTrial, Shooting], Remainder | None]
 """Returns what a fitted model leaves of unseen data; None if the recordings are too short to judge that."""
 
 
+def no_remainder(_trial: EffectTrial, _shooting: Shooting) -> None:
+    """Judges nothing; a function with a name, because a search is pickled."""
+
+
 @dataclass
 class SearchState:
     """What a search has found, and everything that it tried."""
@@ -59,7 +63,7 @@ class SearchState:
     """The windows about the first model."""
     raw: Shooting | None = None
     """The windows with measured starts and uniform weights, about no model."""
-    judge: RemainderJudge = lambda _trial, _shooting: None
+    judge: RemainderJudge = no_remainder
     """Judges what a model leaves of unseen data."""
     least_errors: dict[int, float] = field(default_factory=dict)
     """By number of accepted effects, the lowest held-out error of a model on the way."""
