@@ -248,6 +248,23 @@ def test_a_reported_delay_is_not_counted_twice_and_the_verdict_reports_what_was_
     assert ticks[-1].verdict.status == "fallback"
 
 
+def decided(late: float, *, fails: bool) -> list[tuple[str, tuple[float, ...], str]]:
+    """Status, action and sentence of 20 decisions, before which the 30th step failed or not."""
+    node = SafetyFilterNode(CAR, settings_named("car"))
+    robot, found = Lateness(late, reported="none").robot(905, "box"), []
+    for tick in drive(robot, [AdaptationNode(CAR), PolicyNode(CAR), node], 50):
+        if fails and tick.state.tick == 29:
+            assert node.newest("r1") is not None
+            node.rescue("r1", tick.state, "broken")
+        found.append((tick.verdict.status, tick.verdict.action, tick.verdict.sentence))
+    return found[30:]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.15, 0.2])
+def test_a_failed_step_forgets_no_delay_no_command_and_no_state(late: float) -> None:
+    assert decided(late, fails=True) == decided(late, fails=False)
+
+
 @pytest.mark.parametrize("late", [0, 2, 3, 4])
 def test_every_delay_up_to_the_stated_one_is_possible_until_the_motion_rules_it_out(late: int) -> None:
     found, stated = after([]), round(STATED_DELAY / CAR.period)

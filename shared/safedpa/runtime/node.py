@@ -86,7 +86,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._predicted)
         self._robots: dict[str, RobotSession] = {}
         self._broken: dict[str, RobotSession] = {}
-        """Sessions of robots whose last step failed; the next session continues their margin."""
+        """Sessions of robots whose last step failed; the next session continues what they learned."""
         self._rehearsed: PhysicsModel | None = None
         """Model of the last rehearsed decision; robots with equal periods share it."""
 
@@ -98,7 +98,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
         if session is not None and session.model.period != state.period:
             self._broken[robot], session = session, None
         if session is None:
-            broken = self._broken.pop(robot, None)
+            broken = self._broken.get(robot)
             before = None if broken is None else broken.margin.epsilon
             session = RobotSession.create(self._versions.of(robot), self._settings, before, state.period, self._limits)
             if broken is not None and _same_margin(broken, session):
@@ -106,6 +106,7 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
                 session.margin.expect(None)
             session.inherit_from(broken)
             self._robots[robot] = session
+            self._broken.pop(robot, None)
         session.observe_state(state)
 
     def _with_latent(self, robot: str, state: StateMessage, inputs: Inputs) -> RobotSession:
@@ -220,8 +221,8 @@ class SafetyFilterNode(ModelNode[CalibratedModel]):
 
         Uses the scene's own backup if the robot has one, otherwise the resting action.
         """
-        # The session may be the cause of the failure, so the next tick starts another one. Only the margin is taken
-        # over: it may have been widened, and a failure must not narrow it.
+        # The session may be the cause of the failure, so the next tick starts another one. It takes over what was
+        # learned: a failure must not narrow the margin, forget a delay, or make the next state look implausible.
         broken = self._robots.pop(robot, None)
         if broken is not None:
             self._broken[robot] = broken

@@ -203,10 +203,15 @@ class RobotSession(GuardedSession[StateMessage]):
         return latent, []
 
     def inherit_from(self, former: RobotSession | None) -> None:
-        """Takes over what does not depend on the model: commands sent, named sources, and the scene's odometry."""
+        """Takes over what does not depend on the model: commands sent, named sources, and the scene's odometry.
+
+        From a session with the same model and period, also what was learned under them.
+        """
         self.former = None if former is None else former.history
         if former is not None:
-            self.continue_from(former)
+            same = former.held is self.held and former.model.period == self.model.period
+            self.continue_from(former, same_model=same)
+            self.latent = former.latent if same else None
             self.sensed = former.sensed
             self.scene.remember(former.scene)
 

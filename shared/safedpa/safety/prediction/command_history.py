@@ -79,6 +79,10 @@ class CommandHistory:
         before = self._entries[-1].memory if self._entries else memory
         self._entries.append(_DatedTransition(tick, values, applied, memory, (applied, before)))
 
+    def continue_from(self, former: CommandHistory) -> None:
+        """Takes over the entries of a former session with the same model."""
+        self._entries, self._seconds = former._entries, former._seconds
+
     def is_next(self, seconds: float | None) -> bool:
         """Whether a state measured at ``seconds`` follows the newest one by about a period; true if not known."""
         if seconds is None or self._seconds is None:

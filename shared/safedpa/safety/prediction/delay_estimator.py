@@ -151,6 +151,10 @@ class DelayEstimator:
         self.periods = 0
         """The estimated delay beyond the model's own; what the robot reports is part of it."""
 
+    def continue_from(self, former: DelayEstimator) -> None:
+        """Takes over the evidence and the estimate of a former session with the same model."""
+        self._all, self._moving, self.periods = former._all, former._moving, former.periods
+
     def delay_to_compensate(self, reported: float) -> float:
         """Delay [s] to compensate when the robot reports ``reported`` [s]: that, unless far more was found."""
         return self._found if self._is_found(reported) else reported

@@ -93,6 +93,8 @@ class GuardedSession(SessionMemory[StateT]):
         """The actions that were applied, newest first."""
         self._fastest = 0.0
         self._accepted: StateT | None = None
+        self._former_latent: FloatArray | None = None
+        """(latents,) of the last decision of the session that this one continues."""
 
     @property
     def epsilon(self) -> dict[str, float]:
@@ -119,12 +121,23 @@ class GuardedSession(SessionMemory[StateT]):
         self.latched, self.latch_ordered, self.lost, self._believed = "", False, 0, None
         self._monitor.restart()
 
-    def continue_from(self, former: GuardedSession[StateT]) -> None:
-        """Takes over what is known of the robot's state, which does not depend on the model."""
+    @property
+    def _last_latent(self) -> FloatArray | None:
+        return self._former_latent if self.decision is None else self.decision.latent
+
+    def continue_from(self, former: GuardedSession[StateT], *, same_model: bool) -> None:
+        """Takes over what is known of the robot's state; with the ``same_model`` and period also what it taught."""
         self.latched, self.problem, self.lost = former.latched, former.problem, former.lost
         self._believed, self._clock = former._believed, former._clock
         self._commands, self._trusted, self._measured = former._commands, former._trusted, former._measured
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
+        if same_model:
+            # Without the actuators and the latent, the next state would be compared with another prediction.
+            self.memory, self.until_action = former.memory, former.until_action
+            self._former_latent = former._last_latent
+            self._monitor, self._free_memory, self._fastest = former._monitor, former._free_memory, former._fastest
+            self.history.continue_from(former.history)
+            self.delay.continue_from(former.delay)
 
     def accept(self, state: StateT, arrived: float | None = None) -> StateT:
         """Returns the state to decide with: ``state``, or one with predicted values.
@@ -288,7 +301,7 @@ class GuardedSession(SessionMemory[StateT]):
         model, action = self.model, self._acting(state, late)
         if len(action) != len(model.system.action) or not all(map(isfinite, action)):
             return None
-        latent = None if self.decision is None else self.decision.latent
+        latent = self._last_latent
         with suppress(InputError, ValueError, ArithmeticError):  # values without a prediction
             step = model.scalar_step(model.period)
             if step is not None:
