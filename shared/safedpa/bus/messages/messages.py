@@ -39,7 +39,7 @@ class Message:
     robot_time: Number
     """Time since the robot started in s, by the robot's clock."""
     publish_time: Number
-    """Unix time of sending in s, by the sender's clock; for logs and recordings, not used for decisions."""
+    """Unix time of sending in s, by the sender's clock; for logs, and to check the rate of ``robot_time``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
