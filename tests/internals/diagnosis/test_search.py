@@ -11,7 +11,7 @@ from safedpa.diagnosis import diagnose, interactive
 from safedpa.diagnosis.report_schema import FittedValue, Unexplained
 from safedpa.diagnosis.residuals import unmodelled
 from safedpa.diagnosis.residuals.weak_sindy import SelectedTerms
-from safedpa.diagnosis.search import conditional, regions
+from safedpa.diagnosis.search import conditional, further_trials, regions
 from safedpa.diagnosis.search import forward_selection as searching
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.dynamics import PhysicsModel, Setting
@@ -101,13 +101,13 @@ GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0
 def test_a_provisional_step_is_kept_only_if_its_result_passes_as_a_whole(changes, retained, monkeypatch):
     case: dict[str, Any] = {"names": ("one", "two"), "region": None, "before": None} | GOOD | changes
     before = case["before"] or case["missing"]
-    monkeypatch.setattr(searching, "is_spurious_delay", lambda *_: False)
-    monkeypatch.setattr(searching, "within_bounds", lambda *_: True)
-    monkeypatch.setattr(searching, "fewest_parameters", lambda trial, *_: trial)
-    monkeypatch.setattr(searching, "accept_trial", lambda search, trial: search.added.extend(trial.effects))
-    monkeypatch.setattr(searching, "known_effects", lambda *_: {})
-    monkeypatch.setattr(searching, "refit_effects", lambda *_: None)
-    monkeypatch.setattr(searching, "block_gain", lambda *_: case["sure"])
+    monkeypatch.setattr(further_trials, "is_spurious_delay", lambda *_: False)
+    monkeypatch.setattr(further_trials, "within_bounds", lambda *_: True)
+    monkeypatch.setattr(further_trials, "fewest_parameters", lambda trial, *_: trial)
+    monkeypatch.setattr(further_trials, "accept_trial", lambda search, trial: search.added.extend(trial.effects))
+    monkeypatch.setattr(further_trials, "known_effects", lambda *_: {})
+    monkeypatch.setattr(further_trials, "refit_effects", lambda *_: None)
+    monkeypatch.setattr(further_trials, "block_gain", lambda *_: case["sure"])
 
     def in_turn(search: Any, *_: Any) -> None:
         if search.added:

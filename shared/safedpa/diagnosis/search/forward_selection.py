@@ -1,65 +1,36 @@
 """Forward selection of missing effects: additions that unseen blocks of time confirm, then exchanges and removals.
 
-If no single effect passes, three more things are tried:
-
-**Pairs**: the pairs that promise most to first order are fitted.
-
-**Other horizons**: a candidate that unseen blocks favour, but not clearly enough, is fitted and judged again in windows
-of 0.5, 0.2 and 2 times the length. Several tests require a higher threshold each (Bonferroni): passing at one of four
-horizons with 3.4 standard errors is as rare as passing at one with 3.
-
-**One step ahead**, while much is missing. Recordings that differ from each other (each at one throttle) identify
-several effects together. A single effect, fitted without one of the recordings, hardly improves the prediction of that
-one. A search that stops there stops by chance, for example at 2.96 standard errors where 3 are required. So the trial
-that reduces the error most is added provisionally and the search continues. Its result has to pass as a whole.
+``further_trials`` has what is tried if no single effect passes.
 
 Source: the statistics that decide are those of cross-validation over independent blocks (Arlot and Celisse, Statistics
-Surveys 4, 2010); several comparisons as in Dunn, Journal of the American Statistical Association 56, 1961; forward and
-backward steps and sequential replacement as in Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3.
+Surveys 4, 2010); forward and backward steps and sequential replacement as in Miller, Subset Selection in Regression,
+2nd ed., 2002, ch. 3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from safedpa.arrays import FloatArray
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.data_checks import HorizonData
 from safedpa.diagnosis.fit.least_squares import relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.trial import (
-    EffectTrial,
-    block_gain,
-    fit_trial,
-    fit_trials,
-    initial_values,
-    ratio_gain,
-    trial_of,
-    with_effect_at,
-)
+from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trials, ratio_gain
 from safedpa.diagnosis.search.acceptance import (
     CLEAR_FALL,
-    FALL,
-    LIKELY,
     MOST_MISSING,
     MUCH,
-    SURE,
     SearchStage,
     fewest_parameters,
     filter_agrees,
     filter_is_certain,
     is_decisive,
     is_promising,
-    is_spurious_delay,
     judge_trial,
     order_by_heldout_gain,
     simplest_equivalent,
-    with_reason,
     within_bounds,
 )
 from safedpa.diagnosis.search.backward_revision import (
@@ -68,7 +39,6 @@ from safedpa.diagnosis.search.backward_revision import (
     exchange_for_fewer_parameters,
     mark_equivalent_rivals,
     merge_effects,
-    refit_effects,
     remove_effects_at_bounds,
     remove_uncertain_effects,
     select_smallest_model,
@@ -81,17 +51,19 @@ from safedpa.diagnosis.search.final_parameters import (
     with_model_uncertainty,
     with_timing_uncertainty,
 )
+from safedpa.diagnosis.search.further_trials import (
+    OtherHorizons,
+    fit_pairs,
+    improves_clearly,
+    look_one_step_ahead,
+    passing_at_other_horizon,
+    promising_pairs,
+    rare_effects,
+)
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
 from safedpa.diagnosis.search.restarts import exchange_for_refused, is_open, try_other_beginnings
-from safedpa.diagnosis.search.search_state import (
-    JudgedTrial,
-    RemainderJudge,
-    SearchState,
-    accept_trial,
-    known_effects,
-    no_remainder,
-)
+from safedpa.diagnosis.search.search_state import RemainderJudge, SearchState, accept_trial, no_remainder
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
@@ -104,8 +76,6 @@ _RELINEARISED_TRIALS = 4
 
 ReportProgress = Callable[[int, int, str], None]
 """Called with (done, total, message) of the current stage; how many stages follow is unknown."""
-OtherHorizons = Callable[[], Iterable[HorizonData]]
-"""Computes the same recordings at other horizons; called only if one horizon leaves a question open."""
 
 
 def run_search(
@@ -133,12 +103,12 @@ def run_search(
 
     search.library = [item for item in library if not item.rare]
     complete(search)
-    try_other_beginnings(search, _promising_pairs, complete)
+    try_other_beginnings(search, promising_pairs, complete)
     if len(search.library) < len(library) and is_open(search):
         # Rare effects look like common ones to first order, so they are tried for what the common ones leave.
         search.library = library
         complete(search)
-        try_other_beginnings(search, _rare_effects, complete)
+        try_other_beginnings(search, rare_effects, complete)
     report_progress(1, 3, f"where and when they act; {_so_far(search)}")
     if library and add_conditions(search):
         # A law explains part of the residual, which may reveal an effect that was hidden before.
@@ -332,204 +302,3 @@ def _first_confirmed(
             return trial, frozenset(refused)
         refused.append(trial.effects)
     return None, frozenset(refused)
-
-
-# Pairs that are fitted at one stage; the order to first order is reliable enough for the best to be among five.
-_FITTED_PAIRS = 5
-# Rare effects that are fitted from the first model.
-_FITTED_RARE = 4
-# Standard errors required at another horizon: Bonferroni's correction of 3 for four tests.
-_SURE = 3.4
-# Standard errors at the search's own horizon below which other horizons are not tried: there is no question open.
-_OPEN = 1.0
-# Candidates that are tried at other horizons: each needs several fits.
-_OPEN_CANDIDATES = 3
-_REASON = "alone too small a gain, but accepted together with the effects found after it"
-
-
-def fit_pairs(
-    null: EffectTrial, trials: Sequence[EffectTrial], available: Sequence[AbstractEffect], shooting: Shooting
-) -> list[EffectTrial]:
-    """Fits the pairs that promise most to first order; returns those better than both of their effects alone."""
-    if len(available) < 2:
-        return []
-    columns, owners = _displacements(null, available, shooting)
-    order = _ranked_pairs(null, columns, owners)
-    singles = {trial.effects[0]: trial for trial in trials}
-    found = []
-    for one, other in order[:_FITTED_PAIRS]:
-        trial = fit_trial(null, [available[one], available[other]], shooting)
-        # A pair no better than one of its effects alone only adds parameters.
-        if trial.loss < min(singles[available[one].name].loss, singles[available[other].name].loss):
-            found.append(trial)
-    return found
-
-
-def _promising_pairs(search: SearchState) -> list[tuple[AbstractEffect, ...]]:
-    """Returns the pairs of effects that promise most to first order about the current model of a search."""
-    available = search.available
-    columns, owners = _displacements(search.current, available, search.shooting)
-    order = _ranked_pairs(search.current, columns, owners)[:_FITTED_PAIRS]
-    return [(available[one], available[other]) for one, other in order]
-
-
-def _rare_effects(search: SearchState) -> list[tuple[AbstractEffect, ...]]:
-    """Returns the rare effects one by one, those that reduce the residual of the first model most first."""
-    trials = fit_trials(search.current, [item for item in search.available if item.rare], search.shooting, {})
-    by_name = {item.name: item for item in search.library}
-    return [(by_name[trial.effects[0]],) for trial in trials[:_FITTED_RARE]]
-
-
-def _displacements(
-    null: EffectTrial, available: Sequence[AbstractEffect], shooting: Shooting
-) -> tuple[FloatArray, list[int]]:
-    """Returns the change of the residual by each effect at each of its starts (n, all starts), and effect indices."""
-    columns, owners = [], []
-    for index, item in enumerate(available):
-        models = [with_effect_at(null.fit.model, item, values) for values in initial_values(item)]
-        residuals = shooting.residuals([null.fit.model]) if not models else shooting.residuals(models)
-        stacked = np.moveaxis(residuals, 0, -1)
-        reduced = shooting.eliminated(stacked, null.fit.scale).reshape(-1, len(models))
-        columns.append(reduced - null.fit.residual.reshape(-1, 1))
-        owners += [index] * len(models)
-    # Single precision halves the memory of what is the largest array of a search; only the order of the pairs depends
-    # on it.
-    return np.concatenate(columns, axis=1).astype(np.float32), owners
-
-
-def _ranked_pairs(null: EffectTrial, columns: Any, owners: list[int]) -> list[tuple[int, int]]:
-    """Returns pairs of effects, ordered by how many squares of the residual their best two columns explain."""
-    target: Any = np.asarray(null.fit.residual.reshape(-1), dtype=np.float32)
-    if null.fit.columns.shape[-1]:
-        # Free parameters are projected out first: what they can explain is no gain of a pair.
-        known, _ = np.linalg.qr(null.fit.columns.reshape(len(target), -1).astype(np.float32))
-        columns, target = columns - known @ (known.T @ columns), target - known @ (known.T @ target)
-    columns = columns / (np.linalg.norm(columns, axis=0) + 1e-6)
-    correlation, gram = -(columns.T @ target), columns.T @ columns
-    # Two-column least squares in closed form. The floor keeps nearly parallel columns from promising anything.
-    share = np.maximum(1.0 - gram**2, 1e-3)
-    both = correlation[:, None] ** 2 + correlation[None] ** 2 - 2 * gram * correlation[:, None] * correlation[None]
-    both /= share
-    owner = np.array(owners)
-    gains: dict[tuple[int, int], float] = {}
-    for one, other in combinations(range(int(owner.max()) + 1), 2):
-        part = both[np.ix_(owner == one, owner == other)]
-        gains[one, other] = float(part.max())
-    return sorted(gains, key=lambda pair: -gains[pair])
-
-
-@dataclass(frozen=True)
-class PassingCandidate:
-    """A candidate that was accepted at another horizon."""
-
-    trial: EffectTrial
-    seconds: float
-    gain: float
-    """Gain at that horizon, in standard errors."""
-    fall: float
-    """Relative reduction of the held-out error at that horizon."""
-
-    @property
-    def reason(self) -> str:
-        """Text for the reason of the candidate."""
-        return f"over {self.seconds:.3g} s the gain is {self.gain:.1f} standard errors, the error falls {self.fall:.0%}"
-
-
-def passing_at_other_horizon(
-    search: SearchState,
-    stage: SearchStage,
-    library: Sequence[AbstractEffect],
-    other_horizons: Callable[[], Iterable[HorizonData]],
-) -> PassingCandidate | None:
-    """Returns the candidate that another horizon confirms most clearly; None if no horizon confirms one."""
-    open_ones = _open_candidates(search, stage)
-    if not open_ones:
-        return None
-    by_name = {item.name: item for item in library}
-    best: PassingCandidate | None = None
-    for evidence in other_horizons():
-        again, shooting = relinearized(search.current.fit, evidence.shooting)
-        null, data = trial_of(again, shooting, (), None), replace(evidence, shooting=shooting)
-        for trial in open_ones:
-            found = _fit_at_horizon(trial, null, data, [by_name[name] for name in trial.effects])
-            if found.gain > _SURE and found.fall > FALL and (best is None or found.gain > best.gain):
-                best = found
-    return best if best is not None and filter_agrees(best.trial, search) else None
-
-
-def _open_candidates(search: SearchState, stage: SearchStage) -> list[EffectTrial]:
-    """Returns candidates with some gain and some reduction of the error, those with the largest reduction first."""
-    before = search.error.value
-    found = [
-        trial
-        for trial in stage.trials
-        if trial.effects in stage.errors
-        and trial.effects not in stage.doubted
-        and stage.gains[trial.effects] > _OPEN
-        and stage.errors[trial.effects].value < (1.0 - FALL) * before
-        and not is_spurious_delay(trial, stage.errors[trial.effects], search.error, stage.row)
-        and within_bounds(trial, search)
-    ]
-    return sorted(found, key=lambda trial: stage.errors[trial.effects].value)[:_OPEN_CANDIDATES]
-
-
-def _fit_at_horizon(
-    trial: EffectTrial, null: EffectTrial, data: HorizonData, items: Sequence[AbstractEffect]
-) -> PassingCandidate:
-    """Fits a candidate at another horizon and computes its gain and its reduction of the held-out error."""
-    model = null.fit.model
-    for item in items:
-        settings = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"] for p in item.parameters}
-        model = model.with_effect(item, settings)
-    extended = fit_trial(null, items, data.shooting, [model])
-    before = error_with(null.fit, data.shooting, data.heldout).value
-    after = error_with(extended.fit, data.shooting, data.heldout).value
-    fall = 1.0 - after / before if before > 0 else 0.0
-    return PassingCandidate(trial, data.seconds, block_gain(null, extended, data.shooting), fall)
-
-
-def look_one_step_ahead(search: SearchState) -> SearchState | None:
-    """Returns the search with the likeliest trial of its last stage added although it did not pass; None without one.
-
-    Also returns None if a region of the floor explains more than the best trial, because the region is reported
-    instead. With a single recording nothing can differ between recordings, so a trial that does not pass is simply too
-    weak.
-    """
-    if search.region is not None or len(search.shooting.windows.names) < 2:
-        return None
-    last = max((item.stage for item in search.candidates), default=0)
-    likely = [item for item in search.candidates if item.stage == last and _is_likely(item, search)]
-    if not likely:
-        return None
-    best = max(likely, key=lambda item: item.fall or 0.0)
-    trials = [item.trial for item in search.candidates if item.stage == last]
-    plain = fewest_parameters(best.trial, trials, search)
-    best = next(item for item in search.candidates if item.stage == last and item.trial is plain)
-    known = [with_reason(item, "accepted", _REASON) if item is best else item for item in search.candidates]
-    ahead = replace(search.copy(), candidates=known)
-    singles = [item.trial.effects[0] for item in likely if len(item.trial.effects) == 1]
-    for name in best.trial.effects:
-        ahead.rivals[name] = [other for other in singles if other not in best.trial.effects]
-    accept_trial(ahead, best.trial)
-    return ahead
-
-
-def _is_likely(item: JudgedTrial, search: SearchState) -> bool:
-    """Returns whether unseen blocks favour a trial over the current model and it reduces the error."""
-    # The trial belongs to an earlier model and lacks the effects added since.
-    if item.before != search.error.value:
-        return False
-    if item.decision == "accepted" or item.error is None or not within_bounds(item.trial, search):
-        return False
-    row = float(np.median(search.shooting.windows.period))
-    spurious = is_spurious_delay(item.trial, item.error, search.error, row)
-    return item.gain > LIKELY and (item.fall or 0.0) > FALL and not spurious
-
-
-def improves_clearly(search: SearchState, ahead: SearchState) -> bool:
-    """Returns whether the step's result predicts unseen blocks clearly better and reduces the error by CLEAR_FALL."""
-    if not ahead.error.value < (1.0 - CLEAR_FALL) * search.error.value:
-        return False
-    by_name = known_effects(ahead)
-    without = refit_effects(ahead, [by_name[name] for name in search.added])
-    return block_gain(without, ahead.current, ahead.shooting) > SURE
