@@ -29,6 +29,7 @@ from safedpa.api.proposed_bases import (
     turning_base,
     whole_robot,
 )
+from safedpa.api.recognised_columns import RecognisedColumns, unexplained_change
 from safedpa.arrays import FloatArray
 from safedpa.comparison.comparison import compare_model
 from safedpa.comparison.output import refuse_inputs, require_writable_folder
@@ -40,17 +41,7 @@ from safedpa.progress import progress
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.column_map.form import QuantityForm, map_text
 from safedpa.records.column_map.propose import COMMANDED
-from safedpa.records.column_map.recognise import (
-    LoggedColumn,
-    changes,
-    is_command,
-    logged_column,
-    planar_motion,
-    rate_pairs,
-    time_column,
-)
-from safedpa.records.load import read_columns
-from safedpa.records.readers.preview import raw_rows
+from safedpa.records.column_map.recognise import changes, planar_motion, rate_pairs
 from safedpa.records.run import Run, Stretch
 from safedpa.result import AbstractResult
 from safedpa.systems import System, Variable, systems
@@ -186,7 +177,7 @@ def init(
     existing = [str(file) for file in files if file.exists()]
     if existing and not force:
         raise InputError(f"{existing[0]}: exists and may have your changes; choose another folder, or use --force")
-    table = _Columns.of(paths, states or {}, actions or {})
+    table = RecognisedColumns.of(paths, states or {}, actions or {})
     started = _Proposal(paths, name, table, horizon)
     with progress("comparing bases") as report_progress:
         report_progress(0, 1)
@@ -211,69 +202,6 @@ def _identifier(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """The columns of a log by their role."""
-
-    names: tuple[str, ...]
-    time: str
-    time_unit: str
-    t: FloatArray
-    states: tuple[LoggedColumn, ...]
-    actions: tuple[LoggedColumn, ...]
-
-    @classmethod
-    def of(cls, logs: Sequence[Path], states: Mapping[str, str], actions: Mapping[str, str]) -> _Columns:
-        """Reads logs, one after the other, and recognises the columns that ``states`` and ``actions`` do not name."""
-        log, preview = logs[0], raw_rows(logs[0], 20)
-        for column in (*states.values(), *actions.values()):
-            if column not in preview.names:
-                raise InputError(f"{log}: no column '{column}'; {did_you_mean(column, preview.names)}")
-        cells = list(zip(*preview.rows, strict=False)) if preview.rows else [()] * len(preview.names)
-        numeric = [name for name, column in zip(preview.names, cells, strict=False) if all(map(_is_number, column))]
-        table = _one_after_the_other([read_columns(path, numeric).columns for path in logs])
-        rows = np.all([np.isfinite(values) for values in table.values()], axis=0) if table else np.empty(0, bool)
-        varied = {name: values[rows] for name, values in table.items() if rows.any() and np.ptp(values[rows]) > 0.0}
-        time = time_column(varied)
-        if not time or rows.sum() < 50:
-            raise RunError(f"{log}: {rows.sum()} usable rows, time column '{time}'; wanted 50 rows and a column t [s]")
-        clock = logged_column(time, varied.pop(time))
-        own = {column: name for name, column in (*states.items(), *actions.items())}
-        columns = [logged_column(column, values, own.get(column, "")) for column, values in varied.items()]
-        commands = [item for item in columns if item.source in actions.values()]
-        if not actions:
-            commands = [item for item in columns if item.source not in own and is_command(item)]
-        taken = {item.source for item in commands}
-        measured = [item for item in columns if item.source not in taken and (not states or item.source in own)]
-        if not commands or not measured:
-            what, option = ("command", "--action") if not commands else ("state", "--state")
-            raise InputError(f"{log}: no column looks like a {what}; name one with {option} NAME=COLUMN")
-        unit = clock.unit if clock.si == "s" else ""
-        t = clock.values - clock.values[0]
-        return cls(preview.names, time, unit, t, tuple(measured), tuple(commands))
-
-
-def _one_after_the_other(tables: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
-    """The rows of all tables, each with times that follow those of the table before it."""
-    whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    time = time_column(tables[0])
-    if len(tables) > 1 and time:
-        ends, shifted = 0.0, []
-        for table in tables:
-            t = table[time] - table[time][0] + ends
-            shifted.append(t)
-            ends = float(t[-1] + np.median(np.diff(t)))
-        whole[time] = np.concatenate(shifted)
-    return whole
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return cell == "" or float(cell) is not None
-    except ValueError:
-        return False
-
-
-@dataclass(frozen=True)
 class _Fit:
     """A base, fitted: the model, its error on the last part of the log, robot.py, and the kinds by state."""
 
@@ -289,7 +217,7 @@ class _Fit:
 class _Proposal:
     """Compares bases for the columns of a log."""
 
-    def __init__(self, logs: Sequence[Path], robot: str, columns: _Columns, horizon: float | None) -> None:
+    def __init__(self, logs: Sequence[Path], robot: str, columns: RecognisedColumns, horizon: float | None) -> None:
         self.logs, self.robot, self.columns = logs, robot, columns
         measured = float(np.median(np.diff(columns.t)))
         self.period = float(f"{max(measured, _LEAST_PERIOD):.4g}")
@@ -413,8 +341,8 @@ class _Proposal:
         for command in self.actions:
             others = [self.quantities[item.name].values for item in self.actions if item is not command]
             for changed, known in ((values, [values]), (rate, [values, rate])):
-                rest = [_unexplained(t, changed, [*known, *others])]
-                rest.append(_unexplained(t, changed, [*known, *others, self.quantities[command.name].values]))
+                rest = [unexplained_change(t, changed, [*known, *others])]
+                rest.append(unexplained_change(t, changed, [*known, *others, self.quantities[command.name].values]))
                 if rest[1] < (1.0 - _DRIVEN) * rest[0]:
                     used.append(command)
                     break
@@ -505,15 +433,3 @@ def _joined(bases: Sequence[ProposedBase]) -> ProposedBase:
     """One base of several, whose states do not act on each other."""
     rates = {name: terms for base in bases for name, terms in base.rates.items()}
     return ProposedBase("_and_".join(dict.fromkeys(base.kind for base in bases)), rates)
-
-
-def _unexplained(t: FloatArray, values: FloatArray, columns: Sequence[FloatArray]) -> float:
-    """Mean square of the changes of a column that the integrals of others do not explain, over the best span."""
-    rests = []
-    for span in (4, 16):
-        change = changes(t, values, span)[0]
-        matrix = np.stack([changes(t, column, span)[1] for column in (*columns, np.ones_like(t))], axis=1)
-        matrix /= np.linalg.norm(matrix, axis=0)
-        solution = np.linalg.lstsq(matrix, change, rcond=1e-9)[0]
-        rests.append(float(np.mean((change - matrix @ solution) ** 2)) / max(float(np.var(change)), 1e-300))
-    return min(rests)
