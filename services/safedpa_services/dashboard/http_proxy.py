@@ -70,20 +70,25 @@ class _Door(ABC):
             listening = socket.create_server((bind, port), family=family, backlog=_MOST_AT_ONCE)
         except OSError as error:
             raise InputError(f"{option} {port}: {error.strerror}; choose another") from error
-        self._loop = asyncio.new_event_loop()
+        self._loop, self._started = asyncio.new_event_loop(), threading.Event()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stops the server."""
+        # A loop that is stopped while the server starts leaves it, and its socket, half open.
+        self._started.wait()
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
 
     def _serve(self, listening: socket.socket) -> None:
         asyncio.set_event_loop(self._loop)
-        server = self._loop.run_until_complete(
-            asyncio.start_server(self._on_connection, sock=listening, limit=_LONGEST_HEAD)
-        )
+        try:
+            server = self._loop.run_until_complete(
+                asyncio.start_server(self._on_connection, sock=listening, limit=_LONGEST_HEAD)
+            )
+        finally:
+            self._started.set()
         self._loop.run_forever()
         server.close()
         for task in asyncio.all_tasks(self._loop):
