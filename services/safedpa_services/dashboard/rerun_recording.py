@@ -187,6 +187,8 @@ class _Files:
         self._is_stopped = False
         self.stream: Any = None
         """None while nothing is written."""
+        if not save.parent.is_dir():
+            raise InputError(f"recording {save}: its folder does not exist; choose another --save")
         if self._has_room():
             self._begin()
 

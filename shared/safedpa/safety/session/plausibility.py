@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import hypot, pi
+from math import hypot, inf, pi
 from typing import Final, NamedTuple, final
 
 from safedpa.safety.session.state_limits import Evidence, StateLimits
@@ -190,57 +190,64 @@ class StateMonitor:
         )
 
 
-_FEWEST_INTERVALS: Final = 3
 _LONGEST_INTERVAL: Final = 1.5
 """s between two states that show a rate: a longer one is a pause."""
-_FAST: Final = 1.5
-"""Ratio of stamps to arrivals that is no jitter if every interval shows it: a delayed message is followed by an early
-one."""
-_FAST_SECONDS: Final = 0.2
-"""Time [s] by the stamps for which they must be fast: messages may arrive in bursts."""
+_LEAD: Final = 0.6
+"""s by which stamps may advance further than arrivals within the last seconds: a robot that was late catches up."""
+_LEAD_SECONDS: Final = 2.0
+_RATE: Final = "its stamps advance {:.2g} times as fast as the states arrive"
 _SLOW: Final = 0.5
-_SLOW_SECONDS: Final = 0.8
-"""Time [s] of arrivals for which stamps must be slow: a busy machine may be slow for a moment."""
-_STORED: Final = 512
-"""Intervals: more than a second of the fastest sources."""
+"""Ratio of stamps to arrivals that is no jitter if every interval shows it."""
+_SLOW_SECONDS: Final = 3.0
+"""Time [s] of arrivals for which stamps must be slow: a busy machine may be slow for a while."""
 
 
 @final
 class ClockMonitor:
-    """Compares the stamps of the states with their arrivals."""
+    """Compares the stamps of the states with their arrivals.
+
+    The lead is the sum of (interval of stamps - interval of arrivals). A robot that was held up catches up to the lead
+    that it had; a clock that is fast goes beyond every lead before.
+    """
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
-        self._intervals: deque[tuple[float, float]] = deque(maxlen=_STORED)
+        self._restart()
+
+    def _restart(self) -> None:
+        self._lead, self._peak = 0.0, 0.0
+        """Lead of now, and the largest until _LEAD_SECONDS ago."""
+        self._leads: deque[tuple[float, float]] = deque()
+        """Arrival and lead of the states since."""
+        self._slow: list[tuple[float, float]] = []
+        """Intervals of stamps and arrivals since the clock was last not slow."""
 
     def observe(self, stamp: float, arrived: float) -> str:
         """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
         last, self._last = self._last, (stamp, arrived)
         if last is None:
             return ""
-        interval = stamp - last[0], arrived - last[1]
+        stamps, arrivals = stamp - last[0], arrived - last[1]
         # A clock that was set, or that has not advanced, shows no rate.
-        if not (0.0 < interval[0] < _LONGEST_INTERVAL and 0.0 < interval[1] < _LONGEST_INTERVAL):
-            self._intervals.clear()
+        if not (0.0 < stamps < _LONGEST_INTERVAL and 0.0 < arrivals < inf):
+            self._restart()
             return ""
-        self._intervals.append(interval)
-        return self._wrong(_FAST, _FAST_SECONDS, fast=True) or self._wrong(_SLOW, _SLOW_SECONDS, fast=False)
-
-    def _wrong(self, ratio: float, wanted: float, *, fast: bool) -> str:
-        """The sentence if all intervals of the last ``wanted`` [s] are beyond the ratio; empty otherwise."""
-        seconds, found = 0.0, list[tuple[float, float]]()
-        for stamps, arrivals in reversed(self._intervals):
-            if not (stamps > ratio * arrivals if fast else stamps < ratio * arrivals):
-                break
-            found.append((stamps, arrivals))
-            seconds += stamps if fast else arrivals
-            if seconds >= wanted and len(found) >= _FEWEST_INTERVALS:
-                return self._sentence(found)
+        self._lead += stamps - arrivals
+        self._leads.append((arrived, self._lead))
+        while self._leads[0][0] <= arrived - _LEAD_SECONDS:
+            self._peak = max(self._peak, self._leads.popleft()[1])
+        if self._lead - self._peak > _LEAD:
+            since, before = self._leads[0]
+            ratio = 1.0 + (self._lead - before) / (arrived - since) if arrived > since else stamps / arrivals
+            return _RATE.format(ratio)
+        if stamps < _SLOW * arrivals < _SLOW * _LONGEST_INTERVAL:
+            self._slow.append((stamps, arrivals))
+        else:
+            self._slow.clear()
+        seconds = sum(interval for _, interval in self._slow)
+        if seconds >= _SLOW_SECONDS:
+            return _RATE.format(sum(interval for interval, _ in self._slow) / seconds)
         return ""
-
-    def _sentence(self, intervals: list[tuple[float, float]]) -> str:
-        ratio = sum(stamps for stamps, _ in intervals) / sum(seconds for _, seconds in intervals)
-        return f"its stamps advance {ratio:.2g} times as fast as the states arrive"
 
 
 def _norm(values: Sequence[float], indices: Sequence[int]) -> float:
