@@ -67,7 +67,7 @@ def test_the_plants_share_no_code_with_the_product() -> None:
 @pytest.mark.parametrize(("robot", "name"), KNOWN, ids=map("-".join, KNOWN))
 def test_a_model_with_the_true_effect_predicts_better_than_without(robot: str, name: str, tmp_path: Path) -> None:
     case = OwnCase("own_one", robot, 3, {name: STRENGTHS[robot][name]}, 1)
-    assert error(case, tmp_path, with_effect=True) < 0.8 * error(case, tmp_path, with_effect=False)
+    assert error(case, tmp_path, with_effect=True) < 0.9 * error(case, tmp_path, with_effect=False)
 
 
 def test_the_same_seed_gives_the_same_cases_and_every_robot_its_turn(tmp_path: Path) -> None:
