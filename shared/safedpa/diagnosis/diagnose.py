@@ -108,23 +108,12 @@ def diagnose(
         return found
 
     # An empty library skips the additions but still refits the free parameters, whose error the report shows.
-    search = run_search(
-        model,
-        library if judge.enough else [],
-        evidence.shooting,
-        evidence.heldout,
-        report_progress,
-        other_horizons,
-        _remaining,
-    )
+    tried, data = library if judge.enough else [], (evidence.shooting, evidence.heldout)
+    search = run_search(model, tried, *data, report_progress, other_horizons, _remaining)
     usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
     unexplained, likely = found = _unmodelled(search, judge, library)
-    sizes: Sequence[Detectable] = ()
-    if judge.enough:
-        common = [item for item in search.available if not item.rare]
-        sizes = detectable_sizes(search.current, common, search.shooting, search.error)
-        sizes = with_manoeuvres(sizes, search.current, library)
+    sizes = _sizes(search, library) if judge.enough else ()
     remainder = _remainder(search) if judge.enough else None
     doubtful, unsure = doubtful_effects(search), uncertain_effects(search)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
@@ -152,6 +141,13 @@ def diagnose(
         uncertain=tuple(unsure),
         remainder=remainder,
     )
+
+
+def _sizes(search: SearchState, library: Sequence[AbstractEffect]) -> Sequence[Detectable]:
+    """Returns the smallest size of each effect that would have been found, with a drive that shows smaller ones."""
+    common = [item for item in search.available if not item.rare]
+    sizes = detectable_sizes(search.current, common, search.shooting, search.error)
+    return with_manoeuvres(sizes, search.current, library)
 
 
 def _remaining(trial: EffectTrial, shooting: Shooting) -> Remainder | None:
