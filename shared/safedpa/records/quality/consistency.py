@@ -208,16 +208,15 @@ def consistency_findings(
     rows: RawRows, stretches: list[Stretch], system: System, measured: list[bool]
 ) -> list[Finding]:
     """Reports columns that contradict each other; nothing is cut."""
-    names = system.state_names
+    names, actions = system.state_names, system.action_names
     if {"x", "y", "yaw", "speed"} <= set(names):
         found = _car(rows, stretches, names, measured[names.index("speed")])
         return found or _steering(rows, stretches, system) + _turn_rate(rows, stretches, names, measured)
-    if {"angle", "rate"} <= set(names):
+    # What another action turns is no pendulum, and 0 need not be upright.
+    if {"angle", "rate", "torque"} <= {*names, *actions}:
         angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
         moved = slopes_within(rows.t, angle, stretches, _WINDOW)
         found = _scale("rate", "angle", rate, moved) if measured[names.index("rate")] else []
-        if "torque" not in system.action_names:  # what turns it is no pendulum
-            return found
         return found + _upright(angle, moved, slopes_within(rows.t, moved, stretches, _WINDOW), rows.actions)
     return _declared_rates(rows, stretches, system, measured)
 
