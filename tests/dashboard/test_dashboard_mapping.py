@@ -21,7 +21,7 @@ from safedpa.bus import (
     decode,
     encode,
 )
-from safedpa.bus.messages.messages import LARGEST_NUMBER
+from safedpa.bus.messages.messages import LARGEST_NUMBER, RosterEntry
 from safedpa.drawing import Lines, Rings
 from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings
@@ -42,6 +42,11 @@ _OF_TYPE = {
     "Rows": st.lists(_VECTORS, max_size=5).map(tuple),
     "tuple[str, ...]": st.lists(_TEXTS, max_size=3).map(tuple),
 }
+
+
+_OF_TYPE["tuple[RosterEntry, ...]"] = st.lists(
+    st.builds(RosterEntry, **{field.name: _OF_TYPE[field.type] for field in fields(RosterEntry)}), max_size=3
+).map(tuple)
 
 
 def _messages(topic):

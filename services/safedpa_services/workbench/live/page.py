@@ -148,7 +148,6 @@ class LivePage(AbstractTab):
         history, link = self._history, self._link
         self._what.set_content(escaped(f"{link.title}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
         if history is None:
-            self._verdict.set_visibility(True)
             self._verdict.set_content(escaped(f"No message from any robot ({link.title}). Start one with: safedpa up"))
             self._show_problem(link.store.last_refusal and f"Refused: {link.store.last_refusal}")
             return
@@ -156,8 +155,8 @@ class LivePage(AbstractTab):
         now = time.monotonic()
         present = history.headline(now)
         found = _capitalized(finding.sentence) if finding else "No finding yet."
-        self._verdict.set_content(escaped(found))
-        self._verdict.set_visibility(not present)  # the alert below it is then the headline
+        # The alert is then the headline.
+        self._verdict.set_content(escaped(f"Last finding: {found}" if present else found))
         latest = history.problems[-1] if history.problems else ""
         self._show_problem(history.silence_message(now) or history.mismatch() or latest)
         deadlock = history.deadlock_message(now)
@@ -193,7 +192,6 @@ class LivePage(AbstractTab):
         self._show_problem("")
         self._deadlock.set_visibility(False)
         summary = "" if history is None else f" {history.summary()}"
-        self._verdict.set_visibility(True)
         self._verdict.set_content(escaped(f"The drive has ended.{summary} The page shows its last state."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed.")
         self._back.set_visibility(False)

@@ -61,7 +61,7 @@ class FilterSession(GuardedSession[Measurement]):
         >>> def affine(x):
         ...     return np.array([x[0] + 0.05 * x[1], x[1]]), np.array([[0.00125], [0.05]])
         >>> room = safedpa.FunctionBarrier(lambda x: 1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6, kind="wall")
-        >>> settings = safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+        >>> settings = safedpa.FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon={"wall": 0.0})
         >>> safe = safedpa.SafetyFilter(affine, [room], settings, backup=lambda x: [0.0 if x is None else -20.0 * x[1]])
         >>> session = safedpa.FilterSession(safe, period=0.05, system=mass)
         >>> [session.decide(x, [0.0]).status.value for x in ([0.0, 0.4], [0.02, 0.4], [-0.76, 0.4])]
