@@ -23,6 +23,7 @@ from safedpa.policy.controller import controller_for
 from safedpa.runtime.scene import AbstractScene, scene_of
 from safedpa.safety.checks.check_filter import check_filter
 from safedpa.safety.filter import SafetyFilter
+from safedpa.safety.session import FilterSession
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.validation import checked_output
 from safedpa.stand_in import AbstractStandIn
@@ -265,7 +266,7 @@ def _probed(robot: Robot, drive: _Drive) -> Iterator[PartFinding]:
         if isinstance(barriers, str) or not barriers.names:
             continue
         report = check_filter(
-            drive.filter,
+            FilterSession(drive.filter),  # the services decide through one
             message.values,
             barriers=barriers,
             latent=latent,
