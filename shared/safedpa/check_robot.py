@@ -23,7 +23,7 @@ from safedpa.policy.controller import controller_for
 from safedpa.runtime.scene import AbstractScene, scene_of
 from safedpa.safety.checks.check_filter import check_filter
 from safedpa.safety.filter import SafetyFilter
-from safedpa.safety.session import FilterSession
+from safedpa.safety.session.filter_session import FilterSession
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.validation import checked_output
 from safedpa.stand_in import AbstractStandIn
