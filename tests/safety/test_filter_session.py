@@ -238,11 +238,13 @@ def test_a_fallback_that_coasts_without_a_state_is_an_issue_of_a_filter_and_none
     assert "lost state" not in check_filter(session_of_the_mass(), states).subjects
 
 
-@pytest.mark.parametrize(("moved", "latched"), [(9.0, False), (11.0, True)])
-def test_after_a_pause_a_state_is_believed_as_far_away_as_the_rates_allow(moved: float, latched: bool) -> None:
+@pytest.mark.parametrize(("speed", "moved", "latched"), [(4.0, 7.0, False), (4.0, 11.0, True), (0.0, 0.8, True)])
+def test_after_a_pause_a_state_is_believed_as_far_away_as_the_rates_allow(
+    speed: float, moved: float, latched: bool
+) -> None:
     session = session_of_the_mass()
-    session.decide([-45.0, 4.0], [0.0], time=0.0)
-    session.decide([-44.8, 4.0], [0.0], time=PERIOD)
+    session.decide([-44.8 - PERIOD * speed, speed], [0.0], time=0.0)
+    session.decide([-44.8, speed], [0.0], time=PERIOD)
     session.decide([-44.8 + moved, 0.0], [0.0], time=2.0)
     assert bool(session.latched) is latched
 

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import ceil, isfinite, isnan
+from math import ceil, hypot, isfinite, isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -45,6 +45,8 @@ _SAME_AGE: Final = 1e-6
 """Share of a period by which the ages of two states may differ by rounding."""
 _LONGEST_SHARE: Final = 3.0
 """Periods between two measurements that are predicted by one step."""
+_LONGEST_JUMP: Final = 4.0
+"""Largest jumps that are added to the motion during a pause."""
 _AT_REST: Final = 0.01
 """Share of the fastest motion since the state was lost below which the robot counts as stationary."""
 
@@ -237,17 +239,22 @@ class GuardedSession(SessionMemory[StateT]):
         return found
 
     def _too_far(self, state: StateT, known: _Believed, periods: int) -> str:
-        """Whether the state is further from the last one than the bounds of the rates allow; empty if it is not.
+        """Whether the state is further from the last one than its rates explain; empty if it is not.
 
-        What the robot applied while this filter was not asked is unknown, so nothing else can be compared.
+        What the robot applied while this filter was not asked is unknown; a robot without a filter brakes by itself. So
+        it moved no further than at its last rates, plus the largest jump: a source that restarts elsewhere is seen.
         """
         self._monitor.restart()
-        reach = StateLimits.of_system(self.model.system, periods * self.model.period).jump
+        names = self.model.system.state
         moved = self._monitor.observe(state.values, known.values, known.values).jump
-        for unit, limit in reach.items():
-            if moved[unit] > limit:
-                seconds = periods * self.model.period
-                return f"it moved by {moved[unit]:.2g} {unit} within {seconds:.2g} s (at most {limit:.2g} {unit})"
+        jumps = StateLimits() if self.limits is None else self.limits
+        seconds = periods * self.model.period
+        for unit, size in moved.items():
+            rates = [value for each, value in zip(names, known.values, strict=True) if each.unit == f"{unit}/s"]
+            if rates and unit in jumps.jump:
+                limit = seconds * hypot(*rates) + _LONGEST_JUMP * jumps.jump[unit]
+                if not size <= limit:
+                    return f"it moved by {size:.2g} {unit} within {seconds:.2g} s (at most {limit:.2g} {unit})"
         return ""
 
     def _is_unanswered(self) -> bool:
