@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.diagnosis.fit.least_squares import Fit, fit, objectives
+from safedpa.diagnosis.fit.least_squares import Fit, bounds_of, fit, objectives
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.report_schema import FittedValue
 from safedpa.dynamics import PhysicsModel
@@ -230,6 +230,22 @@ def explanation_correlation(one: EffectTrial, other: EffectTrial) -> float:
     """Returns the correlation (-1 to 1) of what two trials of one stage explain."""
     size = float(np.sqrt((one.explained**2).sum() * (other.explained**2).sum()))
     return float((one.explained * other.explained).sum() / size) if size > 0 else 0.0
+
+
+def has_shape_at_bound(trial: EffectTrial, shooting: Shooting) -> bool:
+    """Returns whether a parameter that only shapes an effect of the trial is within one deviation of a bound.
+
+    Such a parameter has no neutral value, so its deviation from one is never judged. Example: friction that fades at a
+    rate below what the sensor resolves is a way to describe hands that hold a joint.
+    """
+    fitted = trial.fit
+    shapes = [fitted.model.parameters[path].neutral is None for path in fitted.paths]
+    own = np.array([path.split(".")[0] in trial.effects for path in fitted.paths]) & np.array(shapes, dtype=bool)
+    if not own.any():
+        return False
+    low, high = bounds_of(fitted.model, fitted.paths)
+    near = np.minimum(fitted.values - low, high - fitted.values) < np.nan_to_num(fitted.deviations(shooting))
+    return bool((own & (near | ~fitted.free)).any())
 
 
 def paths_of(items: Iterable[AbstractEffect]) -> list[str]:

@@ -23,7 +23,7 @@ from safedpa.comparison.actuators import delayed_actions
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.prediction_error_method import PredictionErrorFit, prediction_error_fit
-from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation
+from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation, has_shape_at_bound
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 
 CLEAR_GAIN = 8.0
@@ -253,7 +253,10 @@ def within_bounds(trial: EffectTrial, search: SearchState) -> bool:
 
     While MOST_MISSING, bounds are allowed: effects added later move the value back inside.
     """
-    return search.error.value > MOST_MISSING or bool(trial.fit.free[len(search.current.fit.paths) :].all())
+    if search.error.value > MOST_MISSING:
+        return True
+    inside = bool(trial.fit.free[len(search.current.fit.paths) :].all())
+    return inside and not has_shape_at_bound(trial, search.shooting)
 
 
 def judge_trial(

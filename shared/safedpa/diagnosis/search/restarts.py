@@ -15,7 +15,7 @@ import numpy as np
 
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
-from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, ratio_gain, trial_of
+from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, has_shape_at_bound, ratio_gain, trial_of
 from safedpa.diagnosis.search.acceptance import FALL, MUCH, SIMPLER, SURE, passes
 from safedpa.diagnosis.search.backward_revision import refit_effects, replace_effects
 from safedpa.diagnosis.search.joint_trials import JointTrial, fit_jointly, textbook_combinations
@@ -132,6 +132,7 @@ def _beginnings(search: SearchState, joint: Sequence[JointTrial]) -> list[JointT
     def better(item: JointTrial) -> bool:
         greedy = min(error for count, error in errors.items() if count <= len(item.trial.effects))
         inside = bool(item.trial.fit.free[len(search.first.fit.paths) :].all())
+        inside = inside and not has_shape_at_bound(item.trial, item.shooting)
         return inside and item.error.value < (1.0 - _BETTER) * greedy
 
     return sorted(filter(better, joint), key=lambda item: item.error.value)[:_BEGINNINGS]
