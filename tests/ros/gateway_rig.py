@@ -72,7 +72,7 @@ class Publisher:
 class Sense:
     """Numbers with an age [s]."""
 
-    refused, why, clock = 0, "", ""
+    refused, why, clock, lag = 0, "", "", 0.0
 
     def __init__(self, numbers: tuple[float, ...], age: float = 0.0) -> None:
         self.numbers, self.age = numbers, age

@@ -174,6 +174,28 @@ def test_a_robot_that_was_held_up_and_catches_up_has_no_other_clock(held_up: flo
         assert monitor.observe(PERIOD * tick, PERIOD * tick + late) == ""
 
 
+@pytest.mark.parametrize("rate", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("interval", [0.02, 0.05, 0.16])
+def test_states_that_fall_behind_are_reported_within_0_3_s_of_their_arrivals(rate: float, interval: float) -> None:
+    monitor, arrived = ClockMonitor(), 0.0
+    while not monitor.behind:
+        assert arrived - interval <= max(0.3, 0.21 / (1.0 - rate))
+        arrived += interval
+        monitor.observe(rate * arrived, arrived)
+    assert monitor.lag == pytest.approx((1.0 - rate) * (arrived - interval))
+    for _ in range(200):  # the clock is right again
+        arrived += interval
+        monitor.observe(arrived, arrived)
+    assert (monitor.behind, monitor.lag) == ("", 0.0)
+
+
+def test_a_state_that_was_held_up_is_as_old_as_its_stamp_says_until_the_source_has_caught_up() -> None:
+    monitor = ClockMonitor()
+    for tick, late in enumerate([0.0, 0.0, 1.3, 1.28, 1.24, 1.24]):
+        monitor.observe(PERIOD * tick, PERIOD * tick + late)
+        assert monitor.lag == pytest.approx(late)
+
+
 @given(st.lists(st.floats(0.0, 0.3), min_size=20, max_size=60), st.integers(1, 8))
 def test_late_messages_and_bursts_are_no_other_rate(late: list[float], burst: int) -> None:
     """Each message arrives after its measurement, up to 0.3 s late and never before an earlier one."""

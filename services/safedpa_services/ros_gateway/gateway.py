@@ -205,7 +205,7 @@ class Gateway:
             obstacles=around.obstacles,
             field=around.field,
             footprint=around.footprint,
-            until_action=age + self._delay,
+            until_action=age + self._sensor_inputs.odometry.lag + self._delay,
             sources=tuple(scan.name for scan in robot_file.scans),
         )
         self._publish_scans(age)

@@ -87,6 +87,8 @@ class _Receiver:
         self._rate = ClockMonitor()
         self.clock = ""
         """Why the stamps of the messages contradict their arrivals; empty if they do not."""
+        self.lag = 0.0
+        """Time [s] by which the newest stamp is behind its arrival: the data is at least that old on arrival."""
         self.refused = 0
         """Number of refused messages: unreadable, of another frame, of a second publisher, or with implausible
         numbers."""
@@ -106,7 +108,8 @@ class _Receiver:
         if not self._repeats(stamp):
             self._changed = at
             if stamp != 0:
-                self.clock = self._rate.observe(_NANOSECOND * stamp, at)
+                self.clock = self._rate.observe(_NANOSECOND * stamp, at) or self._rate.behind
+                self.lag = self._rate.lag
         self._stamp, self.why = stamp, ""
 
     def _age(self) -> float:

@@ -200,6 +200,10 @@ _SLOW: Final = 0.5
 """Ratio of stamps to arrivals that is no jitter if every interval shows it."""
 _SLOW_SECONDS: Final = 3.0
 """Time [s] of arrivals for which stamps must be slow: a busy machine may be slow for a while."""
+_LAG: Final = 0.21
+"""s by which stamps may fall behind the arrivals within ``_LAG_SECONDS``: 0.3 s of a clock at a rate of 0.3."""
+_LAG_SECONDS: Final = 1.0
+_BEHIND: Final = "; they have fallen {:.2f} s behind within a second"
 
 
 @final
@@ -207,32 +211,55 @@ class ClockMonitor:
     """Compares the stamps of the states with their arrivals.
 
     The lead is the sum of (interval of stamps - interval of arrivals). A robot that was held up catches up to the lead
-    that it had; a clock that is fast goes beyond every lead before.
+    that it had; a clock that is fast goes beyond every lead before. States that are held up and a slow clock look alike
+    at first: ``lag`` is by how much the states are then older than their arrivals say.
     """
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
-        self._restart()
+        self._restart(0.0)
 
-    def _restart(self) -> None:
+    def _restart(self, arrived: float) -> None:
         self._lead, self._peak = 0.0, 0.0
         """Lead of now, and the largest until _LEAD_SECONDS ago."""
         self._leads: deque[tuple[float, float]] = deque()
         """Arrival and lead of the states since."""
+        self._largest: deque[tuple[float, float]] = deque([(arrived, 0.0)])
+        """Arrival and lead of the states of the last second that lead more than all after them."""
         self._slow: list[tuple[float, float]] = []
         """Intervals of stamps and arrivals since the clock was last not slow."""
+
+    @property
+    def lag(self) -> float:
+        """Time [s] by which the newest stamp is behind its arrival, compared with the best of the last second."""
+        return self._largest[0][1] - self._lead
+
+    @property
+    def behind(self) -> str:
+        """Why the newest state is too old by its stamp; empty if it is not. It passes: nothing else is known yet."""
+        if self.lag <= _LAG:
+            return ""
+        seconds = self._largest[-1][0] - self._largest[0][0]
+        return _RATE.format(max(0.0, 1.0 - self.lag / seconds)) + _BEHIND.format(self.lag)
 
     def observe(self, stamp: float, arrived: float) -> str:
         """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
         last, self._last = self._last, (stamp, arrived)
         if last is None:
+            self._restart(arrived)
             return ""
         stamps, arrivals = stamp - last[0], arrived - last[1]
         # A clock that was set, or that has not advanced, shows no rate.
         if not (0.0 < stamps < _LONGEST_INTERVAL and 0.0 < arrivals < inf):
-            self._restart()
+            self._restart(arrived)
             return ""
         self._lead += stamps - arrivals
+        while self._largest and self._largest[-1][1] <= self._lead:
+            self._largest.pop()
+        self._largest.append((arrived, self._lead))
+        # The newest one before that second stays: the newest state may have been held up for longer than that.
+        while len(self._largest) > 1 and self._largest[1][0] < arrived - _LAG_SECONDS:
+            self._largest.popleft()
         self._leads.append((arrived, self._lead))
         while self._leads[0][0] <= arrived - _LEAD_SECONDS:
             self._peak = max(self._peak, self._leads.popleft()[1])
