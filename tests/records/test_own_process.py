@@ -20,7 +20,13 @@ from safedpa.robots.car.system import CAR
 READERS = """
 import os, time
 from pathlib import Path
-from safedpa.records.readers.own_process import allow_for, in_own_process
+from safedpa.records.readers.own_process import allow_for, in_own_process, iterated_in_own_process
+
+@iterated_in_own_process
+def counted(path: Path, most: int):
+    for number in range(most): yield number, os.getpid()
+    if most > 3: raise ValueError("wrong")
+    return "end"
 
 @in_own_process
 def process(path: Path) -> int:
@@ -81,6 +87,23 @@ def test_a_reader_is_ended_by_its_limits_and_the_next_file_is_read(readers, monk
     with pytest.raises(LimitError, match=r"ms of processor time.*at most 50; .*reader_milliseconds=NUMBER"):
         readers.endless(tmp_path / "missing")
     assert readers.process(tmp_path) != os.getpid()
+
+
+def test_what_a_reader_yields_arrives_while_it_reads_and_its_process_ends_with_the_iteration(readers, tmp_path) -> None:
+    found = readers.counted(tmp_path, 2)
+    assert [next(found)[0], next(found)[0]] == [0, 1]
+    with pytest.raises(StopIteration, match="end"):
+        next(found)
+    with pytest.raises(ValueError, match="wrong"):
+        list(readers.counted(tmp_path, 5))
+    left = readers.counted(tmp_path, 2)
+    worker = Path("/proc") / str(next(left)[1])
+    assert worker.exists()
+    left.close()
+    until = time.monotonic() + 60.0
+    while worker.exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not worker.exists()
 
 
 def test_ctrl_c_ends_the_reader_too(readers, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +18,12 @@ from safedpa.bus.messages.topics import STATE, topic_of
 from safedpa.errors import InputError, SafedpaError
 from safedpa.records.earlier_format import current_key
 from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
+from safedpa.records.readers.own_process import in_own_process, iterated_in_own_process
 
 By = Literal["auto", "folder", "file", "robot"]
 _ENDINGS = (".csv", ".parquet", ".mcap")
+_BATCH = 1000
+"""States that come at once from the process that reads a recording."""
 
 
 @dataclass(frozen=True)
@@ -127,15 +130,18 @@ def _by_robot(files: Sequence[Path]) -> DiscoveredRobots:
 def robots_in(path: Path) -> tuple[list[str], str]:
     """Returns the sorted names of the robots with states in a recording, and why there are none (else empty)."""
     try:
-        # The index at the end; None if the recording was not closed, or is damaged.
-        channels = channels_at_end(path)
-        robots = (
-            (robot for _, robot, _ in _states(path, headers=True)) if channels is None else map(_state_robot, channels)
-        )
-        names = set(filter(None, robots))
+        names = _names_in(path)
     except (SafedpaError, OSError) as error:
         return [], str(error)
-    return sorted(names), "" if names else "contains no states of robots"
+    return names, "" if names else "contains no states of robots"
+
+
+@in_own_process
+def _names_in(path: Path) -> list[str]:
+    # The index at the end; None if the recording was not closed, or is damaged.
+    channels = channels_at_end(path)
+    found = _channels(path) if channels is None else channels
+    return sorted(set(filter(None, map(_state_robot, found))))
 
 
 def split_recording(path: Path, folder: Path) -> dict[str, Path]:
@@ -151,34 +157,44 @@ def split_recording(path: Path, folder: Path) -> dict[str, Path]:
     writers: dict[str, Any] = {}
     channels: dict[tuple[str, str], int] = {}
     with ExitStack() as stack:
-        for key, robot, record in _states(path):
-            if robot not in writers:
-                paths[robot] = folder / f"{robot}.mcap"
-                file = stack.enter_context(paths[robot].open("wb"))
-                writers[robot] = Writer(file, chunk_size=1 << 18, compression=CompressionType.ZSTD)
-                writers[robot].start()
-                stack.callback(writers[robot].finish)
-            if (robot, key) not in channels:
-                channels[robot, key] = writers[robot].register_channel(key, "msgpack", schema_id=0)
-            channel, times = channels[robot, key], (record.log_time, record.publish_time)
-            writers[robot].add_message(channel, times[0], record.data, times[1], record.sequence)
+        for batch in _states(path):
+            for key, robot, logged, published, sequence, data in batch:
+                if robot not in writers:
+                    paths[robot] = folder / f"{robot}.mcap"
+                    file = stack.enter_context(paths[robot].open("wb"))
+                    writers[robot] = Writer(file, chunk_size=1 << 18, compression=CompressionType.ZSTD)
+                    writers[robot].start()
+                    stack.callback(writers[robot].finish)
+                if (robot, key) not in channels:
+                    channels[robot, key] = writers[robot].register_channel(key, "msgpack", schema_id=0)
+                writers[robot].add_message(channels[robot, key], logged, data, published, sequence)
     return paths
 
 
-def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, Any]]:
-    """Yields (key, robot, record) of every state, or with ``headers`` of the channels only."""
+@iterated_in_own_process
+def _states(path: Path) -> Generator[list[tuple[str, str, int, int, int, bytes]], None, None]:
+    """Yields batches of states: key, robot, log time [ns], publish time [ns], sequence number, encoded message."""
     from mcap.records import Channel, Message
 
     known: dict[int, tuple[str, str]] = {}
+    batch: list[tuple[str, str, int, int, int, bytes]] = []
     for record in _records(path):
-        if isinstance(record, Channel):
-            robot = _state_robot(record)
-            if robot:
-                known[record.id] = (record.topic, robot)
-                if headers:
-                    yield record.topic, robot, record
-        elif isinstance(record, Message) and not headers and record.channel_id in known:
-            yield *known[record.channel_id], record
+        if isinstance(record, Channel) and (robot := _state_robot(record)):
+            known[record.id] = (record.topic, robot)
+        elif isinstance(record, Message) and record.channel_id in known:
+            batch.append(
+                (*known[record.channel_id], record.log_time, record.publish_time, record.sequence, record.data)
+            )
+        if len(batch) >= _BATCH:
+            yield batch
+            batch = []
+    yield batch
+
+
+def _channels(path: Path) -> Iterator[Any]:
+    from mcap.records import Channel
+
+    return (record for record in _records(path) if isinstance(record, Channel))
 
 
 def _state_robot(channel: Any) -> str:

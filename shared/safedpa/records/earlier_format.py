@@ -15,6 +15,7 @@ import msgpack
 from safedpa.bus.messages.topics import TOPICS
 from safedpa.errors import InputError
 from safedpa.limits import parse_toml, text_of_file
+from safedpa.records.readers.own_process import in_own_process
 
 __all__ = ["FORMAT", "current_key", "current_payload", "migrate", "without_removed_settings"]
 
@@ -168,6 +169,7 @@ def _converted_text(path: Path, text: str, table: dict[str, Any]) -> tuple[str, 
     return "settings", converted
 
 
+@in_own_process
 def _migrate_recording(path: Path, target: Path) -> None:
     from mcap.records import Channel, Message, Metadata
 

@@ -7,22 +7,23 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus.messages.codec import decode
 from safedpa.bus.messages.messages import Message, StateMessage, VerdictMessage
-from safedpa.bus.messages.topics import STATE, VERDICT, Topic, topic_of
+from safedpa.bus.messages.topics import STATE, TOPICS, VERDICT, Topic, topic_of
 from safedpa.errors import InputError, MessageError, RunError, did_you_mean
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.earlier_format import current_key, current_payload
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.readers.mcap_recovery import DamageError, damage_finding, undamaged_records
+from safedpa.records.readers.own_process import iterated_in_own_process
 from safedpa.records.readers.table import require_file
 from safedpa.records.run import Finding, RawRows, Run
 from safedpa.systems import System
@@ -39,6 +40,14 @@ __all__ = [
     "read_rows_from_mcap",
     "read_run_from_mcap",
 ]
+
+_Payload = tuple[str, int, str, bytes]
+"""Key, log time [ns], name of the topic, encoded message."""
+_Entry = tuple[str, int, Topic, bytes]
+_BATCH_BYTES: Final = 1 << 20
+"""Bytes that come at once from the process that reads the file."""
+_MESSAGE_BYTES: Final = 100
+"""Bytes that a message takes next to its content."""
 
 
 def read_messages(
@@ -73,36 +82,58 @@ def read_payloads(
 
     Recordings of an earlier format are converted to the names of the present one.
     """
+    path = Path(path)
+    require_file(path)
+    names = None if topics is None else frozenset(topic.name for topic in topics)
+    found = yield from _in_items(_payloads(path, names))
+    if findings is not None:
+        findings += found
+
+
+def _in_items(batches: Generator[list[_Payload], None, list[Finding]]) -> Generator[_Entry, None, list[Finding]]:
+    """Yields what batches hold, one by one, and returns what they return."""
+    while True:
+        try:
+            batch = next(batches)
+        except StopIteration as end:
+            found: list[Finding] = end.value
+            return found
+        for key, at, name, payload in batch:
+            yield key, at, TOPICS[name], payload
+
+
+@iterated_in_own_process
+def _payloads(path: Path, topics: Collection[str] | None) -> Generator[list[_Payload], None, list[Finding]]:
+    """Yields batches of payloads, with the names of their topics; returns the findings about damage."""
     from mcap.records import Channel
     from mcap.records import Message as Record
 
-    path = Path(path)
-    require_file(path)
-    channels: dict[int, tuple[str, Topic] | None] = {}
-    for record in _records(path, findings if findings is not None else []):
+    channels: dict[int, tuple[str, str] | None] = {}
+    damage: list[DamageError] = []
+    batch: list[_Payload] = []
+    size = 0
+    for record in undamaged_records(path, damage):
         if isinstance(record, Channel):
             channels[record.id] = _key_and_topic(record)
         elif isinstance(record, Record):
             entry = channels.get(record.channel_id)
             if entry is not None and (topics is None or entry[1] in topics):
-                yield entry[0], record.log_time, entry[1], current_payload(entry[1].name, record.data)
+                batch.append((entry[0], record.log_time, entry[1], current_payload(entry[1], record.data)))
+                size += len(record.data) + _MESSAGE_BYTES
+        if size > _BATCH_BYTES:
+            yield batch
+            batch, size = [], 0
+    yield batch
+    return [damage_finding(damage, "recording", None)] if damage else []
 
 
-def _key_and_topic(channel: Channel) -> tuple[str, Topic] | None:
-    """Present key and topic of a channel; None for channels of other programs."""
+def _key_and_topic(channel: Channel) -> tuple[str, str] | None:
+    """Present key and name of the topic of a channel; None for channels of other programs."""
     key = current_key(channel.topic)
     try:
-        return (key, topic_of(key)[2]) if channel.message_encoding == "msgpack" else None
+        return (key, topic_of(key)[2].name) if channel.message_encoding == "msgpack" else None
     except InputError:
         return None
-
-
-def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
-    """Yields the records of the file, with chunks unpacked, without the damaged ones."""
-    damage: list[DamageError] = []
-    yield from undamaged_records(path, damage)
-    if damage:
-        findings.append(damage_finding(damage, "recording", None))
 
 
 Stamp = tuple[int, int]

@@ -23,7 +23,7 @@ import tempfile
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from functools import wraps
 from importlib import import_module
 from itertools import islice
@@ -35,9 +35,10 @@ import numpy as np
 from safedpa.errors import InputError, RunError
 from safedpa.limits import limit, too_much
 
-__all__ = ["allow_for", "in_own_process", "in_this_process", "serve"]
+__all__ = ["allow_for", "in_own_process", "in_this_process", "iterated_in_own_process", "serve"]
 
 _Arguments = ParamSpec("_Arguments")
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 _SECONDS_PER_BYTE = 10e-6
@@ -68,6 +69,8 @@ _ALIGNMENT = 64
 """Bytes; NumPy reads aligned arrays faster."""
 _MAX_FILES = 10_000
 """Files of a folder that count for its limits."""
+_PATIENT, _NEXT = "+", b"."
+"""Mark of a request whose worker may wait for its caller, and the message that asks for the next item."""
 _STACK_BYTES = 2 << 20
 """Stack of each thread of a library, which counts as memory of the worker."""
 
@@ -87,21 +90,67 @@ def in_own_process(
 
     @wraps(read)
     def called(path: Path, /, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
-        if not getattr(_direct, "on", False) and sys.platform != "linux":
-            warnings.warn("log files are read without limits of time and memory on this system", stacklevel=2)
-        if getattr(_direct, "on", False) or sys.platform != "linux":
+        if _is_direct():
             return read(path, *arguments, **options)
-        request = (read.__module__, read.__qualname__, (path, *arguments), options)
-        place = (Path.cwd(), dict(os.environ), [os.path.abspath(folder) for folder in sys.path if folder])
-        kind, content = _answer(path, _libraries(path), (place, pickle.dumps(request)))
-        if kind == "result":
-            result: _Result = content
-            return result
-        if kind == "error":
-            raise content
-        raise _stopped(path, content)
+        with _connected(path, "") as connection:
+            _send(connection, _request(read, (path, *arguments), options))
+            found = _receive(connection)
+        result: _Result = _result(path, found)
+        return result
 
     return called
+
+
+def iterated_in_own_process(
+    read: Callable[Concatenate[Path, _Arguments], Generator[_Item, None, _Result]],
+) -> Callable[Concatenate[Path, _Arguments], Generator[_Item, None, _Result]]:
+    """Decorates a reader that yields, such as one of a recording of hours; otherwise like ``in_own_process``.
+
+    Each item is pickled, so that it should hold some 1,000 messages. The worker reads one item ahead, waits while the
+    caller uses it, and ends with the iteration. Errors are raised while iterating.
+    """
+
+    @wraps(read)
+    def called(
+        path: Path, /, *arguments: _Arguments.args, **options: _Arguments.kwargs
+    ) -> Generator[_Item, None, _Result]:
+        if _is_direct():
+            return (yield from read(path, *arguments, **options))
+        with _connected(path, _PATIENT) as connection:
+            connection.settimeout(_wait())
+            _send(connection, _request(read, (path, *arguments), options))
+            while (found := _receive(connection)) and found[0] == "item":
+                with contextlib.suppress(BrokenPipeError, ConnectionError):  # of a worker that a limit ended
+                    connection.send(_NEXT)
+                yield found[1]
+        result: _Result = _result(path, found)
+        return result
+
+    return called
+
+
+def _is_direct() -> bool:
+    """Whether readers run in this process; warns where no limits can be set."""
+    on = getattr(_direct, "on", False)
+    if not on and sys.platform != "linux":
+        warnings.warn("log files are read without limits of time and memory on this system", stacklevel=3)
+    return on or sys.platform != "linux"
+
+
+def _request(read: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]) -> object:
+    place = (Path.cwd(), dict(os.environ), [os.path.abspath(folder) for folder in sys.path if folder])
+    return place, pickle.dumps((read.__module__, read.__qualname__, arguments, options))
+
+
+def _result(path: Path, found: tuple[str, Any] | None) -> Any:
+    """The result of a worker; raises what it raised, or the error that names how it ended."""
+    answer: tuple[str, Any] = found or ("stopped", -signal.SIGKILL)
+    kind, content = answer
+    if kind == "result":
+        return content
+    if kind == "error":
+        raise content
+    raise _stopped(path, content)
 
 
 @contextlib.contextmanager
@@ -142,18 +191,19 @@ def _libraries(path: Path) -> str:
     return " ".join(next((names for magic, names in _LIBRARIES.items() if start.startswith(magic)), _TABLE))
 
 
-def _answer(path: Path, libraries: str, request: object) -> tuple[str, Any]:
+@contextlib.contextmanager
+def _connected(path: Path, mark: str) -> Iterator[socket.socket]:
+    """Yields a connection to a new worker for a file; raises RunError if there is none, or it does not answer."""
     ours, theirs = socket.socketpair()
     with ours:
         try:
             with theirs:
-                _submit(libraries, theirs)
-            _send(ours, request)
-            found = _receive(ours)
+                _submit(mark + _libraries(path), theirs)
+            yield ours
+        except TimeoutError as error:
+            raise _stopped(path, -signal.SIGKILL) from error
         except OSError as error:
             raise RunError(f"{path}: no process can be started to read it ({error}); try again") from error
-    answer: tuple[str, Any] = found or ("stopped", -signal.SIGKILL)
-    return answer
 
 
 def _submit(libraries: str, connection: socket.socket) -> None:
@@ -256,18 +306,27 @@ def serve(control: int) -> NoReturn:
         libraries, received, _, _ = socket.recv_fds(requests, 4096, 1)
         if not received:
             os._exit(0)
-        for name in libraries.decode().split():
+        names = libraries.decode()
+        for name in names.removeprefix(_PATIENT).split():
             with contextlib.suppress(ImportError):
                 import_module(name)
         gc.freeze()  # a collection in a worker would copy the pages of all modules
         if os.fork() == 0:
             requests.close()
-            _guard(socket.socket(fileno=received[0]))
+            _guard(socket.socket(fileno=received[0]), patient=names.startswith(_PATIENT))
         os.close(received[0])
 
 
-def _guard(connection: socket.socket) -> NoReturn:
-    """Waits for a worker, removes its files, and reports how it ended; kills it if the caller hangs up."""
+def _wait() -> float:
+    """Time [s] after which a worker that does not answer is given up."""
+    return max(_MIN_WAIT, _WAIT_PER_SECOND * limit("reader_milliseconds") / 1e3)
+
+
+def _guard(connection: socket.socket, *, patient: bool) -> NoReturn:
+    """Waits for a worker, removes its files, and reports how it ended; kills it if the caller hangs up.
+
+    ``patient``: the caller limits the time, because the worker may wait for it.
+    """
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     folder = tempfile.mkdtemp(prefix="safedpa-reader-")
     worker = os.fork()
@@ -277,8 +336,7 @@ def _guard(connection: socket.socket) -> NoReturn:
     events = select.poll()
     events.register(ended, select.POLLIN)
     events.register(connection, select.POLLRDHUP)
-    wait = max(_MIN_WAIT, _WAIT_PER_SECOND * limit("reader_milliseconds") / 1e3)
-    if ended not in dict(events.poll(wait * 1e3)):
+    if ended not in dict(events.poll(None if patient else _wait() * 1e3)):
         os.kill(worker, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
     shutil.rmtree(folder, ignore_errors=True)
@@ -305,7 +363,8 @@ def _work(connection: socket.socket, folder: str) -> NoReturn:
         module, name, arguments, options = pickle.loads(called)
         read = getattr(import_module(module), name).__wrapped__
         _set_limits(_size(arguments[0]))
-        answer = ("result", read(*arguments, **options))
+        found = read(*arguments, **options)
+        answer = ("result", _sent(connection, found) if isinstance(found, Generator) else found)
     except MemoryError:
         answer = ("stopped", "memory")
     except Exception as error:  # noqa: BLE001  raised again in the caller
@@ -318,6 +377,18 @@ def _work(connection: socket.socket, folder: str) -> NoReturn:
     with contextlib.suppress(OSError):
         _send(connection, answer)
     os._exit(0)
+
+
+def _sent(connection: socket.socket, items: Generator[Any, None, Any]) -> Any:
+    """Sends items, each after the one before was taken, and returns what the generator returns."""
+    while True:
+        try:
+            item = next(items)
+        except StopIteration as end:
+            return end.value
+        _send(connection, ("item", item))
+        if not connection.recv(1):
+            os._exit(0)  # the caller hung up
 
 
 def _size(path: Path) -> int:
