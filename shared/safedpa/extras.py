@@ -19,12 +19,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "sim": ("pymunk", "scipy"),
-    "view": ("rerun",),
+    "view": ("rerun", "httpx", "starlette", "uvicorn"),
     "diagnosis": ("pyarrow", "jinja2", "plotly", "rerun"),
     "notebook": ("ipywidgets", "matplotlib", "pandas"),
     "workbench": ("nicegui",),
     "train": ("torch", "gymnasium", "matplotlib", "mujoco", "onnx", "onnxruntime", "sb3_contrib", "stable_baselines3"),
-    "metrics": ("prometheus_client",),
+    "metrics": ("prometheus_client", "starlette", "uvicorn"),
     "cluster": ("ray",),
     "gym": ("gymnasium",),
     "ros": ("rosbags", "pyulog"),

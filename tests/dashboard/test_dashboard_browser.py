@@ -87,11 +87,11 @@ import rerun as rr
 from safedpa.bus import ReceivedMessage, STATE, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.http_proxy import DataProxy, private_loopback
+from safedpa_services.dashboard.pages import DataProxy, private_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.rerun_recording import RerunRecording
-from safedpa_services.dashboard.http_proxy import ViewerServer
+from safedpa_services.dashboard.pages import ViewerServer
 from safedpa_services.web.ports import choose_port
 
 look = display_settings(load_model("car"), FilterSettings.for_robot("car"))

@@ -10,7 +10,7 @@ import urllib.request
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_services.dashboard.http_proxy import ViewerServer
+from safedpa_services.dashboard.pages import ViewerServer
 from safedpa_services.web.ports import choose_port, open_server
 
 pytestmark = pytest.mark.processes

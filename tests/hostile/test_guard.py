@@ -12,6 +12,7 @@ from safedpa_services.web.page_options import PageServerOptions
 
 TOKEN, PASSWORD = "a-token-of-tests", "open, sesame"
 COOKIE = ((b"cookie", b"safedpa_8080=a-token-of-tests"),)
+FORM = ((b"content-type", b"application/x-www-form-urlencoded"),)
 CLOSED = [("websocket.close", 1008)]
 
 
@@ -226,13 +227,13 @@ def test_opening_the_form_is_no_try(method: str, body: bytes, locked: Page) -> N
 
 
 def test_a_wrong_password_takes_a_second_and_is_logged_and_the_right_one_brings_the_cookie(locked: Page) -> None:
-    assert locked.ask((b"password=sesame",), method="POST", path="/login") == 401
+    assert locked.ask((b"password=sesame",), FORM, method="POST", path="/login") == 401
     assert b"type=password" in locked.answer
     assert "set-cookie" not in locked.headers
     assert locked.events == ["page.wrong_password"]
     assert len(locked.slept) == 1
     assert 0.5 <= locked.slept[0] <= 2.0
-    assert locked.ask((b"password=open%2C+sesame",), method="POST", path="/login") == 303
+    assert locked.ask((b"password=open%2C+sesame",), FORM, method="POST", path="/login") == 303
     assert locked.headers["set-cookie"].startswith("safedpa_8080=a-token-of-tests;")
     assert (len(locked.events), len(locked.slept)) == (1, 1)
     assert not locked.seen, "the page's framework sees no request without a token"

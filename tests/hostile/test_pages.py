@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,9 +79,16 @@ class Served:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     from safedpa.bus.transport.ports import free_port
 
-    folder, port = tmp_path_factory.mktemp("pages"), free_port()
+    folder = tmp_path_factory.mktemp("pages")
     (folder / "runs").mkdir()
     (folder / "secret.csv").write_text("-----BEGIN PRIVATE KEY-----,b\n1,2\n", encoding="utf-8")
+    with _workbench(folder, free_port()) as started:
+        yield started
+
+
+@contextmanager
+def _workbench(folder: Path, port: int) -> Iterator[Served]:
+    (folder / "runs").mkdir(exist_ok=True)
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
     command = [sys.executable, "-m", "safedpa_services", "workbench", "--no-browser", "--port", str(port)]
     command += ["--folder", str(folder / "runs"), "--out", str(folder / "out")]
@@ -213,6 +221,30 @@ def test_a_page_of_another_name_that_resolves_here_reads_nothing(served: Served,
         attempts = evil.evaluate(_ATTEMPTS, f"127.0.0.1:{served.port}")
         browser.close()
     assert attempts == {"rebound": 403, "read": "refused", "socket": "closed", "frame": "nothing"}
+
+
+@pytest.mark.long
+@pytest.mark.browser
+def test_an_open_tab_goes_on_after_the_same_command_was_started_again(tmp_path: Path) -> None:
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
+    from safedpa.bus.transport.ports import free_port
+
+    port = free_port()
+    with playwright.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        tab = browser.new_page()
+        tab.set_default_timeout(1000 * _PATIENCE)
+        with _workbench(tmp_path, port) as first:
+            tab.goto(first.address)
+            tab.wait_for_selector("text=safedpa workbench")
+            tab.evaluate("document.title = 'before'")
+        with _workbench(tmp_path, port):
+            tab.wait_for_function("document.title != 'before'")
+            tab.wait_for_selector("text=safedpa workbench")
+        browser.close()
 
 
 _ATTEMPTS = """async (own) => {

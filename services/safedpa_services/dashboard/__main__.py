@@ -19,7 +19,7 @@ from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.http_proxy import FIRST_RERUN_PORT, DataProxy, ViewerServer, private_loopback
+from safedpa_services.dashboard.pages import FIRST_RERUN_PORT, DataProxy, ViewerServer, private_loopback
 from safedpa_services.service_main import service_parser
 from safedpa_services.web.ports import choose_port, open_server
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Literal
 
 from safedpa.bus import VerdictMessage
 from safedpa.bus.monitor import FleetOverview, RobotOverview, ServiceOverview, robot_alerts
-from safedpa.errors import InputError
 
 if TYPE_CHECKING:
     from prometheus_client import Histogram, Metric
@@ -26,19 +25,16 @@ class Exporter:
     """Serves ``http://ADDRESS:PORT/metrics`` from its construction on; ``port`` is the port in use."""
 
     def __init__(self, fleet: FleetOverview, address: str, port: int) -> None:
-        from prometheus_client import CollectorRegistry, start_http_server
+        from prometheus_client import CollectorRegistry, make_asgi_app
+
+        from safedpa_services.web.server import PageServer
 
         self._fleet = fleet
         self._collector = FleetCollector(fleet)
         registry = CollectorRegistry()
         registry.register(self._collector)
-        try:
-            self._server, self._thread = start_http_server(port, address, registry)
-        except (OSError, OverflowError) as error:
-            raise InputError(
-                f"--port {port}, --bind {address}: cannot listen there ({error}); choose others"
-            ) from error
-        self.port = int(self._server.server_port)
+        self._server = PageServer(make_asgi_app(registry), address, port, f"--bind {address}, --port")
+        self.port = self._server.port
         self._turns = 0
 
     def run(self, stopped: Callable[[], bool]) -> None:
@@ -47,8 +43,7 @@ class Exporter:
             while not stopped():
                 self.turn()
         finally:
-            self._server.shutdown()
-            self._server.server_close()
+            self._server.close()
 
     def turn(self) -> None:
         """Processes the messages of a quarter of a second, then sends a heartbeat."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import secrets
+import stat
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,8 +22,34 @@ TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 """Environment variable with the token, for a program that starts the page and prints the address itself."""
 PASSWORD_VARIABLE = "SAFEDPA_PAGE_PASSWORD"
 """Environment variable with the password. It is no command option: every user of a machine can read arguments."""
+TOKEN_FILE = "page-token"
+"""File of a session's folder with its token, for its user alone."""
 _MIN_SECRET_LENGTH = 12
+_LONGEST_TOKEN = 256
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{24,128}")
 _DEFAULT_PORT = 8080
+
+
+def kept_token(folder: Path) -> str:
+    """Returns the token of a session's folder, so that tabs that are open go on after a restart.
+
+    A file that another user could have read or written is replaced by a new token. Without a file that can be written,
+    the token is of this start alone.
+    """
+    path = folder / TOKEN_FILE
+    with contextlib.suppress(OSError), open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)) as file:
+        status = os.fstat(file.fileno())
+        private = stat.S_ISREG(status.st_mode) and not status.st_mode & 0o077 and status.st_uid == os.geteuid()
+        if private and _TOKEN.fullmatch(token := file.read(_LONGEST_TOKEN)):
+            return token
+    token = secrets.token_urlsafe(24)
+    with contextlib.suppress(OSError):
+        folder.mkdir(0o700, parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=TOKEN_FILE, dir=folder)  # created with mode 0600
+        with os.fdopen(handle, "w", encoding="ascii") as written:
+            written.write(token)
+        os.replace(name, path)
+    return token
 
 
 @dataclass(frozen=True)
@@ -63,10 +93,15 @@ class PageServerOptions:
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> PageServerOptions:
-        """Takes the options of a command line. Without ``port``, the page gets the first free one from 8080 on."""
+        """Takes the options of a command line. Without ``port``, the page gets the first free one from 8080 on.
+
+        The token is that of the environment, or that of earlier starts with the same folder ``out``.
+        """
         host, names, folders = options["host"], tuple(options["name"]), tuple(options["folder"])
         port = choose_port(options["port"], _DEFAULT_PORT, "--port", host)
-        return cls(host, port, names, folders, options["tls_certificate"], options["tls_key"], options["token_only"])
+        token = os.environ.get(TOKEN_VARIABLE, "") or kept_token(Path(options["out"]))
+        certificate, key = options["tls_certificate"], options["tls_key"]
+        return cls(host, port, names, folders, certificate, key, options["token_only"], token=token)
 
     @property
     def scheme(self) -> str:

@@ -6,6 +6,7 @@ once, on first use, from Rerun's command line, which listens on the loopback int
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import subprocess
@@ -15,8 +16,11 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from collections.abc import AsyncIterator
 from importlib.util import find_spec
 from pathlib import Path
+
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
@@ -30,6 +34,7 @@ _FILES = {
 }
 _PATIENCE_SECONDS = 30.0
 _LARGEST_BYTES = 256 << 20
+_PART_BYTES = 1 << 16
 VIEWER_POLICY = (
     "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; connect-src 'self' blob: data:{more}; worker-src 'self' blob:; "
@@ -58,6 +63,30 @@ class Viewer:
             if not self._files:
                 self._files = _fetched()
         return self._files[wanted], _FILES[wanted]
+
+
+async def viewer_file(viewer: Viewer, name: str, more: str = "") -> Response:
+    """Returns the response with a file of the viewer, whose page may also read data from the host ``more``."""
+    try:
+        found = await asyncio.to_thread(viewer.file, name)
+    except SafedpaError as error:
+        return PlainTextResponse(f"{error}\n", 503)
+    if found is None:
+        return PlainTextResponse("no such file\n", 404)
+    content, kind = found
+    headers = {
+        "Content-Type": kind,
+        "Content-Length": str(len(content)),
+        "Content-Security-Policy": VIEWER_POLICY.format(more=more),
+        "Content-Encoding": "identity",  # declared as encoded: compressing 40 MB would block every page for seconds
+    }
+    # in parts, so that a client that reads slowly does not make the server keep 40 MB for it
+    return StreamingResponse(_parts(content), headers=headers)
+
+
+async def _parts(content: bytes) -> AsyncIterator[bytes]:
+    for start in range(0, len(content), _PART_BYTES):
+        yield content[start : start + _PART_BYTES]
 
 
 def _fetched() -> dict[str, bytes]:

@@ -19,8 +19,8 @@ from safedpa.arrays import FloatArray
 from safedpa.comparison.rollout import rollout
 from safedpa.comparison.where import POSITION
 from safedpa.comparison.windows import Windows
-from safedpa.errors import RecordingError, SafedpaError
-from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
+from safedpa.errors import RecordingError
+from safedpa_services.web.viewer import Viewer, viewer_file
 from safedpa_services.workbench.session.session import Session
 
 _SECONDS = 20.0
@@ -123,13 +123,4 @@ class RerunViewerServer:
         return FileResponse(path) if path.is_file() else Response(status_code=404)
 
     async def _file(self, name: str) -> Response:
-        try:
-            found = await asyncio.to_thread(self._viewer.file, name)
-        except SafedpaError as error:
-            return Response(str(error), status_code=503)
-        if found is None:
-            return Response(status_code=404)
-        content, kind = found
-        # declared as already encoded: compressing 40 MB would block every page for seconds
-        headers = {"Content-Security-Policy": VIEWER_POLICY.format(more=""), "Content-Encoding": "identity"}
-        return Response(content, media_type=kind, headers=headers)
+        return await viewer_file(self._viewer, name)

@@ -24,6 +24,7 @@ from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
 from safedpa_services.web.page_options import PageServerOptions
+from safedpa_services.web.server import server_options
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.live.links import AbstractLink, LiveLink, ReplayLink
 from safedpa_services.workbench.live.page import LivePage
@@ -86,6 +87,7 @@ def serve(
             ssl_certfile=serving.certificate,
             ssl_keyfile=serving.key,
             ws_max_size=limit("socket_bytes"),
+            **server_options(),
             title="safedpa workbench",
             reload=False,
             show=False,
