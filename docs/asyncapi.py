@@ -13,7 +13,7 @@ __all__ = ["document"]
 
 
 def document() -> str:
-    """The text of ``docs/asyncapi.json``, made from the one table of topics."""
+    """The text of ``docs/reference/asyncapi.json``, made from the one table of topics."""
     (_, schemas) = msgspec.json.schema_components(
         [topic.message for topic in TOPICS.values()], ref_template="#/components/schemas/{name}"
     )
@@ -47,7 +47,7 @@ def document() -> str:
         "info": {
             "title": "safedpa",
             "version": "0.1.0",
-            "description": "Messages are msgpack maps over Zenoh, in SI units and radians: see docs/bus.md.",
+            "description": "Messages are msgpack maps over Zenoh, in SI units and radians: see docs/reference/bus.md.",
         },
         "defaultContentType": "application/msgpack",
         "channels": channels,

@@ -191,7 +191,7 @@ def _of_result(name: str, *tables: Callable[[Mapping[str, Any]], str]) -> Callab
     """Tables of a file of results, as the command that made it writes them."""
 
     def made() -> str:
-        result = json.loads((PAGES / "results" / f"{name}.json").read_text(encoding="utf-8"))
+        result = json.loads((PAGES / "evidence" / "results" / f"{name}.json").read_text(encoding="utf-8"))
         return "\n\n".join(table(result) for table in tables)
 
     return made
@@ -242,17 +242,19 @@ def renewed(text: str) -> str:
 
 def main() -> int:
     """Writes what is out of date; with ``--check`` only names it and returns 1."""
-    stale = [page for page in sorted(PAGES.glob("*.md")) if renewed(page.read_text("utf-8")) != page.read_text("utf-8")]
+    stale = [
+        page for page in sorted(PAGES.rglob("*.md")) if renewed(page.read_text("utf-8")) != page.read_text("utf-8")
+    ]
     for page in stale:
         if "--check" in sys.argv:
-            sys.stderr.write(f"docs/{page.name} is out of date; run python docs/generate.py\n")
+            sys.stderr.write(f"docs/{page.relative_to(PAGES)} is out of date; run python docs/generate.py\n")
         else:
             page.write_text(renewed(page.read_text("utf-8")), "utf-8")
-    described = PAGES / "asyncapi.json"
+    described = PAGES / "reference" / "asyncapi.json"
     if not described.is_file() or described.read_text("utf-8") != document():
         stale.append(described)
         if "--check" in sys.argv:
-            sys.stderr.write("docs/asyncapi.json is out of date; run python docs/generate.py\n")
+            sys.stderr.write("docs/reference/asyncapi.json is out of date; run python docs/generate.py\n")
         else:
             described.write_text(document(), "utf-8")
     return int(bool(stale) and "--check" in sys.argv)

@@ -24,9 +24,12 @@ NOT_SWEPT = (
     "fleet-work", "gallery", "glossary", "code-map", "index", "network-speed", "paper", "promises", "speed", "versions",
 )  # fmt: skip
 """Pages that tell why (and ``decisions-*``), lead elsewhere, or hold figures of speed, which are those of a machine."""
-_NAMES = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
-SWEPT = tuple(name for name in _NAMES if name not in NOT_SWEPT and not name.startswith("decisions-"))
-PAGES = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in SWEPT))
+_FOUND = sorted(
+    (page for page in (ROOT / "docs").rglob("*.md") if page.parent.name not in ("results", "python")),
+    key=lambda page: page.stem,
+)
+SWEPT = tuple(page for page in _FOUND if page.stem not in NOT_SWEPT and not page.stem.startswith("decisions-"))
+PAGES = (ROOT / "README.md", *SWEPT)
 _LONGEST = 120
 """Letters of a promise in the table."""
 _TEXT = (
@@ -52,7 +55,7 @@ class Promise:
     no_promise: str = ""
     """Why it is none, or nothing."""
     results: tuple[str, ...] = ()
-    """Files that it leads to, below docs/results."""
+    """Files that it leads to, below docs/evidence/results."""
 
     @property
     def open(self) -> bool:
@@ -141,7 +144,7 @@ def _when(promise: Promise) -> str:
 
 
 def _day(name: str) -> str:
-    path = ROOT / "docs" / "results" / f"{name}.json"
+    path = ROOT / "docs" / "evidence" / "results" / f"{name}.json"
     document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return str(document.get("provenance", document).get("date", ""))[:10]
 

@@ -18,7 +18,7 @@ from typing import Any
 
 __all__ = ["NOTEBOOKS", "run"]
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parent / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((Path(__file__).resolve().parent / "tutorials").glob("*.ipynb"))
 
 
 def run(notebook: dict[str, Any], name: str) -> list[list[dict[str, Any]]]:

@@ -40,7 +40,7 @@ def on_files(files: Files, *, config: Any) -> Files:
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
     """Diagrams become pictures; links to notebooks lead to their pages, one out of the folder becomes its path."""
     del config, files
-    if page.file.src_uri.startswith("reference/"):
+    if page.file.src_uri.startswith("reference/python/"):
         markdown += "".join(f"\n::: {path}\n" for path in _shadowed(Path(page.file.src_uri).stem))
     depth = page.file.src_uri.count("/")
     out = "../" * (depth + 1)

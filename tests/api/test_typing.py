@@ -25,7 +25,7 @@ def test_the_examples_and_the_notebooks_pass_mypy(tmp_path: Path) -> None:
         lines.append(f"def {found.name.replace('.', '_')}_example() -> None:")
         lines.append(indent("".join(example.source for example in found.examples), "    "))
     (tmp_path / "examples.py").write_text("\n".join(lines))
-    for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+    for path in (ROOT / "docs" / "tutorials").glob("*.ipynb"):
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
         (tmp_path / f"{path.stem}.py").write_text("\n\n".join(codes))

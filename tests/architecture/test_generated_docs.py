@@ -21,7 +21,7 @@ def test_the_generated_parts_are_current() -> None:
 
 
 def test_every_generated_part_is_used() -> None:
-    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
+    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.rglob("*.md"))
     for name in ("topics", "flow", "fields"):
         assert f"<!-- generated: {name} -->" in pages
 
@@ -50,10 +50,10 @@ class Car:
 
 
 def test_the_example_of_a_real_robot_runs_and_brakes_where_no_one_answers() -> None:
-    found = re.search(r"```python\n(.*?)```", (DOCS / "bus.md").read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(r"```python\n(.*?)```", (DOCS / "reference" / "bus.md").read_text(encoding="utf-8"), re.DOTALL)
     assert found
     names: dict[str, Any] = {}
-    exec(compile(found[1], "docs/bus.md", "exec"), names)
+    exec(compile(found[1], "docs/reference/bus.md", "exec"), names)
     broker, car = MemoryBroker(), Car()
     names["ZenohTransport"] = lambda settings: MemoryTransport(broker)
     inbox = Bus(MemoryTransport(broker), "fleet").inbox((STATE,), keep_all=True)

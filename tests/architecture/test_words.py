@@ -39,7 +39,7 @@ TEXTS = (
     "Makefile",
     "Dockerfile",
 )
-NOT_OURS = ("docs/results/", "docs/pictures/", "constraints.txt")
+NOT_OURS = ("docs/evidence/results/", "docs/pictures/", "constraints.txt")
 """Measured results and drawings are made by code; their texts come from it."""
 
 WORDS = re.compile(rf"\b({'|'.join(DICTIONARY)})\b", re.IGNORECASE)

@@ -10,7 +10,7 @@ import pytest
 from safedpa.bus import TOPICS
 
 ROOT = Path(__file__).parents[2]
-DOCUMENT = json.loads((ROOT / "docs" / "asyncapi.json").read_text(encoding="utf-8"))
+DOCUMENT = json.loads((ROOT / "docs" / "reference" / "asyncapi.json").read_text(encoding="utf-8"))
 SAMPLES = sorted((Path(__file__).parent / "samples").glob("*.msgpack"))
 
 

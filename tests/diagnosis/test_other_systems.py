@@ -46,7 +46,7 @@ from safedpa_sim.robots.car.scene import Scene
 DOCS = Path(__file__).parents[2] / "docs"
 BALL = DOCS / "examples" / "falling_ball.py"
 MODEL = DOCS / "examples" / "falling_ball.toml"
-GRASS = re.findall(r"```python\n(.*?)```", (DOCS / "effects.md").read_text(encoding="utf-8"), flags=re.DOTALL)[0]
+GRASS = re.findall(r"```python\n(.*?)```", (DOCS / "reference" / "effects.md").read_text(encoding="utf-8"), flags=re.DOTALL)[0]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def diagnosed(runs, out, capsys):
 
 
 def test_the_page_shows_the_files_as_they_are():
-    page = (DOCS / "own-system.md").read_text(encoding="utf-8")
+    page = (DOCS / "guides" / "own-system.md").read_text(encoding="utf-8")
     for name in ("falling_ball.py", "falling_ball.toml", "cart.py", "cart.toml"):
         assert (DOCS / "examples" / name).read_text(encoding="utf-8").strip() in page
     assert "(examples/helicopter.py)" in page

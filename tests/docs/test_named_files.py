@@ -6,8 +6,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [path for folder in ("shared", "services", "sim") for path in sorted((ROOT / folder).rglob("*.py"))]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-"""Records of what was measured (``docs/results``) name what was there then."""
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent.name != "results"),
+]
+"""Records of what was measured (``docs/evidence/results``) name what was there then."""
 FILE = re.compile(r"(?<![\w/.*-])(?:\.\./)*((?:[\w.-]+/)*\w+\.py)\b")
 DOTTED = re.compile(r"(?<![\w/.-])safedpa(?:_services|_sim|_lab)?(?:\.[A-Za-z_]\w*)+")
 OF_A_READER = re.compile(r"(my_\w+/\w+|my_\w+|[A-Z]+)\.py")

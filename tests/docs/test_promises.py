@@ -58,7 +58,12 @@ def test_a_remark_below_a_heading_counts_for_its_section(tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize(
     "holder",
-    ["tests/docs/test_nothing.py", "tests/docs/test_promises.py::test_that_no one_wrote", "faith", "docs/claims.md"],
+    [
+        "tests/docs/test_nothing.py",
+        "tests/docs/test_promises.py::test_that_no one_wrote",
+        "faith",
+        "docs/evidence/claims.md",
+    ],
 )
 def test_a_holder_that_is_not_there_is_named(holder: str) -> None:
     assert wrong_holders(Promise("README.md", "It never stops.", (holder,))) == [holder]
@@ -71,5 +76,5 @@ def test_a_test_that_is_there_holds() -> None:
 
 def test_the_table_shows_when_a_command_was_run_last() -> None:
     (row,) = [line for line in table().splitlines() if line.startswith("| claims | the demonstration in 20 scenes")]
-    date = json.loads((ROOT / "docs" / "results" / "demo.json").read_text(encoding="utf-8"))["date"]
+    date = json.loads((ROOT / "docs" / "evidence" / "results" / "demo.json").read_text(encoding="utf-8"))["date"]
     assert row.endswith(f"| `safedpa experiment demo` | by command, last on {date} |")

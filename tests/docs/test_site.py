@@ -96,30 +96,40 @@ def test_nothing_is_fetched_from_elsewhere(pages: dict[Path, Page], site: Path) 
 def test_the_search_finds_pages_opened_as_files(site: Path) -> None:
     text = (site / "search" / "search_index.js").read_text(encoding="utf-8")
     entries = json.loads(text.removeprefix("var __index = "))["docs"]
-    for phrase, page in (("slack", "glossary.html"), ("systemd", "install.html"), ("SafetyFilter", "reference/safety")):
+    for phrase, page in (
+        ("slack", "glossary.html"),
+        ("systemd", "install.html"),
+        ("SafetyFilter", "reference/python/safety"),
+    ):
         assert any(phrase in entry["text"] + entry["title"] and page in entry["location"] for entry in entries), phrase
 
 
 def test_every_page_is_in_the_navigation_and_begins_with_its_name(site: Path, repository: Path) -> None:
     listed = (repository / "mkdocs.yml").read_text(encoding="utf-8")
-    for page in sorted((repository / "docs").rglob("*.md")):
-        if page.parent.name != "results":  # what experiments write; the pages about them lead there
-            assert str(page.relative_to(repository / "docs")) in listed, page
+    docs = repository / "docs"
+    for part in ("tutorials", "guides", "reference", "explanation"):
+        for page in sorted((docs / part).rglob("*.md")):
+            assert str(page.relative_to(docs)) in listed, page
+    for part in ("evidence", "developers"):  # they have a first page of their own, and no tab
+        assert f"{part}/index.md" in (docs / "index.md").read_text(encoding="utf-8")
+        first = (docs / part / "index.md").read_text(encoding="utf-8")
+        pages = (page.relative_to(docs / part) for page in (docs / part).rglob("*.md"))
+        assert [page for page in pages if page.name != "index.md" and f"({page})" not in first] == []
     built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
-    assert {"index", "glossary", "reference/safety", "notebooks/diagnose_a_log", "CHANGELOG"} <= built
+    assert {"index", "reference/glossary", "reference/python/safety", "tutorials/diagnose_a_log", "CHANGELOG"} <= built
 
 
 def test_the_reference_holds_every_public_name(site: Path, repository: Path) -> None:
-    for page in sorted((repository / "docs" / "reference").glob("*.md")):
+    for page in sorted((repository / "docs" / "reference" / "python").glob("*.md")):
         if page.stem == "index":
             continue
-        text = (site / "reference" / f"{page.stem}.html").read_text(encoding="utf-8")
+        text = (site / "reference" / "python" / f"{page.stem}.html").read_text(encoding="utf-8")
         shown = set(re.findall(r'id="safedpa\.[\w.]*?(\w+)"', text))
         lazily = {"GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"}  # imported when they are asked for
         package = "safedpa" if page.stem == "api" else f"safedpa.{page.stem}"
         public = [name for name in getattr(importlib.import_module(package), "__all__", []) if name[0] != "_"]
         assert set(public) - lazily <= shown, page
-    assert "compare_model" in (site / "reference" / "diagnosis.html").read_text(encoding="utf-8")
+    assert "compare_model" in (site / "reference" / "python" / "diagnosis.html").read_text(encoding="utf-8")
 
 
 def test_diagrams_are_painted_without_a_script(site: Path, repository: Path) -> None:

@@ -1,4 +1,4 @@
-"""The worked example of docs/column-maps.md does what the page says."""
+"""The worked example of docs/guides/column-maps.md does what the page says."""
 
 import re
 import runpy
@@ -12,7 +12,7 @@ from safedpa.records.column_map.units import UNITS
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa_services.command_line.group import safedpa
 
-PAGE = (Path(__file__).parents[2] / "docs" / "column-maps.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "guides" / "column-maps.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:

@@ -28,7 +28,7 @@ from safedpa.errors import InputError
 from safedpa.records.writers.mcap import schema_of
 from safedpa_services.recorder.recorder import Recorder
 
-PAGE = Path(__file__).parents[2] / "docs" / "replay.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "replay.md"
 
 
 @pytest.mark.parametrize("name", TOPICS)

@@ -16,7 +16,7 @@ from safedpa_sim.robots.car.parameters import CAR_PARAMETERS
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
 LOAD_NAMES = ("none", *LOADS)
 BRAKING = (2.8, 3.2)
-"""m/s2 and 1/s: the braking that docs/robot.md guarantees for the watchdog with every load."""
+"""m/s2 and 1/s: the braking that docs/reference/robot.md guarantees for the watchdog with every load."""
 
 actions = st.lists(st.tuples(st.floats(-0.6, 2.0), st.floats(-0.34, 0.34)), min_size=1, max_size=60)
 

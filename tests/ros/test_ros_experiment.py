@@ -12,7 +12,7 @@ from safedpa_lab.experiments.ros.experiment import FAULTS, page_of
 from safedpa_lab.ros import car
 from safedpa_services.command_line.group import safedpa
 
-RESULTS = Path(__file__).parents[2] / "docs" / "results"
+RESULTS = Path(__file__).parents[2] / "docs" / "evidence" / "results"
 
 
 def test_the_page_is_generated_from_the_stored_figures() -> None:

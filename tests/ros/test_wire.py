@@ -144,7 +144,7 @@ def test_an_error_in_a_robot_file_is_named(tmp_path: Path) -> None:
 
     whole = WHOLE
     assert "format: wanted 2" in refused("")
-    assert "odometry: missing; docs/ros.md" in refused('format = 2\nrobot = "car"\n')
+    assert "odometry: missing; docs/guides/ros.md" in refused('format = 2\nrobot = "car"\n')
     assert "wire.domain: got 900, wanted 0 to 232" in refused(whole + "[wire]\ndomain = 900\n")
     assert "wire.form: got 'dds', wanted rmw_zenoh or bridge" in refused(whole + '[wire]\nform = "dds"\n')
     assert "odometry.largest_age: got 'x', wanted a finite number" in refused(

@@ -34,7 +34,7 @@ from safedpa.safety.checks.report import FilterIssue, collect, format_vector
 from safedpa.safety.defaults import settings_named
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE, EXAMPLES = (DOCS / "safety.md").read_text(encoding="utf-8"), DOCS / "examples"
+PAGE, EXAMPLES = (DOCS / "guides" / "safety.md").read_text(encoding="utf-8"), DOCS / "examples"
 PERIOD = 0.05
 STATES = ([0.5, 0.8], [0.0, 0.0])
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)

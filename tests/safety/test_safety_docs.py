@@ -9,7 +9,7 @@ import pytest
 from safedpa.safety import parse_settings
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("safety.md", "margins.md"))
+PAGE = "".join((DOCS / "guides" / name).read_text(encoding="utf-8") for name in ("safety.md", "margins.md"))
 
 
 def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_own(capsys: pytest.CaptureFixture[str]):
@@ -17,7 +17,7 @@ def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert len(blocks) == 3
     for number, block in enumerate(blocks):
-        exec(compile(block, f"docs/safety.md, block {number}", "exec"), names)
+        exec(compile(block, f"docs/guides/safety.md, block {number}", "exec"), names)
     assert capsys.readouterr().out.startswith("corrected [")
     assert names["verdict"].status.value == "corrected"
     first = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
@@ -29,10 +29,10 @@ def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_
 def test_the_examples_of_a_page_run_in_order(page: str) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
     names: dict[str, Any] = {}
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "guides" / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
     assert blocks
     for number, block in enumerate(blocks):
-        exec(compile(block, f"docs/{page}.md, block {number}", "exec"), names)
+        exec(compile(block, f"docs/guides/{page}.md, block {number}", "exec"), names)
 
 
 def test_the_settings_example_is_read() -> None:
@@ -42,7 +42,7 @@ def test_the_settings_example_is_read() -> None:
 
 def test_the_first_sentence_of_the_readme_is_the_promise_of_the_theory(repository: Path) -> None:
     readme = (repository / "README.md").read_text(encoding="utf-8")
-    theory = (repository / "docs" / "theory.md").read_text(encoding="utf-8")
+    theory = (repository / "docs" / "explanation" / "theory.md").read_text(encoding="utf-8")
     promised = re.search(r"## What is promised\n(?:<!--.*?-->\n)?\n\*\*(.+?)\*\*", theory, re.DOTALL)
     bold = re.search(r"\*\*(.+?)\*\*", readme, re.DOTALL)
     assert promised

@@ -18,7 +18,7 @@ from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "sensing-zones.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "sensing-zones.md"
 SQUARE = "polygon = [[0, 0], [1, 0], [1, 1], [0, 1]]"
 DOCK = f'[[zones]]\nname = "dock"\nkind = "ignored"\nframe = "map"\n{SQUARE}\n'
 WET = f'[[zones]]\nname = "wet"\nkind = "closed"\nframe = "map"\n{SQUARE}\n'
@@ -101,7 +101,7 @@ REFUSED = (  # a file, and what its refusal says
     ("[sources.laser]\nmin_points = 30", "min_points: got 30, wanted 1 to 20"),
     ("zones = 1", "zones: got int, wanted a [[zones]] for each"),
     ("zones = [1]", "zones: got 1, wanted a table"),
-    (zone(name=""), "zone: name: missing; docs/sensing-zones.md has a whole file"),
+    (zone(name=""), "zone: name: missing; docs/guides/sensing-zones.md has a whole file"),
     (zone(kind=""), "zone z: kind: missing"),
     (zone(frame=""), "zone z: frame: missing"),
     (zone(polygon=""), "zone z: polygon: missing"),

@@ -115,7 +115,7 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("certificates keys --days nan", "wanted more than 0"),
     ("compare car run", "name the recording in it: run/recording.mcap"),
     ("up --name a/b", "use letters, digits"),
-    ("up --secure --listen tcp/0.0.0.0:7447", "docs/security.md"),
+    ("up --secure --listen tcp/0.0.0.0:7447", "docs/guides/security.md"),
     ("calibrate nothing.mcap --out m.toml", "wanted a recording"),
     ("export drive.csv --format csv --out o.csv", "wanted a recording of the bus"),
     ("replay nothing.mcap", "no such file"),

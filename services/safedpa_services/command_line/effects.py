@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.option("--robot", help="List only the effects of this robot (car, pendulum, point).")
 @as_json_option
-@click.option("--markdown", is_flag=True, help="Print the Markdown tables of docs/effects.md.")
+@click.option("--markdown", is_flag=True, help="Print the Markdown tables of docs/reference/effects.md.")
 @effects_option
 def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | None) -> None:
     """List the physical effects that a model can have.

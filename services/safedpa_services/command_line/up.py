@@ -149,7 +149,7 @@ def command(**options: Any) -> None:
     from safedpa.bus.service.process import StopSignal
     from safedpa.dynamics import load_user_file_everywhere
 
-    need("sim", what="the simulated robot", instead="run a robot of your own (docs/bus.md)")
+    need("sim", what="the simulated robot", instead="run a robot of your own (docs/reference/bus.md)")
     if not options["headless"]:
         need("view", what="the dashboard", instead="leave it out with --headless")
     if options["effects"] is not None:
@@ -216,7 +216,7 @@ def _temporary_certificates(options: dict[str, Any]) -> AbstractContextManager[C
         )
     if options["listen"]:
         raise InputError(
-            "--listen: got it with --secure, which is for this machine only; see docs/security.md for other machines"
+            "--listen: got it with --secure, which is for this machine only; see docs/guides/security.md for other machines"
         )
     return ephemeral_certificates(options["fleet"], options["name"])
 

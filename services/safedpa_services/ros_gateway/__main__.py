@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     """Returns a parser with the options of the process."""
     found = argparse.ArgumentParser(prog="safedpa-ros-gateway")
     add_bus_options(found)
-    found.add_argument("file", type=Path, metavar="ROBOT.toml", help="see docs/ros.md")
+    found.add_argument("file", type=Path, metavar="ROBOT.toml", help="see docs/guides/ros.md")
     found.add_argument(
         "--policy-card",
         type=int,

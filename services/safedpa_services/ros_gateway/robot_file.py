@@ -193,7 +193,7 @@ def _of(kind: Any, table: Mapping[str, Any], prefix: str) -> Any:
         if name in table:
             given[name] = _value(hints[name], table[name], f"{prefix}{name}")
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise InputError(f"{prefix}{name}: missing; docs/ros.md has a complete file")
+            raise InputError(f"{prefix}{name}: missing; docs/guides/ros.md has a complete file")
     return kind(**given)
 
 

@@ -3,7 +3,7 @@
     fall = 1 - mean error from 10 s after the change of the model on / mean error from the finding to that change
 
 The error is the prediction error over one second of driving, which the diagnosis publishes once a second
-(docs/live.md).
+(docs/guides/live.md).
 """
 
 from __future__ import annotations

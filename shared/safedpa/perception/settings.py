@@ -133,7 +133,7 @@ def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
         return parse_perception(text), text
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read ({reason}); docs/sensing-zones.md has a whole file") from error
+        raise InputError(f"{path}: cannot be read ({reason}); docs/guides/sensing-zones.md has a whole file") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -198,7 +198,7 @@ def _zone(value: Any) -> Zone:
     refuse_unknown(table, [item.name for item in fields(Zone)], f"{where}: ")
     for key in ("name", "kind", "frame", *(() if "cells" in table else ("polygon",))):
         if key not in table:
-            raise InputError(f"{where}: {key}: missing; docs/sensing-zones.md has a whole file")
+            raise InputError(f"{where}: {key}: missing; docs/guides/sensing-zones.md has a whole file")
     given = {key: _value(f"{where}: {key}", "str", table[key]) for key in ("name", "kind", "frame")}
     speed = table.get("speed")
     return Zone(

@@ -5,7 +5,7 @@
     attachment int64 sequence number, int64 time of the source [ns], one byte 16, 16 bytes of the sender id
 
 Within a part of a token, ``/`` is written ``%``. Humble writes ``TypeHashNotSupported`` in place of the hash
-(github.com/ros2/rmw_zenoh, docs/design.md).
+(github.com/ros2/rmw_zenoh, docs/developers/design.md).
 """
 
 from __future__ import annotations

@@ -216,4 +216,4 @@ ROBOTS: Final[Mapping[str, UsersRobot]] = {
         _PlanarQuadrotor(), 0.03, 80, _level, _distances(_AIR), (0, 0, 0, 1.5, 0, 0), (1, 0.5, 0.1, 0.5, 0.3, 0.3)
     ),
 }
-"""The kinds that an audit measured; see ``docs/kernels.md``."""
+"""The kinds that an audit measured; see ``docs/explanation/kernels.md``."""

@@ -15,7 +15,7 @@ def command() -> None:
 
 
 @command.command(name="check")
-@click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/results"))
+@click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/evidence/results"))
 @click.option("--strict", is_flag=True, help="exit with 1 if a result is older than its code, or has no provenance")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def _check(folder: Path, strict: bool, as_json: bool) -> int:

@@ -267,7 +267,7 @@ def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
 
 @pytest.fixture
 def result(repository: Path) -> Any:
-    return json.loads((repository / "docs" / "results" / "pendulum.json").read_text(encoding="utf-8"))
+    return json.loads((repository / "docs" / "evidence" / "results" / "pendulum.json").read_text(encoding="utf-8"))
 
 
 def test_its_counts_are_those_of_its_flags(result: Any) -> None:
@@ -301,7 +301,7 @@ def test_the_claims_are_its_figures(repository: Path, result: Any) -> None:
     own, same = result["tables"]["own"], result["tables"]["same"]
     others = [name for name in own["balancing"] if name.startswith("fix_")] + ["mix"]
     count = own["balancing"]["safedpa"]["episodes"]
-    claims = " ".join((repository / "docs" / "claims.md").read_text(encoding="utf-8").split())
+    claims = " ".join((repository / "docs" / "evidence" / "claims.md").read_text(encoding="utf-8").split())
     assert all(own["balancing"][name]["safe"] == count for name in ("safedpa", *others))
     upright = [own["hazard"][name]["both"] for name in others]
     retained = [same["balancing"][name]["safe"] for name in others]

@@ -33,7 +33,7 @@ from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
 LEARNING = Learning("shipped", MARGIN, 0, 5, 6, 2048, 16, 1, 0.008)
 JUDGED_STEPS = 5
-PAGES = Path(__file__).parents[3] / "docs"
+PAGES = Path(__file__).parents[3] / "docs" / "evidence"
 
 
 @pytest.fixture

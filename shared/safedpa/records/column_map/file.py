@@ -80,7 +80,7 @@ def shipped_column_maps() -> dict[str, Path]:
 
 
 def parse_column_map(text: str, name: str = "map") -> ColumnMap:
-    """Parses a column map from TOML (docs/column-maps.md); raises ColumnMapError that names the key."""
+    """Parses a column map from TOML (docs/guides/column-maps.md); raises ColumnMapError that names the key."""
     try:
         table = parse_toml(text)
     except InputError as error:

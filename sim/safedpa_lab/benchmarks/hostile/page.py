@@ -33,7 +33,7 @@ def write_page(folder: Path, attack: str, result: Mapping[str, Any]) -> None:
 
 
 def _page(found: Mapping[str, Any]) -> str:
-    lines = ["# Hostile input, measured", "", "What is tried, and what stops it: [security](../security.md)."]
+    lines = ["# Hostile input, measured", "", "What is tried, and what stops it: [security](../../guides/security.md)."]
     for attack, title in _TITLES.items():
         if attack in found:
             result = found[attack]

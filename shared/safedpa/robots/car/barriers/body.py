@@ -101,7 +101,7 @@ class TrailerEnvelope:
 
     After driving backwards by ``begin`` a load may start to leave the footprint, after ``end`` > ``begin`` it may be at
     any angle and then needs ``most`` beyond the footprint's radius. ``way`` is the distance driven backwards at
-    ``pose`` (x, y, yaw). docs/robot.md has measurements.
+    ``pose`` (x, y, yaw). docs/reference/robot.md has measurements.
     """
 
     begin: float
