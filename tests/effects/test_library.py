@@ -33,11 +33,11 @@ def test_lookup_error_suggests_the_nearest_name() -> None:
 
 def test_the_documentation_s_own_effect_works(tmp_path: Path) -> None:
     path = tmp_path / "my_effects.py"
-    path.write_text(code_blocks("effects.md", "python")[0])
+    path.write_text(code_blocks("reference/effects.md", "python")[0])
     assert len(path.read_text().splitlines()) <= 30
     loaded = load_effects(path)
     assert [item.name for item in loaded] == ["grass_resistance"]
-    model_text = code_blocks("effects.md", "toml")[0]
+    model_text = code_blocks("reference/effects.md", "toml")[0]
     model = parse_model(model_text)
     plain = parse_model(model_text[: model_text.index("[[effects]]")])
     state, action = np.array([0.0, 0.0, 0.0, 3.0]), np.array([3.0, 0.0])
@@ -49,18 +49,18 @@ def test_the_documentation_s_own_effect_works(tmp_path: Path) -> None:
 
 
 def test_the_documentation_s_model_file_is_one() -> None:
-    assert parse_model(code_blocks("model-files.md", "toml")[0]).latent_names == ("base.speed_gain",)
+    assert parse_model(code_blocks("reference/model-files.md", "toml")[0]).latent_names == ("base.speed_gain",)
 
 
 def test_the_documentation_s_python_runs() -> None:
-    script = code_blocks("model-files.md", "python")[0]
+    script = code_blocks("reference/model-files.md", "python")[0]
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert str(load_model("car").latent_names) == run.stdout.strip()
 
 
 def test_the_documented_errors_are_those_raised() -> None:
-    page = (DOCS / "model-files.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference" / "model-files.md").read_text(encoding="utf-8")
     files = ("dynamics/test_model_file.py", "effects/test_equations.py")
     tests = "".join([(Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in files])
     rows = re.findall(r"^\| [a-zA-Z ']+ \| `(.*?)` \|$", page, flags=re.MULTILINE)
@@ -71,7 +71,7 @@ def test_the_documented_errors_are_those_raised() -> None:
 
 def test_loading_again_replaces(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
-    text = code_blocks("effects.md", "python")[0]
+    text = code_blocks("reference/effects.md", "python")[0]
     path.write_text(text)
     load_effects(path)
     path.write_text(text.replace("0.5, meaning", "0.7, meaning"))
@@ -80,7 +80,7 @@ def test_loading_again_replaces(tmp_path: Path) -> None:
     assert effect("car", "grass_resistance").parameters[0].typical == 0.7
 
 
-GRASS = code_blocks("effects.md", "python")[0]
+GRASS = code_blocks("reference/effects.md", "python")[0]
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_command_refuses_an_unknown_robot(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    page = (DOCS / "effects.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference" / "effects.md").read_text(encoding="utf-8")
     between = page.split("<!-- library -->")[1].split("<!-- end of library -->")[0]
     assert between.strip() == listed(capsys, "--markdown").strip()
 
