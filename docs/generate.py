@@ -47,7 +47,6 @@ from safedpa_services.metrics.exporter import FAMILIES
 
 sys.path.insert(0, str(Path(__file__).parent))
 from asyncapi import document
-from promises import table as promises
 
 LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
 NODES = (*LOOP, PerceptionNode, DiagnosisNode)
@@ -226,7 +225,6 @@ GENERATED = {
     "point_penalty": _of_result("point", point_report.penalty_table),
     "point_same": _of_result("point", lambda result: point_report.short_table(result, "same_margin")),
     "point_seeds": _of_result("point", point_report.seeds_table),
-    "promises": promises,
     "relinearised_against": _of_result("relinearised", point_relinearised_report.against_table),
     "relinearised_car": _of_result("relinearised", point_relinearised_report.car_table),
     "relinearised_networks": _of_result("relinearised", point_relinearised_report.models_table),

@@ -3,6 +3,7 @@
 import re
 import shlex
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,6 +40,8 @@ def _commands() -> Iterator[tuple[str, str]]:
                 yield name, whole.removeprefix("/opt/safedpa/bin/")
         for found in re.findall(r"`(safedpa [a-z][^`]*)`", text):
             yield name, found
+    for page, claims in tomllib.loads((ROOT / "docs" / "evidence" / "claims.toml").read_text(encoding="utf-8")).items():
+        yield from ((page, item) for all_of in claims.values() for item in all_of if item.startswith("safedpa "))
 
 
 LONGEST = 1500

@@ -43,7 +43,7 @@ def test_the_settings_example_is_read() -> None:
 def test_the_first_sentence_of_the_readme_is_the_promise_of_the_theory(repository: Path) -> None:
     readme = (repository / "README.md").read_text(encoding="utf-8")
     theory = (repository / "docs" / "explanation" / "theory.md").read_text(encoding="utf-8")
-    promised = re.search(r"## What is promised\n(?:<!--.*?-->\n)?\n\*\*(.+?)\*\*", theory, re.DOTALL)
+    promised = re.search(r"## What is promised\n\n\*\*(.+?)\*\*", theory, re.DOTALL)
     bold = re.search(r"\*\*(.+?)\*\*", readme, re.DOTALL)
     assert promised
     assert bold
