@@ -96,5 +96,5 @@ def test_a_refused_request_is_recorded_with_its_reason() -> None:
 
 def test_the_page_s_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    monkeypatch.chdir(PAGE.parents[1])
+    monkeypatch.chdir(PAGE.parents[2])
     exec(compile(code, str(PAGE), "exec"), {})
