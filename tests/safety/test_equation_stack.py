@@ -16,7 +16,7 @@ from safedpa.equations.rows import RowGroup, RowTape
 from safedpa.equations.scalar_rows import scalar_rows
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations
-from safedpa.robots.car.barriers.body import GENERATED_MODULE, TrailerEnvelope
+from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier
 from safedpa.safety.barriers.base import AbstractBarrier, Barriers
@@ -162,13 +162,6 @@ def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_m
 def test_an_equation_that_branches_on_a_number_is_rejected() -> None:
     with pytest.raises(NotRecordableError, match="branch"):
         Branching().h(np.zeros(2))
-
-
-@pytest.mark.parametrize("way", [None, 0.3])
-@pytest.mark.parametrize("walls", [False, True])
-def test_the_cars_barriers_are_the_generated_ones(walls: bool, way: float | None) -> None:
-    plain = make_barrier_set(scene_of([(1.0, 1.0, 0.2)], walls, way, (0.0, 0.0, 0.0))).scalar_rows(4)
-    assert type(plain).__module__ == GENERATED_MODULE, "run make environment"
 
 
 class Branching(AbstractEquationBarrier):

@@ -125,12 +125,17 @@ def test_heights_of_any_size_are_compared_to_their_own_rounding() -> None:
     assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 1e12], [nan, nan]) == [1.0]
 
 
-def test_several_optima_are_left_to_the_solver_which_takes_the_middle() -> None:
-    assert solve_by_dual_simplex([[1.0, 0.0]], [0.0], [nan]) is None
-    assert solve_by_dual_simplex([[0.0, 0.0]], [0.0], [nan]) is None
-    assert solve_by_dual_simplex([[1.0, 1.0], [-1.0, -1.0]], [0.0, 1.0], [nan, nan]) is None
-    assert solve_by_dual_simplex([[1.0, 4e-10]], [0.0], [nan]) is None  # less than the pull towards the middle
-    assert solve_by_dual_simplex([[1.0, 6e-10]], [0.0], [nan]) == [1.0, 1.0]
+@pytest.mark.parametrize(
+    ("slopes", "offsets", "middle"),
+    [
+        ([[1.0, 0.0]], [0.0], [1.0, 0.5]), ([[0.0, 0.0]], [0.0], [0.5, 0.5]), ([[0.0]], [0.0], [0.5]),
+        ([[1.0, 1.0], [-1.0, -1.0]], [0.0, 1.0], [0.25, 0.25]), ([[1.0, 6e-10]], [0.0], [1.0, 1.0]),
+    ],
+)  # fmt: skip
+def test_of_several_optima_the_one_nearest_to_the_middle_is_taken(
+    slopes: list[list[float]], offsets: list[float], middle: list[float]
+) -> None:
+    assert solve_by_dual_simplex(slopes, offsets, [nan] * len(offsets)) == pytest.approx(middle, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -391,7 +391,7 @@ class PhysicsModel(AbstractDynamics):
 
     def _record(self, period: float, native: bool) -> RecordedStep | None:
         if self._takes_complex:
-            return record_step(self.equations(period), self._names)
+            return record_step(self.equations(period), self._names, native)
         return record_own_step(self.equations(period), self._names, self._watched or (), native)
 
     @cached_property

@@ -24,8 +24,7 @@ from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, NotRecordableError, R
 from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
 from safedpa.native.library import remark
-from safedpa.native.step import StepKernel
-from safedpa.native.tracing import RecordedFunction
+from safedpa.native.steps import compiled_step
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
 ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -124,8 +123,8 @@ class RecordedSteps:
 
     def record(self, period: float) -> None:
         """Records now, and compiles, which may take a second."""
-        self._native = True
-        if period not in self._floats:
+        if period not in self._floats or not self._native:
+            self._native = True
             self._calls[period] = _RECORD_AFTER - 1
             self._count(period)
 
@@ -147,18 +146,36 @@ class RecordedSteps:
         return {**self.__dict__, "_calls": {}, "_floats": {}, "_complex": {}, "_tangents": {}}
 
 
-def record_step(equations: Equations, names: Names) -> RecordedStep | None:
-    """Returns the recorded functions, or None if the equations cannot be recorded."""
+def record_step(equations: Equations, names: Names, native: bool = False) -> RecordedStep | None:
+    """Returns the recorded functions, or None if the equations cannot be recorded.
+
+    ``native``: step and tangent are compiled to C where a compiler is present, with the same results.
+    """
     taped = _taped(equations, names)
     if taped is None:
         return None
     tape, head, after = taped
-    return (
-        _compiled(head, tape, after, FLOAT_FORMS, FLOATS),
-        # no inlined forms: comparisons of complex numbers need the functions of ``COMPLEX``
-        _compiled(head, tape, after, {}, COMPLEX),
-        compiled_tangent(head, tape.lines, tape.calls, after, _numbered("a", names[1])),
-    )
+    # no inlined forms: comparisons of complex numbers need the functions of ``COMPLEX``
+    complex_step = _compiled(head, tape, after, {}, COMPLEX)
+    step, tangent = _step_and_tangent(tape, head, after, names, native)
+    return step, complex_step, tangent
+
+
+def _step_and_tangent(
+    tape: Tape, head: list[str], after: list[str], names: Names, native: bool
+) -> tuple[ScalarStep, ScalarTangent]:
+    actions = _numbered("a", names[1])
+    if native and not tape.calls:
+        try:
+            texts = _text(head, tape, after, FLOAT_FORMS), tangent_text(head, tape.lines, after, actions)
+            compiled = compiled_step(*texts, (len(names[0]), len(names[1]), len(names[2])))
+            return compiled.step, compiled.tangent
+        except NoKernelError as error:
+            remark(str(error))
+        except NotRecordableError:  # an operation without C: the recorded functions are used
+            pass
+    tangent = compiled_tangent(head, tape.lines, tape.calls, after, actions)
+    return _compiled(head, tape, after, FLOAT_FORMS, FLOATS), tangent
 
 
 def record_own_step(
@@ -177,17 +194,7 @@ def record_own_step(
     if first is None or second is None or first[0].lines != second[0].lines or first[2] != second[2]:
         return None
     tape, head, after = first
-    step: ScalarStep = _compiled(head, tape, after, FLOAT_FORMS, FLOATS)
-    tangent = compiled_tangent(head, tape.lines, tape.calls, after, _numbered("a", names[1]))
-    if native:
-        own = tuple(tuple(_numbered(letter, entries)) for letter, entries in zip("saz", names, strict=True))
-        try:
-            kernel = StepKernel.compiled(RecordedFunction((*own, ("time",)), tuple(tape.lines), tuple(after)))
-            step, tangent = kernel.step, kernel.tangent
-        except NoKernelError as error:
-            remark(str(error))
-        except NotRecordableError:  # an operation without C: the recorded functions are used
-            pass
+    step, tangent = _step_and_tangent(tape, head, after, names, native)
     complex_step = _compiled(head, tape, after, {}, COMPLEX)
     return _watched(step, watched), _watched(complex_step, watched), _watched(tangent, watched)
 
@@ -199,7 +206,17 @@ def _watched(function: Callable[..., Any], watched: Sequence[Captured]) -> Calla
                 raise ArithmeticError("the equations read other values than they did while they were recorded")
         return function(state, action, latent, time)
 
+    guarded.watched = watched  # type: ignore[attr-defined]  # for ``compiled_step_of``
+    guarded.function = function  # type: ignore[attr-defined]
     return guarded
+
+
+def compiled_step_of(step: Any) -> Any:
+    """Returns the ``safedpa.native`` object whose method a recorded step is, if it is up to date; else None."""
+    if not all(each.unchanged() for each in getattr(step, "watched", ())):
+        return None
+    owner = getattr(getattr(step, "function", step), "__self__", None)
+    return owner if hasattr(owner, "tangent") else None
 
 
 def record_batch_step(equations: Equations, names: Names) -> ScalarStep | None:

@@ -52,7 +52,8 @@ def _value(line: Line) -> Lines:
     return [(name, form.format(*operands))]
 
 
-def _values(tape: RowTape, level: Level, wanted: Sequence[str]) -> Lines:
+def values(tape: RowTape, level: Level, wanted: Sequence[str]) -> Lines:
+    """Returns the lines (name, term) of one level on which the wanted values depend."""
     return [line for one in tape.of(level, wanted) for line in _value(one)]
 
 
@@ -60,18 +61,24 @@ def _text(lines: Sequence[str]) -> set[str]:
     return {word for line in lines for word in re.findall(r"\b[a-z]\w*\b", line)}
 
 
-def _shared(tape: RowTape) -> list[str]:
+def shared_names(tape: RowTape) -> list[str]:
     """Returns the names of all shared values, each once."""
     return list(dict.fromkeys(name for names in tape.shared for name in names))
 
 
-def _retained(tape: RowTape) -> list[str]:
+def retained_names(tape: RowTape) -> list[str]:
     """Returns the values that the constructor computes and the methods use: the attributes."""
     every = [name for names in tape.results for name in names] + list(tape.grad_bound or ())
     needed = {operand for level in ("state", "item") for line in tape.of(level, every) for operand in line[2]}
     needed |= set(every)
-    names = [*_shared(tape), *(line[0] for line in tape.of("scene", every))]
+    names = [*shared_names(tape), *(line[0] for line in tape.of("scene", every))]
     return [name for name in names if name in needed]
+
+
+def scene_lines(tape: RowTape) -> list[str]:
+    """Returns the lines that compute these values from the shared ones."""
+    retained = retained_names(tape)
+    return nested(values(tape, "scene", retained), retained)
 
 
 def _beginning(tape: RowTape) -> Iterator[str]:
@@ -81,8 +88,8 @@ def _beginning(tape: RowTape) -> Iterator[str]:
         if owners[number]:
             for index, name in enumerate(names):
                 yield f"    {name}: float = shared[{number}][{index}]"
-    retained = _retained(tape)
-    for line in nested(_values(tape, "scene", retained), retained):
+    retained = retained_names(tape)
+    for line in scene_lines(tape):
         yield f"    {line}"
     for name in retained:
         yield f"    self._{name}: float = {name}"
@@ -95,7 +102,7 @@ def _head(tape: RowTape, needed: set[str]) -> Iterator[str]:
     for index, name in enumerate(tape.state):
         if name in needed:
             yield f"    {name}: float = state[{index}]"
-    for name in _retained(tape):
+    for name in retained_names(tape):
         if name in needed:
             yield f"    {name} = self._{name}"
 
@@ -111,9 +118,9 @@ def _h_floats(tape: RowTape) -> Iterator[str]:
     yield "def h_floats(self, state: Sequence[float]) -> list[float]:"
     yield '    """h (rows,) at ``state``."""'
     every = [name for names in tape.results for name in names]
-    items = [nested(_values(tape, "item", names), names) for names in tape.results]
+    items = [nested(values(tape, "item", names), names) for names in tape.results]
     wanted = [*every, *(line for lines in items for line in lines)]
-    state = nested(_values(tape, "state", every), wanted)
+    state = nested(values(tape, "state", every), wanted)
     yield from _head(tape, _text([*state, *wanted]))
     yield from (f"    {line}" for line in state)
     yield "    h: list[float] = []"
@@ -129,13 +136,13 @@ def _grad_h_floats(tape: RowTape) -> Iterator[str]:
     kind = f"list[tuple[{', '.join(['float'] * len(tape.state))}]]"
     yield f"def grad_h_floats(self, state: Sequence[float], rows: Sequence[int]) -> {kind}:"
     yield '    """d(h_i)/d(state) of the rows asked for."""'
-    groups = [[_row_slopes(tape, number, result) for result in names] for number, names in enumerate(tape.results)]
+    groups = [[row_slopes(tape, number, result) for result in names] for number, names in enumerate(tape.results)]
     over = {name for rows in groups for _, slopes, _ in rows for name in slopes}
     known_lines, known = tape.state_slopes(sorted(over), plain_choice)
     bodies = [[_row_text(tape, row, known) for row in rows] for rows in groups]
     wanted = [line for bodies_of in bodies for body in bodies_of for line in body]
     needed = [*over, *(name for name in _text(wanted) if tape.level(name) == "state")]
-    state = nested([*_values(tape, "state", needed), *known_lines], wanted)
+    state = nested([*values(tape, "state", needed), *known_lines], wanted)
     yield from _head(tape, _text([*state, *wanted]))
     yield from (f"    {line}" for line in state)
     # rows are numbered group by group: which group a row belongs to follows from the ends
@@ -153,15 +160,22 @@ Row = tuple[Lines, dict[str, str], str]
 """Lines of one row, its slopes over the values of the state's level, and its name."""
 
 
-def _row_slopes(tape: RowTape, number: int, result: str) -> Row:
+def row_slopes(tape: RowTape, number: int, result: str) -> Row:
+    """Returns the row of one result of one group."""
     lines, over = tape.item_slopes(result, plain_choice)
-    return [*_values(tape, "item", [result]), *lines], over, result
+    return [*values(tape, "item", [result]), *lines], over, result
+
+
+def row_terms(tape: RowTape, row: Row, known: dict[str, list[str]]) -> tuple[list[str], list[str]]:
+    """Returns the lines of one row, and the terms of its slopes over the state's entries."""
+    lines, over, _ = row
+    terms = [tape.chained(over, known, index) for index in range(len(tape.state))]
+    return nested(lines, terms), terms
 
 
 def _row_text(tape: RowTape, row: Row, known: dict[str, list[str]]) -> list[str]:
-    lines, over, _ = row
-    terms = [tape.chained(over, known, index) for index in range(len(tape.state))]
-    return [*nested(lines, terms), f"found.append(({', '.join(terms)}))"]
+    lines, terms = row_terms(tape, row, known)
+    return [*lines, f"found.append(({', '.join(terms)}))"]
 
 
 def _group_slopes(tape: RowTape, number: int, rows: Sequence[Sequence[str]]) -> Iterator[str]:
@@ -205,7 +219,7 @@ def _grad_bound(tape: RowTape) -> Iterator[str]:
         return
     yield f"def grad_bound(self, state: Sequence[float]) -> {kind}:"
     yield '    """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""'
-    lines = nested(_values(tape, "state", tape.grad_bound), tape.grad_bound)
+    lines = nested(values(tape, "state", tape.grad_bound), tape.grad_bound)
     yield from _head(tape, _text([*lines, *tape.grad_bound]))
     yield from (f"    {line}" for line in lines)
     yield f"    return {', '.join(tape.grad_bound)}"

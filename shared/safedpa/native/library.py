@@ -15,16 +15,23 @@ import platform
 import shlex
 import shutil
 import stat
+import sys
+import sysconfig
 import tempfile
+from collections.abc import Callable, Sequence
 from functools import cache
 from hashlib import blake2b
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from typing import Final
+from queue import Queue
+from threading import Lock, Thread
+from typing import Any, Final
 
 from safedpa.disk import why_not_written
 from safedpa.errors import SafedpaError
 
-__all__ = ["NoKernelError", "cache_folder", "load", "remark"]
+__all__ = ["NoKernelError", "build_into", "cache_folder", "is_compiled", "later", "load", "load_module", "remark"]
 
 _FLAGS: Final = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 """No fused multiply-add, which rounds once where NumPy rounds twice. Without errno, sqrt is one instruction; its result
@@ -32,6 +39,11 @@ is the same."""
 _LINES: Final = ((4000, "-O2"), (8000, "-O1"))
 """Up to so many lines a source is optimised so far, and beyond not at all: a compiler takes about a second for each.
 Results do not depend on it."""
+_MODULE: Final = "safedpa_kernel"
+_PARTS: Final = ("programs.c", "search.c", "least_violation.c", "module.c")
+_PACKAGED: Final = Path(__file__).with_name("built")
+"""Kernels of what ships, compiled when a wheel is built; as private as the package itself."""
+_LOADING: Final = Lock()
 _SECONDS: Final = 60.0
 """s after which a compiler is ended."""
 _MOST_FILES: Final = 200
@@ -53,6 +65,39 @@ def load(source: str) -> ctypes.PyDLL:
     return _load(source, cache_folder())
 
 
+def is_compiled(source: str) -> bool:
+    """Returns whether ``load`` needs no compiler for this source and for the extension module, or fails at once."""
+    if os.environ.get("SAFEDPA_COMPILE", "") == "0":
+        return True
+    try:
+        folder = cache_folder()
+        flags = (*_FLAGS, *_python_flags())
+        for one, own in ((module_source(), flags), (source, _FLAGS)):
+            key, _, _ = _key(one, own)
+            if not any(any(place.glob(f"{key}-*.so")) for place in (_PACKAGED, folder)):
+                return False
+    except (NoKernelError, OSError):
+        pass
+    return True
+
+
+def later(task: Callable[[], None]) -> None:
+    """Runs a task in a thread of its own, after those given before; the end of the process does not wait for it."""
+    _tasks().put(task)
+
+
+@cache
+def _tasks() -> Queue[Callable[[], None]]:
+    tasks: Queue[Callable[[], None]] = Queue()
+
+    def work() -> None:
+        while True:
+            tasks.get()()
+
+    Thread(target=work, name="safedpa-compiler", daemon=True).start()
+    return tasks
+
+
 @cache
 def remark(reason: str) -> None:
     """Reports once in a process why equations that could be compiled are not."""
@@ -72,20 +117,80 @@ def cache_folder() -> Path:
     return root / "safedpa" / "kernels"
 
 
+def load_module() -> Any:
+    """Returns the extension module of decisions, with ``Step``, ``Rows`` and ``Search``. Raises NoKernelError."""
+    with _LOADING:  # two copies would have two sets of types
+        return _loaded_module()
+
+
+@cache
+def _loaded_module() -> Any:
+    if os.environ.get("SAFEDPA_COMPILE", "") == "0":
+        raise NoKernelError("SAFEDPA_COMPILE=0 forbids compiling")
+    path = _path_of(module_source(), (*_FLAGS, *_python_flags()), cache_folder())
+    try:
+        loader = ExtensionFileLoader(_MODULE, str(path))
+        spec = spec_from_loader(_MODULE, loader)
+        assert spec is not None
+        module = module_from_spec(spec)
+        loader.exec_module(module)
+    except ImportError as error:
+        raise NoKernelError(f"{path.name} cannot be loaded: {str(error).splitlines()[0]}") from error
+    return module
+
+
+@cache
+def module_source() -> str:
+    """The C of the extension module."""
+    return "\n".join(Path(__file__).with_name(part).read_text(encoding="utf-8") for part in _PARTS)
+
+
+def build_into(folder: Path, sources: Sequence[str]) -> None:
+    """Compiles the extension module and these sources into a folder, for a wheel. Raises NoKernelError."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _compiled(folder, *_key(module_source(), (*_FLAGS, *_python_flags())))
+    for source in sources:
+        _compiled(folder, *_key(source, _FLAGS))
+
+
+def _python_flags() -> tuple[str, ...]:
+    folder = Path(sysconfig.get_paths()["include"])
+    if not (folder / "Python.h").is_file():
+        raise NoKernelError(f"{folder} has no Python.h: install the headers of this Python")
+    # in the key as well: an extension is for one version of Python
+    return (f"-I{folder}", f"-DMADE_FOR_PYTHON={sys.hexversion}")
+
+
 @cache
 def _load(source: str, folder: Path) -> ctypes.PyDLL:
-    flags = (_optimisation(source), *_FLAGS)
-    key = _digest(repr((source, flags, platform.machine(), platform.libc_ver(), platform.system())).encode())
-    try:
-        _make_private(folder)
-        path = _cached(folder, key) or _compiled(folder, key, source, flags)
-    except OSError as error:
-        raise NoKernelError(f"{folder}: {why_not_written(error)}") from error
+    path = _path_of(source, _FLAGS, folder)
     try:
         # PyDLL keeps the interpreter's lock: a kernel takes microseconds, and to get the lock back may take 5 ms
         return ctypes.PyDLL(str(path))
     except OSError as error:
         raise NoKernelError(f"{path.name} cannot be loaded: {str(error).splitlines()[0]}") from error
+
+
+def _key(source: str, flags: tuple[str, ...]) -> tuple[str, str, tuple[str, ...]]:
+    """Returns the key in the name of a kernel, the source, and all flags."""
+    every = (_optimisation(source), *flags)
+    # without folders, which differ between the machine that builds a wheel and the one that uses it
+    named = tuple(flag for flag in every if not flag.startswith("-I"))
+    parts = source, named, platform.machine(), platform.libc_ver(), platform.system()
+    return _digest(repr(parts).encode()), source, every
+
+
+def _path_of(source: str, flags: tuple[str, ...], folder: Path) -> Path:
+    """Returns the file of a source: of the package, of the cache, or compiled now."""
+    key, _, every = _key(source, flags)
+    for path in _PACKAGED.glob(f"{key}-*.so"):
+        if path.name == f"{key}-{_digest(path.read_bytes())}.so":
+            return path
+    try:
+        _make_private(folder)
+        return _cached(folder, key) or _compiled(folder, key, source, every)
+    except OSError as error:
+        raise NoKernelError(f"{folder}: {why_not_written(error)}") from error
 
 
 def _optimisation(source: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import BarrierSetCache
+from safedpa.safety.compiled_decision import BELOW, OPEN, PASSED, CompiledDecisions, Found
 from safedpa.safety.errors import OutOfBudgetError
 from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.prediction.predictor import Prediction
@@ -31,7 +32,7 @@ from safedpa.safety.solver.qp_scaling import clip_to_bounds
 from safedpa.safety.solver.sqp import DecisionError, backtrack_towards, line_search
 from safedpa.safety.solver.sqp import solve_sqp as _solve_sqp
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input, checked_names, checked_output
-from safedpa.safety.verdict import TOO_LATE, Status, Verdict
+from safedpa.safety.verdict import OUTSIDE_LIMITS, TOO_LATE, Status, Verdict
 
 __all__ = ["Backup", "Decision", "FilterContext", "FilterInput"]
 
@@ -49,6 +50,12 @@ _BINDING: Final = 0.02
 _NAMED: Final = 3
 """Largest number of barriers that a sentence names."""
 
+_NO_WORSE: Final = " Found a moment ago, and no worse now."
+_HOW: Final = (
+    "Found from another start than the nominal action.",
+    "Found by a search around the least-violation sample.",
+    "Found among the least-violation actions.",
+)
 _STARTS: Final = 3
 """Number of feasible actions from which the search for a nearer one starts."""
 
@@ -70,6 +77,8 @@ class FilterContext:
     nominal_range: Plausible
     latent_range: Plausible | None
     clock: Callable[[], float]
+    compiled: CompiledDecisions | None = None
+    """The compiled search; None: Python decides."""
 
 
 @final
@@ -124,6 +133,8 @@ class Decision:
         self._margin = 0.0
         self._constraints: Constraints | None = None
         self._budget: DecisionBudget | None = None
+        self._names: tuple[str, ...] = ()
+        self._held_solution_used = False
         if request.deadline is not None or request.evaluations is not None:
             self._limit(request.deadline, request.evaluations)
 
@@ -154,12 +165,71 @@ class Decision:
         if self._problems:
             raise DecisionError("; ".join(self._problems))
         assert self._nominal is not None
+        compiled = self._by_compiled_search(self._nominal)
+        if compiled is not None:
+            return compiled
         constraints = self._build_constraints()
         constraints.budget = self._budget
         try:
             return self._decide(constraints)
         except OutOfBudgetError:
             return self._best_in_time(constraints)
+
+    def _by_compiled_search(self, nominal: Action) -> Verdict | None:
+        """The same verdict by the compiled search; None: it declines."""
+        tools, compiled, state = self._tools, self._tools.compiled, self._state
+        whole = self._budget is None and tools.settings.enabled and (self._latent is not None or not self._needs_latent)
+        if compiled is None or state is None or not whole or not self._acts_at_once(state):
+            return None
+        barriers = tools.barrier_sets.get(self._request.barriers, len(state))
+        if not barriers.names:
+            return None
+        epsilon, self._margin = tools.margins.resolve(barriers, self._request.epsilon)
+        self._names = barriers.names
+        found = compiled.decide(barriers, state, nominal, self._latent, epsilon)
+        if found is None:
+            return None
+        if found.kind in (OPEN, BELOW):
+            return self._search_further(compiled, found)
+        if found.kind == PASSED and self._clip(nominal) == nominal:
+            return self._found(Status.passed, found, "", nominal)
+        return self._found(Status.corrected, found, OUTSIDE_LIMITS if found.kind == PASSED else "")
+
+    def _search_further(self, compiled: CompiledDecisions, found: Found) -> Verdict | None:
+        """The verdict where no feasible action was found from the nominal one, or some h is below 0."""
+        held_solution = self._request.held_solution
+        if found.kind == OPEN:
+            reused = compiled.reused(held_solution, self._seconds)
+            self._held_solution_used = True
+            if reused is not None and not reused.is_feasible:
+                reason = f"{self._names_of(reused.violated)}{held_solution.notice}{_NO_WORSE}"
+                return self._found(Status.relaxed, reused.found, reason)
+        searched = compiled.search(self._backup_action())
+        if searched is None:
+            return None
+        if searched.candidate is None:
+            return self._found(Status.corrected, searched.found, _HOW[searched.how])
+        notice = _uncontrollable_notice([self._names[row] for row in searched.uncontrollable])
+        if found.kind == OPEN:
+            held_solution.store(searched.candidate, self._seconds, notice)
+            return self._found(Status.relaxed, searched.found, f"{self._names_of(searched.violated)}{notice}")
+        below = ", ".join([name for name, h in zip(self._names, compiled.h_now(), strict=True) if h < 0.0])
+        return self._found(Status.violated, searched.found, f"Below 0: {below}.{notice}")
+
+    def _acts_at_once(self, state: Action) -> bool:
+        """Whether nothing is in flight, so that the constraints hold at the measured state."""
+        memory = self._request.memory
+        return not memory or self._tools.prediction.effect_start(state, self._latent, memory) is None
+
+    def _found(self, status: Status, found: Found, reason: str, action: Action | None = None) -> Verdict:
+        names = self._names
+        # Several rows may belong to one barrier; dict.fromkeys removes repeated names and keeps the order.
+        active = tuple(dict.fromkeys([names[row] for row in found.active])) if found.active else ()
+        taken = found.action if action is None else action
+        return self._answer(status, taken, reason, found.solver, found.slack, active, found.h_next, found.h_now)
+
+    def _names_of(self, rows: Sequence[int]) -> str:
+        return _not_satisfied(tuple(dict.fromkeys([self._names[row] for row in rows])))
 
     def _decide(self, constraints: Constraints) -> Verdict:
         """The verdict of a search without a limit of its own."""
@@ -178,9 +248,7 @@ class Decision:
         if nominal_candidate.is_feasible:
             if unclipped:
                 return self._verdict(Status.passed, nominal_candidate, "", "not needed")
-            return self._verdict(
-                Status.corrected, nominal_candidate, "The nominal action lay outside the actuator limits.", "not needed"
-            )
+            return self._verdict(Status.corrected, nominal_candidate, OUTSIDE_LIMITS, "not needed")
         return self._correct(constraints, self._nominal, nominal_candidate)
 
     def _best_in_time(self, constraints: Constraints) -> Verdict:
@@ -259,20 +327,20 @@ class Decision:
             return self._finish_feasible(constraints, nominal, found, "", solver)
         # The remaining steps take some seventy evaluations; within 0.05 s of the last full search its result is reused.
         held_solution = self._request.held_solution
-        reused = held_solution.reuse_if_no_worse(constraints, program.sides, self._seconds)
+        reused = None
+        if not self._held_solution_used:
+            reused = held_solution.reuse_if_no_worse(constraints, program.sides, self._seconds)
         # A reused action that has become feasible must not be returned: the nearest feasible one is then found below.
         if reused is not None and not reused.is_feasible:
             names = self._violated_names(constraints, reused)
-            notice = f"{names}{held_solution.notice} Found a moment ago, and no worse now."
+            notice = f"{names}{held_solution.notice}{_NO_WORSE}"
             return self._verdict(Status.relaxed, reused, notice, solver)
         backup = constraints.evaluate(self._backup_action())
         grid = self._evaluate_grid(constraints)
         # The SQP may fail although a feasible action exists: the tangent at the nominal action can point the wrong way.
         other, solver = self._restart_from(constraints, nominal, nominal_candidate, [backup, *grid])
         if other.is_feasible:
-            return self._finish_feasible(
-                constraints, nominal, other, "Found from another start than the nominal action.", solver
-            )
+            return self._finish_feasible(constraints, nominal, other, _HOW[0], solver)
         nearby = self._coordinate_search(constraints, [backup, found, other, *grid])
         # One or two actions have an exact program, which uses no slack where none is needed.
         if not nearby.is_feasible and len(program.sides) > 2:
@@ -280,15 +348,11 @@ class Decision:
         # A feasible action found by sampling is feasible, not nearest: the SQP restarts from it.
         if nearby.is_feasible:
             other, solver = self._restart_from(constraints, nominal, nominal_candidate, [nearby])
-            return self._finish_feasible(
-                constraints, nominal, other, "Found by a search around the least-violation sample.", solver
-            )
+            return self._finish_feasible(constraints, nominal, other, _HOW[1], solver)
         best, notice = self._least_violation(constraints, backup, [nominal_candidate, found, other, nearby, *grid])
         if best.is_feasible:
             other, solver = self._restart_from(constraints, nominal, nominal_candidate, [best])
-            return self._finish_feasible(
-                constraints, nominal, other, "Found among the least-violation actions.", solver
-            )
+            return self._finish_feasible(constraints, nominal, other, _HOW[2], solver)
         held_solution.store(best, self._seconds, notice)
         return self._verdict(Status.relaxed, best, f"{self._violated_names(constraints, best)}{notice}", solver)
 
@@ -376,18 +440,11 @@ class Decision:
         best, uncontrollable = least_violation(
             constraints, tools.program, tools.maximin_lp, self._nominal, backup, known
         )
-        if not uncontrollable:
-            return best, ""
-        return (
-            best,
-            f" No action changes {', '.join(uncontrollable[:_NAMED])} within one step: "
-            "the backup is used as the nominal action.",
-        )
+        return best, _uncontrollable_notice(uncontrollable)
 
     def _violated_names(self, constraints: Constraints, best: ActionCandidate) -> str:
         """A sentence with the constraints that the action violates."""
-        names = constraints.active_names(best, 0.0)
-        return f"Not satisfied: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
+        return _not_satisfied(constraints.active_names(best, 0.0))
 
     def _backup_action(self) -> Action:
         """The user's backup clipped to the bounds; the resting action if there is none or it fails."""
@@ -430,12 +487,14 @@ class Decision:
         slack: float = 0.0,
         active: tuple[str, ...] = (),
         h_next: float | None = None,
+        h_now: float | None = None,
     ) -> Verdict:
         # Read-only, so that no consumer of the verdict can change the action that the log and the robot share.
         taken = np.array(action)
         taken.setflags(write=False)
-        constraints = self._constraints
-        if constraints is not None and self._tools.margins.remark:
+        if h_now is None and self._constraints is not None:
+            h_now = self._constraints.min_h_now
+        if h_now is not None and self._tools.margins.remark:
             reason = f"{reason} {self._tools.margins.remark}".strip()
         return Verdict.of(
             {
@@ -444,12 +503,24 @@ class Decision:
                 "reason": reason,
                 "slack": slack,
                 "active": active,
-                "h_now": 0.0 if constraints is None else constraints.min_h_now,
+                "h_now": 0.0 if h_now is None else h_now,
                 "h_next": 0.0 if h_next is None else h_next,
                 "margin": self._margin,
                 "solver": solver,
                 "microseconds": 1e6 * (self._tools.clock() - self._start),
                 "nominal": None if self._nominal is None else np.array(self._nominal),
-                "known": constraints is not None and h_next is not None,
+                "known": h_now is not None and h_next is not None,
             }
         )
+
+
+def _not_satisfied(names: Sequence[str]) -> str:
+    return f"Not satisfied: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
+
+
+def _uncontrollable_notice(names: Sequence[str]) -> str:
+    """A sentence about barriers that no action can influence."""
+    if not names:
+        return ""
+    listed = ", ".join(names[:_NAMED])
+    return f" No action changes {listed} within one step: the backup is used as the nominal action."

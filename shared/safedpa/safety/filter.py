@@ -33,6 +33,7 @@ from safedpa.safety.checks.compatibility import (
     check_settings,
     check_settings_of_functions,
 )
+from safedpa.safety.compiled_decision import CompiledDecisions
 from safedpa.safety.decision import Backup, Decision, FilterContext, FilterInput
 from safedpa.safety.margins.active import ActiveMargins
 from safedpa.safety.prediction.predictor import Prediction
@@ -113,10 +114,12 @@ class SafetyFilter:
         # clipped.
         reach = settings.plausible_nominal * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
+        program = QuadraticProgram(low, high, settings.weight_vector)
         self.tools = FilterContext(
             settings=settings,
             prediction=prediction,
-            program=QuadraticProgram(low, high, settings.weight_vector),
+            program=program,
+            compiled=CompiledDecisions(settings, program, prediction),
             maximin_lp=MaxMinProgram(len(low)),
             barrier_sets=BarrierSetCache(states),
             margins=ActiveMargins(settings.epsilon),
@@ -129,6 +132,10 @@ class SafetyFilter:
             # is.
             clock=clock if clock is time.perf_counter else FiniteClock(clock),
         )
+        if self.tools.compiled is not None:
+            if clock is time.perf_counter:  # the only clock that C reads
+                self.tools.compiled.accept(state_range, self.tools.nominal_range, latent_range)
+            self.tools.compiled.prepare(own, 0 if state_range is None else len(state_range.names))
 
     def __repr__(self) -> str:
         settings, scene = self.settings, [name for barrier in self._barriers for name in barrier.names]
@@ -206,9 +213,26 @@ class SafetyFilter:
         ends with the best candidate so far, and the status that is true of it; one evaluation may exceed the deadline.
         ``evaluations`` repeats exactly, ``deadline`` depends on the machine.
         """
+        if memory is None and type(stale) is tuple and not stale and deadline is None and evaluations is None:
+            verdict = self._usual(state, nominal, latent, barriers, epsilon, time)
+            if verdict is not None:
+                return verdict
         request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, held_solution)
         request.deadline, request.evaluations = deadline, evaluations
         return self._answer(_decided, request)
+
+    def _usual(self, state: Any, nominal: Any, latent: Any, barriers: Any, epsilon: Any, time: Any) -> Verdict | None:
+        """The verdict of the compiled search where nothing is unusual; None: a ``Decision`` has to be made."""
+        tools, scene = self.tools, self._barriers if barriers is None else barriers
+        if tools.compiled is None or not self._one_at_a_time.acquire(blocking=False):
+            return None
+        try:
+            found: Verdict | None = tools.compiled.verdict(tools, state, nominal, latent, scene, epsilon, time)
+            return found
+        except Exception:  # noqa: BLE001 - whatever it is, the decision meets it again and reports it
+            return None
+        finally:
+            self._one_at_a_time.release()
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
         """Returns the verdict when only the nominal action is missing, for a robot that has no safe standstill.

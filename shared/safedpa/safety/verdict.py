@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TOO_LATE", "Status", "Verdict", "resting_verdict"]
+__all__ = ["OUTSIDE_LIMITS", "TOO_LATE", "Status", "Verdict", "resting_verdict"]
 
 
 @final
@@ -47,6 +47,7 @@ _SENTENCES = {
 }
 
 
+OUTSIDE_LIMITS: Final = "The nominal action lay outside the actuator limits."
 TOO_LATE: Final = "Some h falls below 0 before this action takes effect."
 """Reason of a verdict whose action satisfies every condition but comes too late."""
 _ACTS_LATE: Final = "The action satisfies every barrier condition from the moment at which it acts."

@@ -29,22 +29,22 @@ def test_a_workspace_forgets_the_problem_before_and_padding_rows_say_nothing() -
 
 def test_one_workspace_of_the_linear_program_for_each_power_of_two() -> None:
     """Asked where several actions are as high."""
-    program: Any = MaxMinProgram(1)
+    program: Any = MaxMinProgram(3)
     for rows in range(1, 10):
-        assert program.solve(np.zeros((rows, 1)), np.zeros(rows), np.full(rows, np.nan)) == pytest.approx([0.5])
+        assert program.solve(np.zeros((rows, 3)), np.zeros(rows), np.full(rows, np.nan)) == pytest.approx([0.5] * 3)
     assert sorted(program._workspaces) == [1, 2, 4, 8, 16]
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_a_solver_that_says_solved_and_has_no_numbers_is_not_believed(number: float) -> None:
-    program: Any = MaxMinProgram(2)
-    slopes, free = np.array([[1.0, 0.0]]), np.full(1, np.nan)  # the second action is for the solver to choose
+    program: Any = MaxMinProgram(3)
+    slopes, free = np.array([[1.0, 0.0, 0.0]]), np.full(1, np.nan)  # the other actions are for the solver to choose
     program.solve(slopes, np.zeros(1), free)
     workspace = program._workspaces[1]
 
     class Solved:
         class result:  # noqa: N801 - as piqp has it
-            x = np.array([0.5, number, 0.0])
+            x = np.array([0.5, number, 0.0, 0.0])
 
         def update(self, **_: Any) -> None: ...
 

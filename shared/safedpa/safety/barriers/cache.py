@@ -19,7 +19,7 @@ class BarrierValueCache:
     """
 
     def __init__(self, barriers: Any) -> None:
-        self._barriers = barriers
+        self.barriers = barriers
         self._known: list[tuple[float, tuple[float, ...], list[float]]] = []
         """First entry, state and h in one tuple: threads that share barriers see a whole entry or none of it."""
         self._oldest = 0
@@ -34,7 +34,7 @@ class BarrierValueCache:
             if entry[0] == first and entry[1] == tuple(state):
                 return entry[2]
         key = tuple(state)
-        h: list[float] = self._barriers.h_floats(key)
+        h: list[float] = self.barriers.h_floats(key)
         if len(known) < _STATES:
             known.append((first, key, h))
             return h
@@ -47,14 +47,14 @@ class BarrierValueCache:
 
     def grad_h_floats(self, state: Sequence[float], rows: Sequence[int]) -> Any:
         """d(h_i)/d(x_j) of ``rows``; not cached, since a decision needs it once."""
-        return self._barriers.grad_h_floats(state, rows)
+        return self.barriers.grad_h_floats(state, rows)
 
     def lie_derivative_floats(
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> Any:
         """d(h_i)/d(a_j) of ``rows``, if the state changes by g a."""
-        return self._barriers.lie_derivative_floats(state, g, widths, rows)
+        return self.barriers.lie_derivative_floats(state, g, widths, rows)
 
     def grad_bound(self, state: Sequence[float]) -> Any:
         """An upper bound (states,) of |d(h_i)/d(x_j)|; None if not known."""
-        return self._barriers.grad_bound(state)
+        return self.barriers.grad_bound(state)

@@ -11,9 +11,8 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.equations.batch_rows import BatchRows
-from safedpa.equations.generated import generated
 from safedpa.equations.rows import Equation, Given, RowGroup, RowTape
-from safedpa.equations.scalar_rows import scalar_rows
+from safedpa.native.steps import CompiledRows
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.base import AbstractBarrier
 
@@ -126,15 +125,9 @@ def tape_of(pattern: Pattern, states: int) -> RowTape:
 
 
 @cache
-def rows_of(pattern: Pattern, states: int) -> Any:
-    """Returns the class of a pattern's rows over plain numbers: the generated one, or else one compiled now."""
-    tape = tape_of(pattern, states)  # under a millisecond; generating the code from it takes ten times as long
-    # Compiled ahead of time if the build generated it: compiling it now would make the first tick late.
-    for module in {kind.generated_module for kind, *_ in pattern} - {""}:
-        known = generated(module).get(tape.digest)
-        if known is not None:
-            return known
-    return scalar_rows(tape)
+def rows_of(pattern: Pattern, states: int) -> CompiledRows:
+    """Returns what makes a pattern's rows over plain numbers from the numbers of a scene."""
+    return CompiledRows(tape_of(pattern, states))
 
 
 @cache

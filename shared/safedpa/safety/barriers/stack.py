@@ -110,6 +110,10 @@ class CompiledBarrierSet(AbstractBarrierSet):
             rows = self._by_size[states] = rows_of(self._pattern, states)(self._shared, self._each)
         return rows
 
+    def prepare(self, states: int) -> None:
+        """Waits for the compiler, rather than letting Python answer until it is done."""
+        rows_of(self._pattern, states).wait()
+
     def __getstate__(self) -> dict[str, Any]:
         """Compiled functions cannot be pickled; the receiving process compiles them again."""
         return {**self.__dict__, "_by_size": {}}

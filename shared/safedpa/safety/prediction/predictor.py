@@ -14,6 +14,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
+from safedpa.dynamics.recorded_step import compiled_step_of
 from safedpa.errors import InputError
 from safedpa.safety.prediction.dead_time import ActuatorModel, EffectStart
 from safedpa.safety.validation import checked_output
@@ -38,6 +39,7 @@ class AffineMotion:
     def __init__(self, state: tuple[float, ...], known: list[float], period: float, trained_period: float) -> None:
         self._state, self._known = state, known
         self._period, self._trained_period = period, trained_period
+        self.entries = known, period, trained_period
         self._actions = len(known) // len(state) - 1
 
     def next_state(self, action: Sequence[float]) -> list[float]:
@@ -212,6 +214,25 @@ class Prediction:
         except (ValueError, ArithmeticError):  # values that Python's math functions refuse
             return None
         return AffineMotion(state, known, model.period, base.weights.description.period)
+
+    def compiled_step(self) -> Any:
+        """The model's compiled step; None: there is none, or it is not up to date."""
+        physics = self._physics
+        if physics is None or self.has_actuator_memory:
+            return None
+        if self._scalar_step is None:
+            self._scalar_step = physics.scalar_step(physics.period)
+        return compiled_step_of(self._scalar_step)
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] since the start of the run, as reported."""
+        return 0.0 if self._physics is None else self._physics.clock.seconds
+
+    @property
+    def nominal_latent(self) -> tuple[float, ...]:
+        """(latents,) the values without a given latent."""
+        return self._fixed
 
     def next_state_floats(
         self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any

@@ -7,9 +7,10 @@ Solved by the dual simplex method (Nocedal and Wright, Numerical Optimization, 2
 t) and rows G z >= g, n + 1 rows that hold with equality form a vertex; their multipliers solve G' multipliers = (0,
 ..., 0, -1). The start is the maximum of one free row alone, at bounds of u: its multipliers are the sizes of the row's
 entries, so none is negative. While a row is violated, it replaces the row whose multiplier reaches 0 first. If several
-u are optimal, the one nearest to the middle is wanted: a vertex is accepted only if no multiplier is negative with a
-small quadratic cost of the distance from the middle added. The KKT conditions of that problem then hold. Otherwise PIQP
-is used.
+u are optimal, the one nearest to the middle is wanted. A vertex is the only optimum if no multiplier is negative with a
+small quadratic cost of the distance from the middle added: the KKT conditions of that problem then hold. Otherwise, for
+one or two actions, an active-set method finds the u nearest to the middle at which every free row reaches t. All else
+is solved by PIQP.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from math import isnan
 from typing import Any, Final, final
 
 import numpy as np
+
+from safedpa.safety.solver.active_set_2d import HardQP2D
 
 __all__ = ["MaxMinProgram", "solve_by_dual_simplex"]
 
@@ -168,7 +171,11 @@ class _LinearProgram:
             self._solve_basis()
             violated = self._most_violated()
             if violated < 0:
-                return [min(max(share, 0.0), 1.0) for share in self._z[:-1]] if self._is_proven() else None
+                if not self._holds_with_equality():
+                    return None
+                if self._is_only_optimum():
+                    return [min(max(share, 0.0), 1.0) for share in self._z[:-1]]
+                return self._nearest_to_middle()
             if not self._pivot(violated):
                 return None
         return None
@@ -253,13 +260,31 @@ class _LinearProgram:
         self._basis[leaving] = entering
         return True
 
-    def _is_proven(self) -> bool:
-        """Whether the vertex holds with equality, and no multiplier is negative with the centring cost added."""
+    def _nearest_to_middle(self) -> list[float] | None:
+        """u (actions,), of several optimal ones the one nearest to the middle; None if that is not proven."""
+        if self._actions > 2:
+            return None
+        two, t = self._actions > 1, self._z[-1]
+        t -= _FEASIBILITY_TOLERANCE * (1.0 + abs(t))  # rounding of t must not make the rows contradict each other
+        problem = HardQP2D(0.5, 0.5 if two else 0.0, 1.0, 1.0)
+        for row in range(self._bounds):
+            own, limit = self._rows[row], self._limits[row]
+            a, b = own[0], own[1] if two else 0.0
+            size = abs(a) + abs(b)
+            if size > 0.0:
+                problem.add(a / size, b / size, (limit + t if own[-1] < 0.0 else limit) / size)
+        if not problem.solve():
+            return None
+        found = [problem.x, problem.y] if two else [problem.x]
+        return [min(max(share, 0.0), 1.0) for share in found]
+
+    def _holds_with_equality(self) -> bool:
+        """Whether all rows of the vertex do: rounding errors add up in the updated inverse."""
+        return all(abs(self._scaled_violation(row)) <= _EQUALITY_TOLERANCE for row in self._basis)
+
+    def _is_only_optimum(self) -> bool:
+        """Whether no multiplier is negative with the centring cost added."""
         for place in range(len(self._basis)):
-            violation = self._scaled_violation(self._basis[place])
-            # Rounding errors add up in the updated inverse; a vertex that has drifted is left to PIQP.
-            if not abs(violation) <= _EQUALITY_TOLERANCE:
-                return False
             multiplier = -self._inverse[self._actions][place]
             for column in range(self._actions):
                 multiplier += _CENTERING_WEIGHT * (self._z[column] - 0.5) * self._inverse[column][place]

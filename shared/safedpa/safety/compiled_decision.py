@@ -1,0 +1,252 @@
+"""A decision by the compiled search: the same as by ``decision`` and ``solver``, in one call.
+
+``CompiledDecisions`` belongs to one filter. It declines, and Python decides, wherever C has no answer: for three or
+more actions, delays, budgets, barriers that are no equations, and numbers that are not finite.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from math import inf
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from safedpa.native import NoKernelError
+from safedpa.native.library import load_module, remark
+from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet, CachingBarrierSet
+from safedpa.safety.barriers.cache import BarrierValueCache
+from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
+from safedpa.safety.prediction.predictor import Prediction
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.solver.candidates import HeldSolution
+from safedpa.safety.solver.constraints import ActionCandidate
+from safedpa.safety.solver.qp import QuadraticProgram
+from safedpa.safety.validation import InvalidInput, Plausible, checked_input
+from safedpa.safety.verdict import OUTSIDE_LIMITS, Status, Verdict
+
+__all__ = ["BELOW", "CORRECTED", "OPEN", "PASSED", "CompiledDecisions", "Found", "Searched"]
+
+PASSED: Final = 0
+"""The nominal action, clipped to its bounds, is feasible."""
+CORRECTED: Final = 1
+OPEN: Final = 2
+"""No feasible action was found from the nominal one."""
+BELOW: Final = 3
+"""Some h is below 0."""
+_MOST_ACTIONS: Final = 2
+_MOST_STATES: Final = 64
+
+
+class _Scene(NamedTuple):
+    """What the search is prepared for."""
+
+    parts: Any
+    requested: dict[str, float] | None
+
+
+class Found(NamedTuple):
+    """One action and what is predicted for it."""
+
+    kind: int
+    action: tuple[float, ...]
+    slack: float
+    active: tuple[int, ...]
+    """Rows that bind or are violated, the tightest first."""
+    h_now: float
+    h_next: float
+    solver: str
+
+
+class Searched(NamedTuple):
+    """The result of a search after ``OPEN`` or ``BELOW``."""
+
+    found: Found
+    how: int
+    """0: from another start, 1: from a sample, 2: among the least-violation actions; 3: least violation."""
+    violated: tuple[int, ...] = ()
+    uncontrollable: tuple[int, ...] = ()
+    candidate: ActionCandidate | None = None
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the action satisfies every constraint."""
+        return self.candidate is None or self.candidate.is_feasible
+
+
+@final
+class CompiledDecisions:
+    """The compiled search of one filter; for one decision at a time."""
+
+    def __init__(self, settings: FilterSettings, program: QuadraticProgram, prediction: Prediction) -> None:
+        self._settings, self._program, self._prediction = settings, program, prediction
+        self._search: Any = None
+        self._step: Any = None
+        self._possible = len(program.sides) <= _MOST_ACTIONS and prediction.is_project_model
+        self._scene: _Scene | None = None
+        self._ranges: Any = None
+
+    def accept(self, state: Plausible | None, nominal: Plausible, latent: Plausible | None) -> None:
+        """Sets the ranges of inputs, outside which ``verdict`` declines; before the first decision."""
+        self._ranges = state, nominal, latent
+
+    def prepare(self, parts: Sequence[AbstractBarrier] | None, states: int) -> None:
+        """Loads, and waits for the compiler, so that the first decision need not."""
+        if not self._possible:
+            return
+        try:
+            load_module()
+        except NoKernelError as error:
+            remark(str(error))
+            self._possible = False
+            return
+        barriers = make_barrier_set(parts or ())
+        if isinstance(barriers, CompiledBarrierSet) and states:
+            with contextlib.suppress(Exception):  # what fails here is reported by the decision that needs it
+                barriers.prepare(states)
+
+    def verdict(self, tools: Any, state: Any, nominal: Any, latent: Any, parts: Any, epsilon: Any, time: Any) -> Any:
+        """The verdict on inputs of the usual kinds, if it is ``passed`` or ``corrected``; None: ask ``Decision``.
+
+        ``tools`` is the ``FilterContext``. Raises what a barrier or the model raises.
+        """
+        prediction = self._prediction
+        if not self._possible or self._ranges is None or not self._report_time(time):
+            return None
+        step = None if prediction.affine else prediction.compiled_step()
+        scene = self._scene
+        if scene is None or parts is not scene.parts or step is not self._step or epsilon != scene.requested:
+            scene = self._scene = self._scene_of(tools, parts, epsilon, step)
+        needs_latent = tools.latent_range is not None and tools.latent_range.names
+        if scene is None or (latent is None and needs_latent):
+            return None
+        free = prediction.nominal_latent if latent is None else latent
+        if step is not None:
+            return self._search.verdict(state, nominal, free, prediction.seconds, None, 0.0, 0.0)
+        place, free = checked_input("", state, tools.state_range), checked_input("", free, tools.latent_range)
+        if isinstance(place, InvalidInput) or isinstance(free, InvalidInput):
+            return None
+        motion = prediction.affine_motion(place, free)
+        if motion is None:
+            return None
+        return self._search.verdict(place, nominal, free, prediction.seconds, *motion.entries)
+
+    def _report_time(self, time: Any) -> bool:
+        """Passes the time [s] to the model; False where a ``Decision`` has to look at it."""
+        if time is None:
+            return not self._prediction.timed
+        if type(time) is not float or not 0.0 <= time < inf:
+            return False
+        self._prediction.report_time(time)
+        return True
+
+    def _scene_of(self, tools: Any, parts: Any, epsilon: Any, step: Any) -> _Scene | None:
+        """Prepares the search for these barriers and margins."""
+        if not isinstance(parts, (tuple, AbstractBarrierSet)) or not (epsilon is None or type(epsilon) is dict):
+            return None  # a list may change from call to call
+        entries = len(tools.state_range.names) if tools.state_range is not None else 0
+        if not entries or not tools.settings.enabled:
+            return None
+        barriers = tools.barrier_sets.get(parts, entries)
+        if not barriers.names:
+            return None
+        margins, margin = tools.margins.resolve(barriers, {} if epsilon is None else epsilon)
+        rows = self._rows_of(barriers, entries)
+        if rows is None or not self._ready(step, rows):
+            return None
+        self._search.scene(rows, margins, barriers.at_once, barriers.names, margin, tools.margins.remark)
+        return _Scene(parts, None if epsilon is None else dict(epsilon))
+
+    def _rows_of(self, barriers: AbstractBarrierSet, states: int) -> Any:
+        """The evaluator of barriers that do not look at where the state came from; else None."""
+        if not isinstance(barriers, (CachingBarrierSet, CompiledBarrierSet)):
+            return None
+        rows = barriers.scalar_rows(states)
+        return rows.barriers if isinstance(rows, BarrierValueCache) else rows
+
+    def decide(
+        self,
+        barriers: AbstractBarrierSet,
+        state: tuple[float, ...],
+        nominal: tuple[float, ...],
+        latent: tuple[float, ...] | None,
+        epsilon: Sequence[float],
+    ) -> Found | None:
+        """The nominal action, or the nearest feasible one; None: Python has to decide."""
+        if not self._possible:
+            return None
+        self._scene = None
+        rows = self._rows_of(barriers, len(state))
+        prediction = self._prediction
+        motion = prediction.affine_motion(state, latent) if prediction.affine else None
+        known, period, trained = (None, 0.0, 0.0) if motion is None else motion.entries
+        step = prediction.compiled_step() if motion is None else None
+        if rows is None or (motion is None and step is None) or not self._ready(step, rows):
+            return None
+        free = prediction.nominal_latent if latent is None else latent
+        found = self._search.decide(
+            rows, state, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained
+        )
+        return None if found is None else Found(*found)
+
+    def search(self, backup: tuple[float, ...]) -> Searched | None:
+        """What to do after ``OPEN`` or ``BELOW``; None: Python has to decide."""
+        found = self._search.search(backup)
+        if found is None:
+            return None
+        answer, how, *more = found
+        if not more:
+            return Searched(Found(*answer), how)
+        violated, uncontrollable, candidate = more
+        return Searched(Found(*answer), how, violated, uncontrollable, ActionCandidate(*candidate))
+
+    def reused(self, held: HeldSolution, seconds: float) -> Searched | None:
+        """The action of the last search of this robot, if it is still as good; as ``reuse_if_no_worse``."""
+        evaluator = _Evaluator(self._search)
+        if held.reuse_if_no_worse(evaluator, self._program.sides, seconds) is None:
+            return None
+        return evaluator.last
+
+    def h_now(self) -> list[float]:
+        """h (rows,) at the state of the decision."""
+        found: list[float] = self._search.h_now()
+        return found
+
+    def _ready(self, step: Any, rows: Any) -> bool:
+        """Makes the search at the first decision, and again for another step."""
+        if self._search is None or step is not self._step:
+            try:
+                module = load_module()
+            except NoKernelError as error:
+                remark(str(error))
+                self._possible = False
+                return False
+            low, high, width = zip(*self._program.sides, strict=True)
+            rounds, affine = self._settings.relinearisations + 1, self._prediction.affine
+            weights = self._program.weights.tolist()
+            self._search = module.Search(low, high, width, weights, self._settings.eta, rounds, affine, step)
+            if self._ranges is not None:
+                ranges = [None if one is None else (one.low_floats, one.high_floats) for one in self._ranges]
+                kinds = Verdict, Status.passed, Status.corrected, OUTSIDE_LIMITS
+                self._search.prepare(*kinds, np.ndarray, np.frombuffer, *ranges)
+            self._step, self._rows = step, module.Rows
+        return type(rows) is self._rows
+
+
+@final
+class _Evaluator:
+    """What a held solution needs of constraints."""
+
+    def __init__(self, search: Any) -> None:
+        self._search = search
+        self.last: Searched | None = None
+
+    def evaluate(self, action: Sequence[float]) -> ActionCandidate:
+        found = self._search.evaluate(action)
+        if found is None:  # odd numbers: no candidate is as good as it was
+            return ActionCandidate(action, [], [float("-inf")], [], [])
+        answer, violated, candidate = found
+        self.last = Searched(Found(*answer), 3, violated, (), ActionCandidate(*candidate))
+        assert self.last.candidate is not None
+        return self.last.candidate

@@ -1,0 +1,160 @@
+"""A decision by the compiled search is the decision of Python, to the last bit."""
+
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import safedpa
+from safedpa.dynamics import load_model
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.safety import FilterSettings, SafetyFilter, Verdict
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.solver.candidates import HeldSolution
+
+if shutil.which("cc") is None:
+    pytest.skip("no C compiler", allow_module_level=True)
+
+FOOTPRINT, FIELD = (0.08, 0.4, 0.12), (-4.0, 4.0, -4.0, 4.0)
+CAR, SETTINGS = load_model("car"), FilterSettings.for_robot("car")
+ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
+
+
+def scene(count: int, seed: int = 1) -> list[list[float]]:
+    random = np.random.default_rng([seed, count])
+    return np.column_stack([random.uniform(-3.5, 3.5, (count, 2)), random.uniform(0.2, 0.35, count)]).tolist()
+
+
+def by_python(safe: SafetyFilter) -> SafetyFilter:
+    """The same filter without the compiled search: three actions are what it declines, a deadline another way."""
+    copy = SafetyFilter.for_model(CAR, safe.settings, safe.barriers)
+    copy.tools = replace(copy.tools, compiled=None)
+    return copy
+
+
+def fields(verdict: Verdict) -> dict[str, Any]:
+    return {**verdict.as_dict(), "microseconds": 0.0}
+
+
+def barriers(count: int, seed: int = 1) -> Sequence[safedpa.AbstractBarrier]:
+    parts = car_barriers(SETTINGS, FOOTPRINT, scene(count, seed), FIELD)
+    whole = make_barrier_set(parts)
+    whole.prepare(4)  # type: ignore[attr-defined]  # waits for the compiler
+    return tuple(parts)
+
+
+def both(count: int = 6, own: FilterSettings = SETTINGS) -> tuple[SafetyFilter, SafetyFilter]:
+    compiled = SafetyFilter.for_model(CAR, own, barriers(count))
+    return compiled, by_python(compiled)
+
+
+COMPILED, PYTHON = both()
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 33])
+@pytest.mark.parametrize("robust", [False, True])
+def test_verdicts_are_those_of_python(count: int, robust: bool) -> None:
+    compiled, python = both(count, replace(SETTINGS, eta=0.9, relinearisations=0) if robust else SETTINGS)
+    random, seen = np.random.default_rng(count), set[str]()
+    for _ in range(150):
+        state = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0))
+        nominal, latent = random.uniform((-0.9, -0.4), (2.8, 0.4)), random.uniform((0.0, 0.0), (1.0, 4.0))
+        found = compiled.decide(state, nominal, latent)
+        assert fields(found) == fields(python.decide(state, nominal, latent))
+        seen.add(found.status.value)
+    assert {"passed", "corrected", "violated"} <= seen
+
+
+@given(st.lists(ANY, min_size=4, max_size=4), st.lists(ANY, min_size=2, max_size=2))
+@settings(max_examples=200, deadline=None)
+def test_odd_numbers_have_the_verdict_of_python(state: list[float], nominal: list[float]) -> None:
+    found = COMPILED.decide(state, nominal, CAR.latent)
+    assert fields(found) == fields(PYTHON.decide(state, nominal, CAR.latent))
+    assert np.isfinite(found.action).all()
+
+
+@pytest.mark.parametrize(
+    "state", [None, "abcd", [0.0, 0.0, 0.0], [True, 0.0, 0.0, 0.0], np.zeros((1, 4)), np.zeros(4, np.float32), 1.0,
+              np.ma.masked_array(np.zeros(4), [0, 1, 0, 0]), np.zeros(8)[::2], (0, 0, 0, 0)],
+)  # fmt: skip
+def test_inputs_of_other_kinds_have_the_verdict_of_python(state: Any) -> None:
+    assert fields(COMPILED.decide(state, [1.0, 0.0], CAR.latent)) == fields(
+        PYTHON.decide(state, [1.0, 0.0], CAR.latent)
+    )
+
+
+def test_an_action_is_read_only_and_belongs_to_its_verdict() -> None:
+    first = COMPILED.decide([-3.0, -3.0, 0.5, 0.2], [0.3, 0.1], CAR.latent)
+    kept = first.action.copy()
+    COMPILED.decide([-3.0, -3.0, 0.5, 0.2], [0.0, 0.0], CAR.latent)
+    assert first.action.tolist() == kept.tolist()
+    assert not first.action.flags.writeable
+    assert first.nominal is not None
+    first.nominal[0] = 5.0
+    assert first.action.tolist() == kept.tolist()
+
+
+def test_a_filter_without_obstacles_and_one_with_a_thousand_decide_as_python() -> None:
+    for count in (0, 1000):
+        compiled, python = both(count)
+        for state in ([0.0, 0.0, 0.0, 0.0], [3.0, 3.0, 0.7, 1.5]):
+            assert fields(compiled.decide(state, [2.0, 0.0], CAR.latent)) == fields(
+                python.decide(state, [2.0, 0.0], CAR.latent)
+            )
+
+
+def test_other_margins_and_other_barriers_count_from_the_next_decision_on() -> None:
+    state, nominal = [-3.0, -3.0, 0.5, 0.2], [0.3, 0.1]
+    others = barriers(6, seed=2)
+    for given_barriers in (None, others, None):
+        for epsilon in (None, {"obstacle": 0.5}, {"obstacle": 0.6}):
+            found = COMPILED.decide(state, nominal, CAR.latent, barriers=given_barriers, epsilon=epsilon)
+            wanted = PYTHON.decide(state, nominal, CAR.latent, barriers=given_barriers, epsilon=epsilon)
+            assert fields(found) == fields(wanted)
+
+
+def test_a_search_of_a_moment_ago_is_reused_as_by_python() -> None:
+    tight, reasons = {"obstacle": 10.0}, list[str]()
+    held = HeldSolution(), HeldSolution()
+    for tick in range(30):
+        state = [-3.0 + 0.001 * tick, -3.0, 0.8, 0.0]
+        found, wanted = (
+            one.decide(state, [2.0, 0.0], CAR.latent, epsilon=tight, time=0.01 * tick, held_solution=own)
+            for one, own in zip((COMPILED, PYTHON), held, strict=True)
+        )
+        assert fields(found) == fields(wanted)
+        reasons.append(found.reason)
+    assert 0 < sum("no worse now" in reason for reason in reasons) < 30
+
+
+def test_threads_with_filters_of_their_own_decide_as_one() -> None:
+    random = np.random.default_rng(5)
+    states = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0), (150, 4))
+
+    def drive(_: int) -> list[dict[str, Any]]:
+        own = both()[0]
+        return [fields(own.decide(state, [2.0, 0.1], CAR.latent)) for state in states]
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(drive, range(4)))
+    assert all(one == found[0] for one in found)
+
+
+@pytest.mark.parametrize("name", ["pendulum", "pendulum_learned"])
+def test_one_action_and_networks_decide_as_python(name: str) -> None:
+    model = load_model(name)
+    corridor = [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)]
+    compiled = SafetyFilter.for_model(model, FilterSettings.for_robot("pendulum"), corridor)
+    python = SafetyFilter.for_model(model, FilterSettings.for_robot("pendulum"), corridor)
+    python.tools = replace(python.tools, compiled=None)
+    random = np.random.default_rng(7)
+    for _ in range(100):
+        state, nominal = random.uniform((-0.35, -0.8), (0.35, 0.8)), random.uniform(-20.0, 20.0, 1)
+        found, wanted = (one.decide(state, nominal, model.latent) for one in (compiled, python))
+        assert fields(found) == fields(wanted)
