@@ -40,34 +40,74 @@ def test_a_command_in_a_foreign_folder_runs_nothing_of_it(folder: Path, start: s
     assert not (folder.parent / "ran").exists()
 
 
+STARTERS = {
+    "workers of a library call": """
+        from safedpa.fleet.workers import in_processes
+        print(sorted(in_processes(abs, [-1, -2], 2, lambda job, why: why)) == [1, 2])""",
+    "reader of a file": """
+        import contextlib
+        import safedpa
+        from safedpa.records import load_run
+        for file in ("drive.csv", "drive.mcap"):
+            with contextlib.suppress(safedpa.SafedpaError):  # what is in them does not matter
+                load_run(file, safedpa.load_model("car").system)
+        print(True)""",
+    "worker of the workbench": """
+        import asyncio
+        from safedpa_services.workbench.session.worker import Worker
+        worker = Worker()
+        print(asyncio.run(worker.ask(callable)))  # of the function that reports progress
+        worker.stop()""",
+    "files of the viewer": """
+        from safedpa_services.web.viewer import Viewer
+        print(Viewer().file("favicon.ico") is not None)""",
+    "trial of a model": """
+        from safedpa.bus.service.sandbox import JobProcess
+        process = JobProcess("safedpa_services.model_trial:run_model_trial")
+        print("problem" in process.submit(None).outcome(wait=True))
+        process.close()""",
+    "keys of a run": """
+        from safedpa_services.supervisor.private_folder import private_folder
+        with private_folder() as place:
+            print(place.exists())""",
+}
+
+
+@pytest.mark.long
 @pytest.mark.processes
-def test_workers_of_a_library_call_in_a_foreign_folder_import_nothing_of_it(folder: Path) -> None:
+@pytest.mark.parametrize("name", STARTERS)
+def test_no_process_of_a_library_call_in_a_foreign_folder_imports_from_it(folder: Path, name: str) -> None:
     """A script of the user's lies elsewhere; the processes that it starts have the folder as working directory."""
+    for file in ("drive.csv", "drive.mcap"):
+        (folder / file).write_text("t,x\n0,1\n")
     script = folder.parent / "own" / "script.py"
     script.parent.mkdir()
-    script.write_text(
-        "from safedpa.fleet.workers import in_processes\n"
-        "if __name__ == '__main__':\n"
-        "    print(sorted(in_processes(abs, [-1, -2], 2, lambda job, why: why)))\n"
-    )
+    script.write_text("if __name__ == '__main__':" + STARTERS[name])
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=folder, env=environment(), capture_output=True, text=True, check=False, timeout=120.0,
     )  # fmt: skip
-    assert done.stdout == "[1, 2]\n", done.stderr
+    assert done.stdout == "True\n", done.stderr
     assert not (folder.parent / "ran").exists()
+
+
+STARTS = {
+    "subprocess": ("Popen", "run", "call", "check_call", "check_output", "getoutput"),
+    "os": ("system", "popen", "execv", "execve", "execvp", "execl", "posix_spawn", "spawnv", "spawnl"),
+    "asyncio": ("create_subprocess_exec", "create_subprocess_shell"),
+}
+"""Functions that start processes by the module that is named at the call; the names below are enough without one."""
+NAMED = ("Popen", "ProcessPoolExecutor", "get_context", "Process", "Pool", "create_subprocess_exec")
 
 
 def starts_python(path: Path) -> list[str]:
     """Returns the names by which a module starts processes."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    calls = {"Popen", "ProcessPoolExecutor", "get_context", "create_subprocess_exec", "run"}
     found = []
-    for node in ast.walk(tree):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             owner = getattr(getattr(node.func, "value", None), "id", "")
-            if name in calls and (name != "run" or owner == "subprocess"):
+            if name in NAMED or name in STARTS.get(owner, ()):
                 found.append(name)
     return found
 
@@ -81,6 +121,16 @@ ISOLATED = {
     "screenshot.py": "viewer_program",  # no Python
     "library.py": "compiler",  # no Python
 }
+
+
+def test_processes_of_the_laboratory_inherit_the_safe_path_of_its_commands() -> None:
+    """``main`` of the command line sets it, so that a process loses it only with an environment of its own."""
+    assert 'os.environ["PYTHONSAFEPATH"] = "1"' in (
+        ROOT / "services" / "safedpa_services" / "command_line" / "__init__.py"
+    ).read_text(encoding="utf-8")
+    for path in (path for path in (ROOT / "sim").rglob("*.py") if starts_python(path)):
+        text = path.read_text(encoding="utf-8")
+        assert "env=" not in text or "os.environ" in text, path
 
 
 @pytest.mark.parametrize("path", PLACES, ids=lambda path: path.name)

@@ -35,7 +35,7 @@ _CHUNK_BYTES = 1 << 16
 _GUESSES = 20
 _HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\n"
 _DROPPED = frozenset(
-    ("host", "connection", "keep-alive", "proxy-connection", "upgrade", "http2-settings", "te", "transfer-encoding")
+    ("host", "connection", "keep-alive", "proxy-connection", "upgrade", "http2-settings", "transfer-encoding")
 )
 """Headers that belong to one connection and are not forwarded."""
 
