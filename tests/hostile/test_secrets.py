@@ -45,11 +45,11 @@ class Run:
         private.mkdir()
         environment = {**os.environ, "TMPDIR": str(private), "SAFEDPA_PAGE_PASSWORD": PASSWORD, "SAFEDPA_LOG": "json"}
         environment.pop("PYTEST_CURRENT_TEST", None)  # the page's framework would not serve
-        self._said, self._errors = folder / "stdout", folder / "stderr"
+        self._printed, self._errors = folder / "stdout", folder / "stderr"
         command = [sys.executable, "-m", "safedpa_services", "up", "--secure", "--seconds", "40"]
-        with self._said.open("wb") as said, self._errors.open("wb") as errors:
+        with self._printed.open("wb") as printed, self._errors.open("wb") as errors:
             self.process = subprocess.Popen(
-                [*command, "--out", str(self._place)], stdout=said, stderr=errors, env=environment
+                [*command, "--out", str(self._place)], stdout=printed, stderr=errors, env=environment
             )
         assert until(lambda: "--connect" in self._text() and bool(list(self._place.glob("*/page-address"))))
         match = re.search(r"(--connect \S+ --fleet \S+ --certificates \S+)", self._text())
@@ -65,7 +65,7 @@ class Run:
         }
 
     def _text(self) -> str:
-        return (self._said.read_bytes() + self._errors.read_bytes()).decode()
+        return (self._printed.read_bytes() + self._errors.read_bytes()).decode()
 
     def ask(self) -> None:
         """Collects what other commands, the page and the metrics show."""
@@ -103,7 +103,7 @@ class Run:
     def end(self) -> None:
         """Waits for the end, and collects all files of the run with the contents of the recordings."""
         assert self.process.wait(180.0) == 0, self._text()
-        self.outputs |= {"terminal": self._said.read_bytes(), "errors": self._errors.read_bytes()}
+        self.outputs |= {"terminal": self._printed.read_bytes(), "errors": self._errors.read_bytes()}
         for path in (path for path in self._place.rglob("*") if path.is_file()):
             if path.name in PRIVATE:
                 assert path.stat().st_mode & 0o077 == 0
