@@ -19,6 +19,8 @@ from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, Mes
 _LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
 _MAX_FIELDS = 20_000
 """Limit of fields in a flattened type; a message with 6 covariances has 250."""
+_MAX_TEXTS, _LONG_TEXT = 16, 256
+"""Texts of one field that are remembered, and bytes from which a text is not."""
 _STEP = re.compile(r"([^.\[\]]+)((?:\[\d{1,6}\])*)")
 
 _LATER_INDEX = re.compile(r"\[[1-9]")
@@ -41,6 +43,8 @@ class _FixedLayout:
 class _Text:
     slot: int
     wide: int = 1
+    known: dict[bytes, str] = field(default_factory=dict, compare=False)
+    """Decoded texts, since names of frames are the same in most messages."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,8 @@ class Decoder:
             raise InputError(f"type '{name}': it contains itself; wanted a ROS type") from error
         _trim(self._program)
         self._count = sum(self._widths())
+        several = [kind if kind in ("time", "quaternion") else "" for kind in self.kinds]
+        self._outputs = list(zip(several, self._slots, strict=True))
 
     def _widths(self) -> list[int]:
         return [{"time": 2, "quaternion": 4}.get(kind, 1) for kind in self.kinds]
@@ -209,15 +215,15 @@ class Decoder:
                 _run(self._program, data, 4, "<" if data[1] else ">", 4, values)
         except (struct.error, UnicodeDecodeError) as error:
             raise DecodingError("it ends too early") from error
-        return [self._value(kind, values, first) for kind, first in zip(self.kinds, self._slots, strict=True)]
-
-    @staticmethod
-    def _value(kind: str, values: list[Any], first: int) -> Any:
-        if kind == "time":
-            return None if values[first] is None else values[first] * 1_000_000_000 + values[first + 1]
-        if kind == "quaternion":
-            return None if values[first] is None else tuple(values[first : first + 4])
-        return values[first]
+        found = []
+        for kind, first in self._outputs:
+            value = values[first]
+            if kind and value is not None:
+                value = (
+                    value * 1_000_000_000 + values[first + 1] if kind == "time" else tuple(values[first : first + 4])
+                )
+            found.append(value)
+        return found
 
 
 def _add_number(program: list[Any], letter: str, size: int, slot: int) -> None:
@@ -300,7 +306,13 @@ def _read_text(part: _Text, data: bytes, at: int, order: str, base: int, values:
     if end > len(data):
         raise DecodingError("a text is longer than the message")
     if part.slot >= 0:
-        values[part.slot] = data[at:end].rstrip(b"\0").decode("utf-8", "replace")
+        content = data[at:end]
+        text = part.known.get(content)
+        if text is None:
+            text = content.rstrip(b"\0").decode("utf-8", "replace")
+            if len(part.known) < _MAX_TEXTS and len(content) < _LONG_TEXT:
+                part.known[content] = text
+        values[part.slot] = text
     return end
 
 

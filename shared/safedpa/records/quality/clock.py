@@ -109,7 +109,9 @@ def rates_finding(t: NDArray[np.float64]) -> list[Finding]:
     steps = np.diff(t[np.isfinite(t)])
     if len(steps) < 2 * _RATE_STEPS:
         return []
-    usual = np.array([np.median(part) for part in np.array_split(steps, max(2, len(steps) // _RATE_STEPS))])
+    parts = len(steps) // _RATE_STEPS
+    usual = np.median(steps[: parts * _RATE_STEPS].reshape(parts, _RATE_STEPS), axis=1)
+    usual = np.append(usual, np.median(steps[-_RATE_STEPS:]))
     low, high = float(usual.min()), float(usual.max())
     if not (low > 0.0 and high > _OTHER_RATE * low):
         return []

@@ -113,7 +113,8 @@ def _correlation_when_shifted(rate: FloatArray, slope: FloatArray, shift: int) -
 
 _DRIVES = {"throttle": "speed", "target_speed": "speed", "torque": "rate"}
 """State that grows with each action."""
-_MIN_PAIRS = 100
+_MIN_PAIRS, _MAX_PAIRS = 100, 20_000
+"""Rows that a correlation needs, and from twice of which on it is taken over evenly spread ones."""
 _OPPOSITE = 0.5
 """Negative partial correlation from which a state certainly opposes its command."""
 _FOLLOWS = 0.05
@@ -162,7 +163,8 @@ def _partial_correlation(slopes: FloatArray, action: FloatArray, covariates: NDA
     count = len(slopes) - shift
     if count < _MIN_PAIRS:
         return 0.0
-    wanted, command, columns = slopes[shift:], action[:count], covariates[shift:]
+    every = max(1, count // _MAX_PAIRS)
+    wanted, command, columns = slopes[shift::every], action[:count:every], covariates[shift::every]
     good = np.isfinite(wanted) & np.isfinite(command) & np.isfinite(columns).all(axis=1)
     if good.sum() < _MIN_PAIRS or not np.ptp(command[good]) > 1e-9:
         return 0.0

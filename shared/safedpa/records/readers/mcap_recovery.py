@@ -278,6 +278,8 @@ class _SizeBudget:
         self._path = path
         self._channels = 0
         self._left = max(limit("expansion_free_bytes"), size * limit("expansion"))
+        self.chunk_bytes = limit("mcap_chunk_bytes")
+        """Limit of an unpacked chunk, looked up once."""
 
     def count_channel(self) -> None:
         """Counts a channel; raises LimitError if there are too many."""
@@ -287,7 +289,7 @@ class _SizeBudget:
 
     def take(self, declared: int) -> None:
         """Counts a chunk of ``declared`` bytes; raises LimitError if it, or all chunks together, are too large."""
-        if declared > limit("mcap_chunk_bytes"):
+        if declared > self.chunk_bytes:
             raise too_much("mcap_chunk_bytes", f"{declared} bytes", str(self._path))
         self._left -= declared
         if self._left < 0:
@@ -332,7 +334,7 @@ def _unpack(chunk: Chunk, budget: _SizeBudget) -> bytes:
     if chunk.compression == "zstd":
         import zstandard
 
-        with zstandard.ZstdDecompressor(max_window_size=limit("mcap_chunk_bytes")).stream_reader(chunk.data) as stream:
+        with zstandard.ZstdDecompressor(max_window_size=budget.chunk_bytes).stream_reader(chunk.data) as stream:
             data: bytes = stream.read(declared + 1)
     elif chunk.compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]

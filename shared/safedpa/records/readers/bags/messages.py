@@ -156,6 +156,7 @@ class AbstractBag(AbstractLog):
         if not found:
             raise RunError(f"{self.path}: topic '{topic}': {collected[names[0]].problem}")
         for name in found:
+            collected[name].drop_overwritten()
             self._report_refused(name, collected[name])
         for name in names:
             if name != found[0]:
@@ -187,7 +188,8 @@ class AbstractBag(AbstractLog):
             )
         if collector.refused:
             sentence = f"{topic}: {collector.refused} messages could not be decoded and were ignored"
-            self.findings.append(Finding("unreadable_message", sentence, collector.refused))
+            at = None if collector.refused_at is None else collector.refused_at / 1e9
+            self.findings.append(Finding("unreadable_message", sentence, collector.refused, at))
 
 
 def _column_type(kind: str) -> str:
@@ -215,6 +217,10 @@ class _TopicCollector:
         self._paths = paths
         self._columns = [array("d") for _ in paths]
         self.refused = 0
+        self.refused_at: int | None = None
+        """Time of receipt of the first message that could not be decoded [ns]."""
+        self._order, self._has_order = bytearray(), declared.encoding != "ros1"
+        """Byte order of each message; zeros in the place of a message are of the other one."""
         if definitions is None:
             self._decode: Decoder | None = None
             return
@@ -227,11 +233,13 @@ class _TopicCollector:
         if fields.get("child_frame_id") == "string":
             extra.append(_FRAMES[1])
         own = [_path_in_variant(path, available, declared.type, first) for path in paths]
-        self._extra_paths = tuple(extra)
         self._decode = Decoder(definitions, declared.type, (*extra, *own), ros1=declared.encoding == "ros1")
         self._frames: dict[str, set[str]] = {path: set() for path in extra if path in _FRAMES}
-        self._names = [self._frames.get(path) for path in extra]
-        self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(extra) :]]
+        self._named = [(place, self._frames[path]) for place, path in enumerate(extra) if path in _FRAMES]
+        self._added = [
+            (len(extra) + place, column.append, _CONVERSIONS[self._decode.kinds[len(extra) + place]])
+            for place, column in enumerate(self._columns)
+        ]
 
     def add(self, at: int, data: bytes, position: int) -> None:
         """Decodes and adds one message; ``position`` is its number in the file."""
@@ -241,18 +249,36 @@ class _TopicCollector:
         try:
             values = self._decode(data)
         except DecodingError:
-            self.refused += 1
+            self._refuse(1, at)
             return
         self.receipt.append(at)
         self._position.append(position)
-        start = len(self._extra_paths)
-        for names, value in zip(self._names, values, strict=False):
-            if names is not None and len(names) < _MAX_FRAMES:
-                names.add(value)
+        self._order.append(data[1] if self._has_order else 0)
+        for place, names in self._named:
+            if len(names) < _MAX_FRAMES:
+                names.add(values[place])
         if self._stamped:
             self._stamps.append(values[0])
-        for column, convert, value in zip(self._columns, self._conversions, values[start:], strict=True):
-            column.append(math.nan if value is None else convert(value))
+        for place, append, convert in self._added:
+            value = values[place]
+            append(math.nan if value is None else convert(value))
+
+    def _refuse(self, count: int, at: int) -> None:
+        self.refused += count
+        self.refused_at = at if self.refused_at is None else min(at, self.refused_at)
+
+    def drop_overwritten(self) -> None:
+        """Removes messages whose byte order is not that of most, as that of zeros written over a message."""
+        order = np.frombuffer(bytes(self._order), np.uint8)
+        other = order != (2 * int(order.sum()) > len(order))
+        if not other.any() or self._decode is None:
+            return
+        good = np.flatnonzero(~other)
+        self._refuse(int(other.sum()), self.receipt[int(np.flatnonzero(other)[0])])
+        stamps = [self._stamps] if self._stamped else []
+        every: list[array[Any]] = [self.receipt, self._position, *stamps, *self._columns]
+        for numbers in every:
+            numbers[:] = array(numbers.typecode, np.array(numbers)[good].tobytes())
 
     def series(self) -> Series:
         """Returns the collected series."""

@@ -156,13 +156,17 @@ class SqliteBag(AbstractBag):
         query = f"SELECT rowid, topic_id, timestamp, {data} FROM messages WHERE rowid > ?{where} ORDER BY rowid"
         selection = tuple(chosen) if where else ()
         left = max(limit("expansion_free_bytes"), self.path.stat().st_size)  # corrupt rows may share bytes
-        last, skip, reason, start = -1, 0, "", None
+        last, skip, reason, start, previous = -1, 0, "", None, None
         for _ in range(_MAX_TRIES):
             try:
                 for row, number, at, content in base.execute(query, (last + skip, *selection)):
+                    if row <= last:  # zeros in a page are rows of number 0
+                        reason = reason or "rows without a number"
+                        start = previous if start is None else start
+                        continue
                     if skip and start is None:
                         start = at
-                    last, skip = row, 0
+                    last, skip, previous = row, 0, at
                     if number in chosen and isinstance(at, int) and isinstance(content, bytes):
                         left -= len(content)
                         if left < 0:
