@@ -607,8 +607,9 @@ static int set_model(Search *self, PyObject *known, double period, double traine
     return 1;
 }
 
-/* The nominal action or the nearest feasible one, in `found`; -1: declined. */
-static int decide_quickly(Search *self)
+/* The nominal action or the nearest feasible one, in `found`; -1: declined. `least` is the smallest h at the measured
+   state, where that is another one than the state of the decision; else NaN. */
+static int decide_quickly(Search *self, double least)
 {
     decision *d = &self->d;
     double clipped[MOST_ACTIONS];
@@ -618,6 +619,7 @@ static int decide_quickly(Search *self)
     if (setjmp(d->declined))
         return -1;
     set_right_hand_side(d);
+    d->min_h_now = isnan(least) ? d->min_h_now : least;
     clip_action(&self->set, d->nominal, clipped);
     d->nominal_candidate = d->found = evaluate(d, clipped);
     self->status = NOT_NEEDED;
@@ -635,8 +637,9 @@ static int decide_quickly(Search *self)
 static PyObject *search_decide(Search *self, PyObject *const *args, Py_ssize_t count)
 {
     decision *d = &self->d;
-    if (!check_count(count, 10) || !set_scene(self, args[0], args[5], args[6]))
+    if (!check_count(count, 11) || !set_scene(self, args[0], args[5], args[6]))
         return NULL;
+    const double least = PyFloat_AsDouble(args[10]);
     const double period = PyFloat_AsDouble(args[8]), trained_period = PyFloat_AsDouble(args[9]);
     d->time = PyFloat_AsDouble(args[4]);
     if (PyErr_Occurred() || !set_model(self, args[7], period, trained_period) ||
@@ -644,7 +647,7 @@ static PyObject *search_decide(Search *self, PyObject *const *args, Py_ssize_t c
         !doubles(args[2], self->set.actions, d->nominal, "nominal") ||
         (d->model && !doubles(args[3], d->model->latents, self->latent, "latent")))
         return NULL;
-    const int kind = decide_quickly(self);
+    const int kind = decide_quickly(self, least);
     if (kind < 0)
         Py_RETURN_NONE;
     return answer(self, kind, d->found, self->status, kind == PASSED || kind == CORRECTED ? DOUBTFUL : 0.0);
@@ -801,7 +804,7 @@ static PyObject *search_verdict(Search *self, PyObject *const *args, Py_ssize_t 
     if (!usual(self, STATE, args[0], states, self->state) || !usual(self, NOMINAL, args[1], actions, d->nominal) ||
         (d->model && !usual(self, LATENT, args[2], d->model->latents, self->latent)))
         Py_RETURN_NONE;
-    const int kind = decide_quickly(self);
+    const int kind = decide_quickly(self, NAN);
     if (kind != PASSED && kind != CORRECTED)
         Py_RETURN_NONE;
     int unchanged = kind == PASSED;

@@ -189,7 +189,7 @@ def _slopes(tape: RowTape, retained: Sequence[str], translator: Translator) -> l
     known_lines, known = tape.state_slopes(sorted(over), plain_choice)
     bodies = [[row_terms(tape, row, known) for row in rows] for rows in groups]
     wanted = [line for rows in bodies for lines, terms in rows for line in (*lines, *terms)]
-    needed = [*over, *(name for name in _words(wanted) if tape.level(name) == "state")]
+    needed = [*over, *(name for name in _identifiers(wanted) if tape.level(name) == "state")]
     state = nested([*values(tape, "state", needed), *known_lines], wanted)
     found = [*_head(tape, retained), *translator.lines(state)]
     found += [f"for (int n = 0; n < count; n++, out += {len(tape.state)}) {{", "    int row = rows[n];"]
@@ -205,5 +205,5 @@ def _slopes(tape: RowTape, retained: Sequence[str], translator: Translator) -> l
     return [*found, "}"]
 
 
-def _words(lines: Sequence[str]) -> set[str]:
+def _identifiers(lines: Sequence[str]) -> set[str]:
     return {word for line in lines for word in re.findall(r"\b[a-z]\w*\b", line)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from math import inf
+from math import inf, nan
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -26,7 +26,7 @@ from safedpa.safety.solver.qp import QuadraticProgram
 from safedpa.safety.validation import InvalidInput, Plausible, checked_input
 from safedpa.safety.verdict import OUTSIDE_LIMITS, Status, Verdict
 
-__all__ = ["BELOW", "CORRECTED", "OPEN", "PASSED", "CompiledDecisions", "Found", "Searched"]
+__all__ = ["BELOW", "CORRECTED", "OPEN", "PASSED", "CompiledDecisions", "Found", "SearchResult"]
 
 PASSED: Final = 0
 """The nominal action, clipped to its bounds, is feasible."""
@@ -59,7 +59,7 @@ class Found(NamedTuple):
     solver: str
 
 
-class Searched(NamedTuple):
+class SearchResult(NamedTuple):
     """The result of a search after ``OPEN`` or ``BELOW``."""
 
     found: Found
@@ -106,13 +106,16 @@ class CompiledDecisions:
             with contextlib.suppress(Exception):  # what fails here is reported by the decision that needs it
                 barriers.prepare(states)
 
-    def verdict(self, tools: Any, state: Any, nominal: Any, latent: Any, parts: Any, epsilon: Any, time: Any) -> Any:
+    def verdict(
+        self, tools: Any, state: Any, nominal: Any, latent: Any, parts: Any, epsilon: Any, time: Any, memory: Any
+    ) -> Any:
         """The verdict on inputs of the usual kinds, if it is ``passed`` or ``corrected``; None: ask ``Decision``.
 
         ``tools`` is the ``FilterContext``. Raises what a barrier or the model raises.
         """
         prediction = self._prediction
-        if not self._possible or self._ranges is None or not self._report_time(time):
+        at_once = memory is None or prediction.has_nothing_in_flight(memory)
+        if not self._possible or self._ranges is None or not at_once or not self._report_time(time):
             return None
         step = None if prediction.affine else prediction.compiled_step()
         scene = self._scene
@@ -168,12 +171,16 @@ class CompiledDecisions:
     def decide(
         self,
         barriers: AbstractBarrierSet,
-        state: tuple[float, ...],
         nominal: tuple[float, ...],
         latent: tuple[float, ...] | None,
+        state: tuple[float, ...],
         epsilon: Sequence[float],
+        least: float = nan,
     ) -> Found | None:
-        """The nominal action, or the nearest feasible one; None: Python has to decide."""
+        """The nominal action, or the nearest feasible one; None: Python has to decide.
+
+        ``least`` is the smallest h at the measured state, if ``state`` is another one, where an action takes effect.
+        """
         if not self._possible:
             return None
         self._scene = None
@@ -186,22 +193,22 @@ class CompiledDecisions:
             return None
         free = prediction.nominal_latent if latent is None else latent
         found = self._search.decide(
-            rows, state, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained
+            rows, state, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained, least
         )
         return None if found is None else Found(*found)
 
-    def search(self, backup: tuple[float, ...]) -> Searched | None:
+    def search(self, backup: tuple[float, ...]) -> SearchResult | None:
         """What to do after ``OPEN`` or ``BELOW``; None: Python has to decide."""
         found = self._search.search(backup)
         if found is None:
             return None
         answer, how, *more = found
         if not more:
-            return Searched(Found(*answer), how)
+            return SearchResult(Found(*answer), how)
         violated, uncontrollable, candidate = more
-        return Searched(Found(*answer), how, violated, uncontrollable, ActionCandidate(*candidate))
+        return SearchResult(Found(*answer), how, violated, uncontrollable, ActionCandidate(*candidate))
 
-    def reused(self, held: HeldSolution, seconds: float) -> Searched | None:
+    def reused(self, held: HeldSolution, seconds: float) -> SearchResult | None:
         """The action of the last search of this robot, if it is still as good; as ``reuse_if_no_worse``."""
         evaluator = _Evaluator(self._search)
         if held.reuse_if_no_worse(evaluator, self._program.sides, seconds) is None:
@@ -240,13 +247,13 @@ class _Evaluator:
 
     def __init__(self, search: Any) -> None:
         self._search = search
-        self.last: Searched | None = None
+        self.last: SearchResult | None = None
 
     def evaluate(self, action: Sequence[float]) -> ActionCandidate:
         found = self._search.evaluate(action)
         if found is None:  # odd numbers: no candidate is as good as it was
             return ActionCandidate(action, [], [float("-inf")], [], [])
         answer, violated, candidate = found
-        self.last = Searched(Found(*answer), 3, violated, (), ActionCandidate(*candidate))
+        self.last = SearchResult(Found(*answer), 3, violated, (), ActionCandidate(*candidate))
         assert self.last.candidate is not None
         return self.last.candidate

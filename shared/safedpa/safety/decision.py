@@ -168,7 +168,7 @@ class Decision:
         compiled = self._by_compiled_search(self._nominal)
         if compiled is not None:
             return compiled
-        constraints = self._build_constraints()
+        constraints = self._constraints or self._build_constraints()
         constraints.budget = self._budget
         try:
             return self._decide(constraints)
@@ -179,14 +179,15 @@ class Decision:
         """The same verdict by the compiled search; None: it declines."""
         tools, compiled, state = self._tools, self._tools.compiled, self._state
         whole = self._budget is None and tools.settings.enabled and (self._latent is not None or not self._needs_latent)
-        if compiled is None or state is None or not whole or not self._acts_at_once(state):
+        if compiled is None or state is None or not whole:
             return None
         barriers = tools.barrier_sets.get(self._request.barriers, len(state))
         if not barriers.names:
             return None
         epsilon, self._margin = tools.margins.resolve(barriers, self._request.epsilon)
         self._names = barriers.names
-        found = compiled.decide(barriers, state, nominal, self._latent, epsilon)
+        start = self._where_it_acts(state, epsilon)
+        found = None if start is None else compiled.decide(barriers, nominal, self._latent, *start)
         if found is None:
             return None
         if found.kind in (OPEN, BELOW):
@@ -204,29 +205,49 @@ class Decision:
             if reused is not None and not reused.is_feasible:
                 reason = f"{self._names_of(reused.violated)}{held_solution.notice}{_NO_WORSE}"
                 return self._found(Status.relaxed, reused.found, reason)
-        searched = compiled.search(self._backup_action())
-        if searched is None:
+        result = compiled.search(self._backup_action())
+        if result is None:
             return None
-        if searched.candidate is None:
-            return self._found(Status.corrected, searched.found, _HOW[searched.how])
-        notice = _uncontrollable_notice([self._names[row] for row in searched.uncontrollable])
+        if result.candidate is None:
+            return self._found(Status.corrected, result.found, _HOW[result.how])
+        notice = _uncontrollable_notice([self._names[row] for row in result.uncontrollable])
         if found.kind == OPEN:
-            held_solution.store(searched.candidate, self._seconds, notice)
-            return self._found(Status.relaxed, searched.found, f"{self._names_of(searched.violated)}{notice}")
-        below = ", ".join([name for name, h in zip(self._names, compiled.h_now(), strict=True) if h < 0.0])
-        return self._found(Status.violated, searched.found, f"Below 0: {below}.{notice}")
+            held_solution.store(result.candidate, self._seconds, notice)
+            return self._found(Status.relaxed, result.found, f"{self._names_of(result.violated)}{notice}")
+        h_now = compiled.h_now() if self._constraints is None else self._constraints.h_now
+        below = ", ".join([name for name, h in zip(self._names, h_now, strict=True) if h < 0.0])
+        return self._found(Status.violated, result.found, f"Below 0: {below}.{notice}")
 
-    def _acts_at_once(self, state: Action) -> bool:
-        """Whether nothing is in flight, so that the constraints hold at the measured state."""
-        memory = self._request.memory
-        return not memory or self._tools.prediction.effect_start(state, self._latent, memory) is None
+    def _where_it_acts(self, state: Action, epsilon: Sequence[float]) -> tuple[Action, Sequence[float], float] | None:
+        """State and margins (rows,) of the constraints, and the smallest h at the measured state if it is another.
+
+        None: there are several such states, or the action acts late.
+        """
+        memory, prediction = self._request.memory, self._tools.prediction
+        if not memory or prediction.effect_start(state, self._latent, memory) is None:
+            return state, epsilon, nan
+        constraints = self._build_constraints()
+        start = constraints.start
+        return None if start is None else (start, constraints.margins, constraints.min_h_now)
 
     def _found(self, status: Status, found: Found, reason: str, action: Action | None = None) -> Verdict:
         names = self._names
         # Several rows may belong to one barrier; dict.fromkeys removes repeated names and keeps the order.
         active = tuple(dict.fromkeys([names[row] for row in found.active])) if found.active else ()
         taken = found.action if action is None else action
-        return self._answer(status, taken, reason, found.solver, found.slack, active, found.h_next, found.h_now)
+        status, reason, h_next = self._with_in_flight(status, reason, found.h_next)
+        return self._answer(status, taken, reason, found.solver, found.slack, active, h_next, found.h_now)
+
+    def _with_in_flight(self, status: Status, reason: str, min_h_next: float) -> tuple[Status, str, float]:
+        """The same with what happens while commands are in flight: then h may fall below 0 before an action acts."""
+        constraints = self._constraints
+        if constraints is None or not constraints.min_h_in_flight < min_h_next:
+            return status, reason, min_h_next
+        min_h_next = constraints.min_h_in_flight
+        # The verdict must not say "passed".
+        if min_h_next < 0.0 and status in (Status.passed, Status.corrected):
+            status, reason = Status.relaxed, TOO_LATE
+        return status, reason, min_h_next
 
     def _names_of(self, rows: Sequence[int]) -> str:
         return _not_satisfied(tuple(dict.fromkeys([self._names[row] for row in rows])))
@@ -378,7 +399,7 @@ class Decision:
         nominal_candidate: ActionCandidate,
         known: Sequence[ActionCandidate],
     ) -> tuple[ActionCandidate, str]:
-        """The feasible action nearest to the nominal one, searched from the nearest feasible of ``known``.
+        """The feasible action nearest to the nominal one, result from the nearest feasible of ``known``.
 
         If none of ``known`` is feasible, the search starts at the one with the largest scaled residual.
         """
@@ -469,13 +490,7 @@ class Decision:
             return self._answer(status, candidate.action, reason, solver)
         constraints = self._constraints
         active = () if constraints is None else constraints.active_names(candidate, _BINDING)
-        min_h_next = candidate.min_h_next
-        # While commands are in flight h may fall below 0 before this action takes effect. The verdict must not say
-        # "passed".
-        if constraints is not None and constraints.min_h_in_flight < min_h_next:
-            min_h_next = constraints.min_h_in_flight
-            if min_h_next < 0.0 and status in (Status.passed, Status.corrected):
-                status, reason = Status.relaxed, TOO_LATE
+        status, reason, min_h_next = self._with_in_flight(status, reason, candidate.min_h_next)
         return self._answer(status, candidate.action, reason, solver, candidate.violation, active, min_h_next)
 
     def _answer(

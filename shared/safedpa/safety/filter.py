@@ -213,21 +213,23 @@ class SafetyFilter:
         ends with the best candidate so far, and the status that is true of it; one evaluation may exceed the deadline.
         ``evaluations`` repeats exactly, ``deadline`` depends on the machine.
         """
-        if memory is None and type(stale) is tuple and not stale and deadline is None and evaluations is None:
-            verdict = self._usual(state, nominal, latent, barriers, epsilon, time)
+        if type(stale) is tuple and not stale and deadline is None and evaluations is None:
+            verdict = self._usual(state, nominal, latent, barriers, epsilon, time, memory)
             if verdict is not None:
                 return verdict
         request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, held_solution)
         request.deadline, request.evaluations = deadline, evaluations
         return self._answer(_decided, request)
 
-    def _usual(self, state: Any, nominal: Any, latent: Any, barriers: Any, epsilon: Any, time: Any) -> Verdict | None:
+    def _usual(
+        self, state: Any, nominal: Any, latent: Any, barriers: Any, epsilon: Any, time: Any, memory: Any
+    ) -> Verdict | None:
         """The verdict of the compiled search where nothing is unusual; None: a ``Decision`` has to be made."""
         tools, scene = self.tools, self._barriers if barriers is None else barriers
         if tools.compiled is None or not self._one_at_a_time.acquire(blocking=False):
             return None
         try:
-            found: Verdict | None = tools.compiled.verdict(tools, state, nominal, latent, scene, epsilon, time)
+            found: Verdict | None = tools.compiled.verdict(tools, state, nominal, latent, scene, epsilon, time, memory)
             return found
         except Exception:  # noqa: BLE001 - whatever it is, the decision meets it again and reports it
             return None

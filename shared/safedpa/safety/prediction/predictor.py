@@ -16,7 +16,7 @@ from safedpa.arrays import FloatArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.dynamics.recorded_step import compiled_step_of
 from safedpa.errors import InputError
-from safedpa.safety.prediction.dead_time import ActuatorModel, EffectStart
+from safedpa.safety.prediction.dead_time import ActuatorModel, EffectStart, InFlightCommands
 from safedpa.safety.validation import checked_output
 from safedpa.systems import System
 
@@ -148,6 +148,12 @@ class Prediction:
     def dead_time(self, latent: tuple[float, ...] | None) -> float:
         """Time [s] from applying an action until its slowest channel responds; 0: immediate, or not known."""
         return 0.0 if self._actuators is None else self._actuators.dead_time(latent)
+
+    def has_nothing_in_flight(self, memory: Any) -> bool:
+        """Whether an action takes effect at the measured state, whatever it is."""
+        if self.has_actuator_memory or not isinstance(memory, InFlightCommands):
+            return False
+        return not memory.queue and not memory.alternatives
 
     def effect_start(
         self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any

@@ -138,7 +138,15 @@ class Constraints:
         self._last_g: list[list[float]] | None = None
         self.budget: Any = None
         """The ``DecisionBudget`` of this decision; None: unlimited."""
+        self.margins = epsilon
+        """(rows,) epsilon_i, grown by what is in flight."""
         self._set_right_hand_side(h_now, epsilon, 1.0 - eta)
+
+    @property
+    def start(self) -> tuple[float, ...] | None:
+        """(states,) the only state at which the constraints start; None: there are several, or the action acts late."""
+        one = self._effect is None and len(self.h_at_effect) == len(self.h_now)
+        return self._state if one else None
 
     def _margins_of_cases(self, cases: Sequence[EffectStart], epsilon: Plain, eta: float) -> list[float]:
         """(rows,) epsilon_i + eta min(n epsilon_i, travel_i), where n periods of commands act before the constraint.
