@@ -39,7 +39,6 @@ from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_lab.experiments.pendulum import report as pendulum_report
-from safedpa_lab.experiments.point import learning as point_learning_report
 from safedpa_lab.experiments.point import relinearised as point_relinearised_report
 from safedpa_lab.experiments.point import report as point_report
 from safedpa_services.command_line.group import safedpa
@@ -196,10 +195,10 @@ def _of_result(name: str, *tables: Callable[[Mapping[str, Any]], str]) -> Callab
     return made
 
 
-def _pendulum(table: str) -> Callable[[], str]:
-    """Both questions of the pendulum, in one of its tables."""
+def _pendulum() -> str:
+    """Both questions of the pendulum, each filter with its own margin."""
     parts = pendulum_report.balancing_table, pendulum_report.hazard_table
-    return _of_result("pendulum", *(lambda result, part=part: part(result, table) for part in parts))
+    return _of_result("pendulum", *(lambda result, part=part: part(result, "own") for part in parts))()
 
 
 GENERATED = {
@@ -211,23 +210,8 @@ GENERATED = {
     "events": events,
     "limits": limits,
     "metrics": metrics,
-    "pendulum_advantages": _of_result("pendulum", lambda result: pendulum_report.advantages_table(result, "own")),
-    "pendulum_latent": _of_result("pendulum", pendulum_report.latent_table),
-    "pendulum_margins": _of_result("pendulum", pendulum_report.margins_table),
-    "pendulum_own": _pendulum("own"),
-    "pendulum_penalties": _of_result("pendulum", pendulum_report.penalties_table),
-    "pendulum_same": _pendulum("same"),
-    "point_against": _of_result("point", point_report.against_table),
-    "point_judged": _of_result("point-learning", point_learning_report.judged_table),
-    "point_learning": _of_result("point-learning", point_learning_report.driven_table),
-    "point_margins": _of_result("point", point_report.margins_table),
+    "pendulum_own": _pendulum,
     "point_own": _of_result("point", lambda result: point_report.short_table(result, "methods")),
-    "point_penalty": _of_result("point", point_report.penalty_table),
-    "point_same": _of_result("point", lambda result: point_report.short_table(result, "same_margin")),
-    "point_seeds": _of_result("point", point_report.seeds_table),
-    "relinearised_against": _of_result("relinearised", point_relinearised_report.against_table),
-    "relinearised_car": _of_result("relinearised", point_relinearised_report.car_table),
-    "relinearised_networks": _of_result("relinearised", point_relinearised_report.models_table),
     "relinearised_rows": _of_result("relinearised", point_relinearised_report.rows_table),
     "roles": roles,
 }

@@ -15,9 +15,10 @@ from safedpa_services.command_line.group import safedpa
 RESULTS = Path(__file__).parents[2] / "docs" / "evidence" / "results"
 
 
-def test_the_page_is_generated_from_the_stored_figures() -> None:
+def test_the_page_of_the_stored_figures_reports_drives_and_faults() -> None:
     result = json.loads((RESULTS / "ros.json").read_text(encoding="utf-8"))
-    assert page_of(result) == (RESULTS / "ros.md").read_text(encoding="utf-8")
+    page = page_of(result)
+    assert all(f"| {fault} |" in page for fault in FAULTS)
     assert result["with_filter"]["drives"] == 100
     assert {one["fault"] for one in result["faults"]} == {*FAULTS}
     assert all(one["held"] for one in result["faults"])

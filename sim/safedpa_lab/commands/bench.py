@@ -157,7 +157,7 @@ def list_rows() -> None:
     "--data",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="folder with the DART drives, for the row diagnosis; see docs/evidence/real-logs.md",
+    help="folder with the DART drives, for the row diagnosis; see docs/evidence/diagnosis.md",
 )
 @click.option("--json", "file", type=click.Path(path_type=Path, dir_okay=False), help="results, kept up to date")
 @click.option("--markdown", type=click.Path(path_type=Path, dir_okay=False), help="the same as a page")
@@ -176,7 +176,7 @@ def all_rows(file: Path | None, markdown: Path | None, pictures: Path | None, **
     if options["quick"] and options["full"]:
         raise InputError("--quick: got --full too; choose one")
     if options["data"] is not None and not options["data"].is_dir():
-        raise InputError(f"--data {options['data']}: no such folder; see docs/evidence/real-logs.md for where the drives are")
+        raise InputError(f"--data {options['data']}: no such folder; see docs/evidence/diagnosis.md for where the drives are")
     effort = Effort(options["quick"], options["full"], options["peers"], options["data"])
     names = chosen_rows(options["only"], effort)
     document = run_rows(names, effort, file, _show_row, resume=options["resume"])

@@ -155,7 +155,7 @@ ELSEWHERE: Final = {
     "diagnosis-pictures": "draws pictures",
     "state-limits": "measures the limits that ship in safedpa/safety/named_state_limits",
     "log-faults": "reads spoiled logs; tests require its counts",
-    "long-logs": "times one size of logs; docs/evidence/diagnosis-speed.md has the sizes",
+    "long-logs": "times one size of logs; docs/evidence/speed.md has the sizes",
 }
 """Experiments whose results no page quotes, and why."""
 

@@ -141,7 +141,7 @@ def dart_drives(effort: Effort) -> tuple[Entry, list[Target]]:
     """
     if effort.recordings is None:
         return missing(
-            _NAME, "left out: --data DIR names the folder of the drives; see docs/evidence/real-logs.md", _PROBLEM
+            _NAME, "left out: --data DIR names the folder of the drives; see docs/evidence/diagnosis.md", _PROBLEM
         ), []
     paths = _found(effort.recordings)
     if effort.quick:
@@ -156,7 +156,7 @@ def _found(folder: Path) -> list[Path]:
 
     paths = paths_of(folder, CAR)
     if len(paths) != _DRIVES:
-        raise InputError(f"--data {folder}: got {len(paths)} files {CAR}, wanted {_DRIVES}; see docs/evidence/real-logs.md")
+        raise InputError(f"--data {folder}: got {len(paths)} files {CAR}, wanted {_DRIVES}; see docs/evidence/diagnosis.md")
     return paths
 
 

@@ -105,7 +105,7 @@ EXPERIMENTS = (
     rehearse: effects hidden in the pendulum's own commands. condition: a simulated carpet and where it was found.""",
         run=f"{__name__}.pictures:run",
         parameters=(
-            path("--data", "folder with the recordings: see docs/evidence/real-logs.md", metavar="DIR", required=True),
+            path("--data", "folder with the recordings: see docs/evidence/diagnosis.md", metavar="DIR", required=True),
             repeated(
                 "--picture",
                 "names",
@@ -238,7 +238,7 @@ EXPERIMENTS = (
     of the evaluation log at a speed and throttle for which the other logs hold less than a second of driving.""",
         run=f"{__name__}.real_logs:run",
         parameters=(
-            path("--data", "folder with the recordings: see docs/evidence/real-logs.md", metavar="DIR", required=True),
+            path("--data", "folder with the recordings: see docs/evidence/diagnosis.md", metavar="DIR", required=True),
             Parameter(
                 "--part", type=SuggestingChoice(("car", "pendulum", "balls", "all")), default="all", show_default=True
             ),

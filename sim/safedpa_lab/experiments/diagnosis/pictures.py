@@ -40,7 +40,7 @@ _DECIDED = {"accepted": GREEN, "suspected": ORANGE, "rejected": GREY}
 def diagnosis_pictures(
     data: Path, out: Path, names: Sequence[str] = PICTURES, report_progress: ReportProgress = silent
 ) -> list[Path]:
-    """Draws the named pictures into a folder; ``data`` holds the recordings of docs/evidence/real-logs.md.
+    """Draws the named pictures into a folder; ``data`` holds the recordings of docs/evidence/diagnosis.md.
 
     Raises InputError where those are not there.
     """
@@ -57,7 +57,7 @@ def diagnosis_pictures(
 def _runs(data: Path, pattern: str, model: str) -> tuple[PhysicsModel, list[Run]]:
     paths = paths_of(data, pattern)
     if not paths:
-        raise InputError(f"{data}: found no {pattern}; name the folder of the recordings of docs/evidence/real-logs.md")
+        raise InputError(f"{data}: found no {pattern}; name the folder of the recordings of docs/evidence/diagnosis.md")
     loaded = load_model(model)
     return loaded, mapped_runs(paths, loaded, f"{model}_columns")
 

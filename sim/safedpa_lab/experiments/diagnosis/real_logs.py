@@ -300,7 +300,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment real-logs``. Raises InputError for a folder of recordings that does not exist."""
     data, ball = options["data"], options["ball"]
     if not data.is_dir():
-        raise InputError(f"--data {data}: no such folder; see docs/evidence/real-logs.md for where the recordings are")
+        raise InputError(f"--data {data}: no such folder; see docs/evidence/diagnosis.md for where the recordings are")
     if ball is None and _BALL.is_file():
         ball = _BALL
     parts = PARTS if options["part"] == "all" else (options["part"],)
