@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterator
@@ -35,7 +36,7 @@ import numpy as np
 from safedpa.errors import InputError, RunError
 from safedpa.limits import limit, too_much
 
-__all__ = ["allow_for", "in_own_process", "in_this_process", "iterated_in_own_process", "serve"]
+__all__ = ["allow_for", "in_own_process", "in_this_process", "iterated_in_own_process", "reader_seconds", "serve"]
 
 _Arguments = ParamSpec("_Arguments")
 _Item = TypeVar("_Item")
@@ -77,6 +78,7 @@ _STACK_BYTES = 2 << 20
 _direct = threading.local()
 _lock = threading.Lock()
 _server: list[tuple[subprocess.Popen[bytes], socket.socket]] = []
+_spent = [0.0]
 
 
 def in_own_process(
@@ -142,10 +144,12 @@ def _request(read: Callable[..., Any], arguments: tuple[Any, ...], options: dict
     return place, pickle.dumps((read.__module__, read.__qualname__, arguments, options))
 
 
-def _result(path: Path, found: tuple[str, Any] | None) -> Any:
+def _result(path: Path, found: tuple[str, Any, float] | None) -> Any:
     """The result of a worker; raises what it raised, or the error that names how it ended."""
-    answer: tuple[str, Any] = found or ("stopped", -signal.SIGKILL)
-    kind, content = answer
+    answer: tuple[str, Any, float] = found or ("stopped", -signal.SIGKILL, 0.0)
+    kind, content, seconds = answer
+    with _lock:
+        _spent[0] += seconds
     if kind == "result":
         return content
     if kind == "error":
@@ -175,6 +179,11 @@ def allow_for(size: int) -> None:
         signal.setitimer(signal.ITIMER_PROF, left + _SECONDS_PER_BYTE * size)
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (soft + _MEMORY_PER_BYTE * size, hard))
+
+
+def reader_seconds() -> float:
+    """Processor time [s] of the readers that this process has started and that have returned a result or an error."""
+    return _spent[0]
 
 
 # the caller
@@ -342,7 +351,7 @@ def _guard(connection: socket.socket, *, patient: bool) -> NoReturn:
     shutil.rmtree(folder, ignore_errors=True)
     if code:
         with contextlib.suppress(OSError):
-            _send(connection, ("stopped", code))
+            _send(connection, ("stopped", code, 0.0))
     os._exit(0)
 
 
@@ -375,7 +384,7 @@ def _work(connection: socket.socket, folder: str) -> NoReturn:
     for kind in (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE):
         resource.setrlimit(kind, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     with contextlib.suppress(OSError):
-        _send(connection, answer)
+        _send(connection, (*answer, time.process_time()))
     os._exit(0)
 
 
