@@ -272,7 +272,7 @@ def page_of(result: Mapping[str, Any]) -> str:
         "Everything in real time, each part a process: the car (pymunk behind zenoh-ros2-sdk, another implementation",
         "of the wire; no ROS), its Zenoh router, a policy that heads for its goal at 1.5 m/s and looks at nothing,",
         "gateway, adaptation and filter.",
-        "`rmw_zenoh_cpp` itself was not there: [what was not tried](../../guides/ros.md#what-it-does-not-do).",
+        "`rmw_zenoh_cpp` itself was not there: [what was not tried](../../guides/ros.md#limitations).",
         "",
     ]
     counted = (
