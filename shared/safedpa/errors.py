@@ -33,6 +33,7 @@ __all__ = [
     "RunError",
     "SafedpaError",
     "did_you_mean",
+    "escaped",
     "near_files",
 ]
 
@@ -54,6 +55,8 @@ class SafedpaError(Exception):
 class InputError(SafedpaError):
     """Invalid input from a user or a file; the command line prints one line and exits with code 2.
 
+    The message is one line: unprintable characters, as of a file's name, are escaped.
+
     Example:
 
         >>> try:
@@ -62,6 +65,9 @@ class InputError(SafedpaError):
         ...     print(error)
         penduluum: ...did you mean 'pendulum'?...
     """
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*(escaped(item) if isinstance(item, str) else item for item in arguments))
 
 
 class ModelFileError(InputError):
@@ -94,6 +100,16 @@ class JoinError(BusError):
 
 class RecordingError(SafedpaError):
     """A recording could not be written."""
+
+
+def escaped(text: str) -> str:
+    r"""Returns the text with every unprintable character, line breaks included, as ``\xNN`` or ``\uNNNN``."""
+    return text if text.isprintable() else "".join(sign if sign.isprintable() else _visible(sign) for sign in text)
+
+
+def _visible(sign: str) -> str:
+    code = ord(sign)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -2,6 +2,7 @@
 
 import io
 import os
+import subprocess
 import threading
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from pyarrow import parquet
 
 from safedpa.errors import RunError
+from safedpa.limits import LimitError
 from safedpa.records import Run, load_run
 from safedpa.records.column_map.file import parse_column_map
 from safedpa.robots.car.system import CAR
@@ -156,6 +158,24 @@ def test_a_named_pipe_and_standard_input_are_read(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"t,x\n0,1\n")))
     with pytest.raises(RunError, match=r"^-: column 'y' is missing"):
         load_run("-", CAR)
+
+
+def test_an_endless_pipe_is_refused_within_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SAFEDPA_LIMITS", "piped_bytes=3000000")
+    name = tmp_path / "end\nless.csv"
+    os.mkfifo(name)
+    with subprocess.Popen(["sh", "-c", 'exec cat /dev/zero > "$0"', name], stderr=subprocess.DEVNULL) as writer:
+        with pytest.raises(LimitError, match=r"end\\x0aless.csv: bytes from a pipe.*wanted at most 3000000"):
+            load_run(name, CAR)
+        assert writer.wait(60) != 0  # nothing reads on
+
+
+def test_the_error_for_a_name_with_a_line_break_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a\nb.csv").write_text("t,x\n0,1\n", encoding="utf-8")
+    for name in ("a\nb.csv", "missing\n\x1b[31m.csv"):
+        with pytest.raises(RunError) as caught:
+            load_run(tmp_path / name, CAR)
+        assert str(caught.value).isprintable()
 
 
 def two_rates(path: Path, hold: str) -> Run:

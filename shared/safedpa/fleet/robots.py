@@ -88,7 +88,8 @@ def _recordings_below(folder: Path) -> list[Path]:
             name for name in folders if not name.startswith(".") and not (Path(place) / name / "fleet.json").exists()
         )
         recordings = (name for name in names if name.lower().endswith(_ENDINGS) and not name.startswith("."))
-        found += [Path(place) / name for name in sorted(recordings)]
+        paths = (Path(place) / name for name in sorted(recordings))
+        found += [path for path in paths if path.is_file()]  # opening a pipe would wait for its writer
     return found
 
 

@@ -46,6 +46,9 @@ TABLE: dict[str, Limit] = {
         Limit("header_bytes", 64 * 1024, "bytes of the header of a CSV file", "4096 names of 15 characters"),
         Limit("columns", 4096, "columns of a table", "our widest log has 14"),
         Limit("table_bytes", 8192 * _MEBI, "bytes of a CSV or Parquet file", "a day at 100 Hz has 2 GB as text"),
+        Limit(
+            "piped_bytes", 1024 * _MEBI, "bytes from a pipe, or of a log without a known size", "half a day at 100 Hz"
+        ),
         Limit("parquet_footer_bytes", 16 * _MEBI, "bytes of a Parquet footer", "about 100 per column and group"),
         Limit("expansion", 100, "expansion factor of a compressed file", "our recordings: 3 to 6"),
         Limit("expansion_free_bytes", 8 * _MEBI, "bytes to which any file may expand", "small files compress best"),

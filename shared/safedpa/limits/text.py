@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable
 from functools import lru_cache
 from typing import Any
 
-from safedpa.errors import InputError, did_you_mean
+from safedpa.errors import InputError, did_you_mean, escaped
 from safedpa.limits.table import limit, too_much
 
 _TOML = r"[\"'#\[\]{}.\n=,]"
@@ -165,20 +165,13 @@ def readable(text: str, longest: int | None = None) -> str:
     cut, with a note of its length.
     """
     most = limit("name_letters") if longest is None else longest
-    shown = text[:most]
-    if not shown.isprintable():
-        shown = "".join(sign if sign.isprintable() else _visible(sign) for sign in shown)
+    shown = escaped(text[:most])
     return shown if len(text) <= most else f"{shown}... ({len(text)} characters)"
 
 
 def printable(text: str, but: str = "", also: str = "") -> str:
     """Replaces each unprintable character, and each of ``but``, by ``?``; keeps those of ``also``. The length stays."""
     return "".join(sign if (sign.isprintable() or sign in also) and sign not in but else "?" for sign in text)
-
-
-def _visible(sign: str) -> str:
-    code = ord(sign)
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 _NAME = r"[A-Za-z_][A-Za-z0-9_]{0,63}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from safedpa.errors import ColumnMapError, InputError, RunError
+from safedpa.errors import ColumnMapError, InputError, RunError, escaped
 from safedpa.records.column_map.apply import check_map, mapped_rows
 from safedpa.records.column_map.column_map import ColumnMap, native_map
 from safedpa.records.quality.quality import run_of_rows
@@ -38,7 +38,7 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
         except InputError as error:
             if file == Path(path):
                 raise
-            raise type(error)(str(error).replace(str(file), str(path))) from error
+            raise type(error)(str(error).replace(escaped(str(file)), str(path))) from error
         except OSError as error:
             reason = error.strerror or str(error)
             raise RunError(f"{path}: cannot be read ({reason}); check the file and its permissions") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -54,7 +55,8 @@ def regular_file(path: Path) -> Iterator[Path]:
     """Yields the path itself, or a temporary file with the content of ``-`` (standard input), a named pipe or a URL.
 
     A URL such as ``s3://`` or ``https://`` is opened by fsspec; with ``s3://`` and the like also a folder. Raises
-    LimitError if the content is larger than a table may be, and RunError for a URL that cannot be read.
+    LimitError if the content is larger than ``piped_bytes`` (of a file by URL: ``table_bytes``), and RunError if it
+    takes more than half of the free disk space, or a URL cannot be read.
     """
     if "\0" in str(path):
         raise RunError(f"{readable(str(path))}: the name has a null character; name a recording")
@@ -68,19 +70,32 @@ def regular_file(path: Path) -> Iterator[Path]:
             _download(url, copy)
         else:
             with sys.stdin.buffer if str(path) == "-" else path.open("rb") as source:
-                _copy(source, copy, str(path), limit("table_bytes"))
+                _copy(source, copy, str(path), _Room("piped_bytes", folder))
         yield copy
 
 
-def _copy(source: IO[bytes], copy: Path, name: str, left: int) -> int:
-    """Copies at most ``left`` bytes; returns how many are left."""
+class _Room:
+    """Bytes that may still be copied to a temporary folder: those of a limit, and half of what is free there."""
+
+    def __init__(self, name: str, folder: str) -> None:
+        self._name = name
+        free = shutil.disk_usage(folder).free // 2
+        self._is_disk, self._left = free < limit(name), min(free, limit(name))
+
+    def take(self, size: int, about: str) -> None:
+        """Counts bytes; raises LimitError for more than the limit, and RunError for more than fit on the disk."""
+        self._left -= size
+        if self._left < 0 and self._is_disk:
+            raise RunError(f"{about}: is larger than half of the free disk space; make room, or name a file")
+        if self._left < 0:
+            raise too_much(self._name, "more", about)
+
+
+def _copy(source: IO[bytes], copy: Path, name: str, room: _Room) -> None:
     with copy.open("wb") as target:
         while piece := source.read(1 << 20):
-            left -= len(piece)
-            if left < 0:
-                raise too_much("table_bytes", "more", name)
+            room.take(len(piece), name)
             target.write(piece)
-    return left
 
 
 def _url_of(path: Path) -> str:
@@ -99,7 +114,8 @@ def _download(url: str, copy: Path) -> None:
             _download_folder(url, store, place, copy)
             return
         with store.open(place, "rb") as source:
-            _copy(source, copy, url, limit("table_bytes"))
+            known = getattr(source, "size", None) is not None
+            _copy(source, copy, url, _Room("table_bytes" if known else "piped_bytes", str(copy.parent)))
     except SafedpaError:
         raise
     except Exception as error:  # each store raises its own kinds
@@ -109,7 +125,7 @@ def _download(url: str, copy: Path) -> None:
 
 def _download_folder(url: str, store: Any, place: str, folder: Path) -> None:
     """Copies the files of a folder, such as a rosbag2 or a dataset; raises RunError for too many of them."""
-    left, names = limit("table_bytes"), store.find(place)
+    room, names = _Room("table_bytes", str(folder.parent)), store.find(place)
     if len(names) > _MAX_FILES:
         raise RunError(f"{url}: has {len(names)} files, wanted at most {_MAX_FILES}; name one of them")
     for name in names:
@@ -119,7 +135,7 @@ def _download_folder(url: str, store: Any, place: str, folder: Path) -> None:
         copy = folder.joinpath(*parts)
         copy.parent.mkdir(parents=True, exist_ok=True)
         with store.open(name, "rb") as source:
-            left = _copy(source, copy, url, left)
+            _copy(source, copy, url, room)
 
 
 def require_file(path: Path) -> None:
