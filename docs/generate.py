@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 import click
+from click.testing import CliRunner
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
@@ -153,6 +154,11 @@ def commands() -> str:
     return "\n".join(rows)
 
 
+def effects_library() -> str:
+    """The tables of all effects, as ``safedpa effects --markdown`` prints them."""
+    return CliRunner().invoke(safedpa, ["effects", "--markdown"], catch_exceptions=False).output.strip()
+
+
 def _first_sentence(command: click.Command) -> str:
     help_text = " ".join((command.help or "").split("\n\n")[0].split())
     return help_text.split(". ")[0].rstrip(".").replace("|", "\\|")
@@ -203,6 +209,7 @@ def _pendulum() -> str:
 
 GENERATED = {
     "commands": commands,
+    "effects_library": effects_library,
     "topics": topics,
     "flow": flow,
     "fields": fields,

@@ -33,13 +33,17 @@ def sentences(text: str) -> list[str]:
     return [part for part in found if len(part.split()) > 2]
 
 
-def measured(pages: list[Path]) -> tuple[int, int, float, float]:
-    """Words, sentences, mean words of a sentence, and the share of sentences above thirty words in %."""
+def measured(pages: list[Path]) -> tuple[int, int, int, float, float]:
+    """Length of the text, generated parts of it, sentences, mean length, and the share above thirty in %."""
     texts = [page.read_text(encoding="utf-8") for page in pages]
     lengths = [len(sentence.split()) for text in texts for sentence in sentences(text)]
     count = max(len(lengths), 1)
-    words = sum(len(text.split()) for text in texts)
-    return words, len(lengths), sum(lengths) / count, 100 * sum(length > LONG for length in lengths) / count
+    length, generated = (sum(len(part.split()) for part in parts) for parts in (texts, map(_generated, texts)))
+    return length, generated, len(lengths), sum(lengths) / count, 100 * sum(one > LONG for one in lengths) / count
+
+
+def _generated(text: str) -> str:
+    return " ".join(re.findall(_NOT_TEXT[1], text, flags=re.DOTALL))
 
 
 def main() -> None:
@@ -48,10 +52,10 @@ def main() -> None:
     every = [*PAGES.glob("*.md"), *(page for _, pages in rows for page in pages)]
     if "--pages" in sys.argv:
         rows += [(str(page.relative_to(PAGES)), [page]) for page in every]
-    sys.stdout.write(f"{'part':44} words sentences mean above {LONG} (%)\n")
+    sys.stdout.write(f"{'part':44} words generated sentences mean above {LONG} (%)\n")
     for name, pages in [*rows, ("all", every)]:
-        words, count, mean, long = measured(pages)
-        sys.stdout.write(f"{name:44} {words:5d} {count:9d} {mean:4.1f} {long:12.1f}\n")
+        length, generated, count, mean, long = measured(pages)
+        sys.stdout.write(f"{name:44} {length:5d} {generated:9d} {count:9d} {mean:4.1f} {long:12.1f}\n")
 
 
 if __name__ == "__main__":

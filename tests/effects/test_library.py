@@ -144,7 +144,7 @@ def test_command_refuses_an_unknown_robot(capsys: pytest.CaptureFixture[str]) ->
 
 def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     page = (DOCS / "reference" / "effects.md").read_text(encoding="utf-8")
-    between = page.split("<!-- library -->")[1].split("<!-- end of library -->")[0]
+    between = page.split("<!-- generated: effects_library -->")[1].split("<!-- end -->")[0]
     assert between.strip() == listed(capsys, "--markdown").strip()
 
 
