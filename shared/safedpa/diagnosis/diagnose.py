@@ -110,7 +110,8 @@ def diagnose(
     # An empty library skips the additions but still refits the free parameters, whose error the report shows.
     tried, data = library if judge.enough else [], (evidence.shooting, evidence.heldout)
     search = run_search(model, tried, *data, report_progress, other_horizons, _remaining)
-    usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence)])
+    shown = search.heldout if shown is evidence.heldout else shown.with_commands(between_rows=search.between_rows)
+    usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence), *_timing(search)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
     unexplained, likely = found = _unmodelled(search, judge, library)
     sizes = _sizes(search, library) if judge.enough else ()
@@ -202,6 +203,17 @@ def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
         "record them in one coordinate frame"
     )
     return [finding_row("all", Finding("different_places", message))]
+
+
+def _timing(search: SearchState) -> list[dict[str, Any]]:
+    """Returns a finding if unseen data show that commands change between the rows of the recordings."""
+    if not search.between_rows:
+        return []
+    message = (
+        "commands change between the rows that show them, half a period before on average; diagnosis used their means "
+        "between rows, so its errors differ from those of a comparison"
+    )
+    return [finding_row("all", Finding("timing", message))]
 
 
 def _implausible_error(search: SearchState) -> list[dict[str, Any]]:

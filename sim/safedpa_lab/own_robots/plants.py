@@ -21,8 +21,8 @@ Rates = Callable[[Values, Values], Values]
 
 _STEPS: Final = 20
 """Steps of the integrator in a period."""
-_SMOOTH: Final = 0.01
-"""Share of a state's usual size below which dry friction is smoothed."""
+_RINGS: Final = 2.7
+"""Radians by which a resonance turns within the shortest hold of a command."""
 
 
 @dataclass(frozen=True)
@@ -171,14 +171,19 @@ class _Body:
         four = self._rates(x + dt * three, u)
         self._time += dt
         if self._outside == "resonance":
-            pushed = self._plant.rates(x, u)[self._main]
-            mode, frequency = self._hidden_mode, 9.0
-            mode[1] += dt * (frequency**2 * (0.02 * pushed - mode[0]) - 0.8 * mode[1])
+            # Only the command excites it: fed by the state too, it would make the fast robots unstable.
+            pushed = (self._plant.rates(x, u) - self._plant.rates(x, np.zeros_like(u)))[self._main]
+            mode, frequency = self._hidden_mode, _RINGS / self._plant.hold[0]
+            mode[1] += dt * frequency * (frequency * (0.5 * pushed - mode[0]) - 0.09 * mode[1])
             mode[0] += dt * mode[1]
         following = x + dt / 6.0 * (one + 2.0 * two + 2.0 * three + four)
         for index, _, kind, values in self._forces:
             if kind == "speed_limit":
                 following[index] = float(np.clip(following[index], -values["limit"], values["limit"]))
+            elif kind == "friction":
+                # Dry friction stops at standstill and holds there; rounded off near rest it would be a viscous creep.
+                stop = values["deceleration"] * dt
+                following[index] -= float(np.clip(following[index], -stop, stop))
         return following
 
     def _rates(self, x: Values, u: Values) -> Values:
@@ -193,7 +198,8 @@ class _Body:
         elif self._outside == "band":
             rates[self._main] *= 0.5 if 0.25 * size < abs(v) < 0.8 * size else 1.0
         elif self._outside == "resonance":
-            rates[self._main] += 25.0 * self._hidden_mode[0]
+            # The rate of the mode, which vanishes under a constant command: no gain makes up for it.
+            rates[self._main] += self._hidden_mode[1] * self._plant.hold[0] / _RINGS
         elif self._outside == "bumps":
             rates[self._main] += 0.6 * size * float(np.sin(11.0 * v / size))
         return rates
@@ -203,11 +209,10 @@ class _Body:
         v, states = x[self._plant.states.index(name)], self._plant.states
         position = x[states.index(self._plant.position_of[name])] if name in self._plant.position_of else 0.0
         (number,) = values.values()
-        smooth = float(np.tanh(v / (_SMOOTH * self._plant.sizes[name])))
         changed = {
             "drag": rate - number * v,
             "quadratic_drag": rate - number * abs(v) * v,
-            "friction": rate - number * smooth,
+            "friction": rate,  # after the step
             "push": rate + number,
             "acceleration_limit": float(np.clip(rate, -number, number)),
             "gravity": rate - number * float(np.sin(position)),

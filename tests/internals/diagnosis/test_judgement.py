@@ -32,8 +32,9 @@ def error(value: float) -> Any:
 
 def trial(*effects: str, loss: float = 0.0, paths: int = 1, free: Any = True, explained: Any = 0.0, **more: Any) -> Any:
     """A trial whose model makes no command late."""
-    model = SimpleNamespace(system=SimpleNamespace(action_names=()), effects=(), settings={})
     names = tuple(f"{effects[0]}.{number}" for number in range(paths))
+    known = dict.fromkeys(names, SimpleNamespace(neutral=0.0))
+    model = SimpleNamespace(system=SimpleNamespace(action_names=()), effects=(), settings={}, parameters=known)
     fit: Any = SimpleNamespace(model=model, paths=names, free=np.full(paths, free), **more)
     return EffectTrial(effects, fit, np.zeros(1), np.asarray(explained, dtype=float), loss)
 

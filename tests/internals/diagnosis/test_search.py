@@ -207,6 +207,7 @@ def test_a_law_must_satisfy_every_criterion_of_acceptance(lacking: str, monkeypa
     checks = {"_passes": "passes", "_in_most_runs": "runs", "_covers_some_rows": "rows", "_present_outside_law": "law"}
     for function, key in checks.items():
         monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.notice[key])
+    monkeypatch.setattr(conditional, "_is_dry_friction", lambda *_: False)
     monkeypatch.setattr(conditional, "_simplest", lambda passing, _: [one.name for one in passing])
     doubtful = law("doubtful", lacking)
     assert conditional._best_passing(NOTHING, [doubtful, law("sound")]) == ["sound"]

@@ -12,7 +12,7 @@ from safedpa.comparison.rollout import rollout_at
 from safedpa.comparison.rollout_error import change_scale, prediction_errors, scaled_error, trimmed_rms
 from safedpa.comparison.windows import Windows, windows_of
 from safedpa.diagnosis.fit.least_squares import Fit, with_values
-from safedpa.diagnosis.fit.multiple_shooting import Shooting, folds_of
+from safedpa.diagnosis.fit.multiple_shooting import Shooting, folds_of, halfway_between_rows
 from safedpa.records.run import Run
 
 # 1200 rollouts bound the run time; overlapping windows beyond that are too correlated to sharpen the mean.
@@ -25,6 +25,16 @@ class Heldout:
 
     windows: Windows
     fold: IndexArray
+    recorded: Windows | None = None
+    """The windows as recorded, where ``windows`` has commands that change between rows."""
+
+    def with_commands(self, *, between_rows: bool) -> Heldout:
+        """Returns the windows with commands that change at the rows that show them, or half a period before."""
+        if between_rows == (self.recorded is not None):
+            return self
+        if self.recorded is not None:
+            return Heldout(self.recorded, self.fold)
+        return Heldout(halfway_between_rows(self.windows), self.fold, self.windows)
 
 
 @dataclass(frozen=True)

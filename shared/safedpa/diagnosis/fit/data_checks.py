@@ -57,6 +57,11 @@ class HorizonData:
     shooting: Shooting
     heldout: Heldout
 
+    def with_commands(self, *, between_rows: bool) -> HorizonData:
+        """Returns both with commands that change at the rows that show them, or half a period before."""
+        heldout = self.heldout.with_commands(between_rows=between_rows)
+        return HorizonData(self.seconds, self.shooting.with_commands(between_rows=between_rows), heldout)
+
 
 def data_at_horizon(runs: Sequence[Run], seconds: float) -> HorizonData:
     """Returns windows of ``seconds``; raises InputError and RunError as ``windows_of`` does."""

@@ -31,6 +31,8 @@ _MAX_ROWS = 24
 _MIN_FIRST_ROWS = 3
 # Difference of a start's entry, in its unit: large enough for double precision, small enough to stay linear.
 _DIFFERENCE = 1e-4
+# Weights of a third difference.
+_DIFFERENCE_WEIGHTS = np.array([1.0, -3.0, 3.0, -1.0])
 # Number of blocks wanted. The spread of 40 block sums is known well enough for a test of 3 standard errors.
 _BLOCKS = 40
 # Bounds on the length of a block [s]. Shorter blocks are not independent of their neighbours; longer ones are too few.
@@ -71,6 +73,8 @@ class Shooting:
     tangent: FloatArray
     block: IndexArray
     fold: IndexArray
+    recorded: Windows | None = None
+    """The windows as recorded, where ``windows`` has commands that change between rows."""
 
     def residual(self, predicted: FloatArray) -> FloatArray:
         """Returns predicted - measured (..., windows, compared, states), with angle differences wrapped."""
@@ -132,17 +136,13 @@ class Shooting:
         """Index of the first window of each block in that order, (blocks,)."""
         return np.asarray(np.unique(self.block[self.by_block], return_index=True)[1], dtype=np.int64)
 
-    def with_commands_between_rows(self, offset: float = 0.5) -> Shooting:
-        """Returns the windows with commands that change ``offset`` periods before the rows that show them.
-
-        The mean command over the period before the change is (1 - offset) u[k] + offset u[k + 1].
-        """
-        windows = self.windows
-        following = np.arange(len(windows.actions)) + 1
-        # The last row of a stretch has no row after it whose command is known.
-        following[windows.bounds[:, 1] - 1] = windows.bounds[:, 1] - 1
-        actions = (1.0 - offset) * windows.actions + offset * windows.actions[following]
-        return replace(self, windows=replace(windows, actions=actions, memo={}))
+    def with_commands(self, *, between_rows: bool) -> Shooting:
+        """Returns the windows with commands that change at the rows that show them, or half a period before."""
+        if between_rows == (self.recorded is not None):
+            return self
+        if self.recorded is not None:
+            return replace(self, windows=self.recorded, recorded=None)
+        return replace(self, windows=halfway_between_rows(self.windows), recorded=self.windows)
 
     def first_part(self) -> Shooting:
         """Returns the first fifth of each window, at least three compared rows."""
@@ -174,6 +174,29 @@ class Shooting:
             found, residual = _better_starts(found, model, residual, scale)
             found = replace(found, counts=_row_weights(found, residual), tangent=_tangent(found, model))
         return found
+
+
+def halfway_between_rows(windows: Windows) -> Windows:
+    """Returns windows whose commands change halfway between rows: (u[k] + u[k + 1]) / 2 from row k on."""
+    following = np.arange(len(windows.actions)) + 1
+    # The last row of a stretch has no row after it whose command is known.
+    following[windows.bounds[:, 1] - 1] = windows.bounds[:, 1] - 1
+    return replace(windows, actions=0.5 * (windows.actions + windows.actions[following]), memo={})
+
+
+def measurement_noise(windows: Windows) -> FloatArray:
+    """Returns the standard deviation of each state's noise (states,), NaN without data.
+
+    From third differences, which contain hardly any motion.
+    """
+    found = np.full(windows.states.shape[1], np.nan)
+    for index in range(len(found)):
+        parts = [windows.states[begin:stop, index] for begin, stop in windows.bounds.tolist() if stop - begin > 4]
+        if parts:
+            differences = np.concatenate([np.convolve(part, _DIFFERENCE_WEIGHTS, mode="valid") for part in parts])
+            # The median ignores glitches and steps; 0.6745 relates it to the deviation of Gaussian noise.
+            found[index] = np.median(np.abs(differences)) / 0.6745 / np.linalg.norm(_DIFFERENCE_WEIGHTS)
+    return found
 
 
 def _better_starts(

@@ -142,12 +142,15 @@ def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Eff
     # The logarithm weights states by relative improvement, whatever their units; the floor covers exact predictions.
     mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
     loss = float((shooting.size * np.log(mean)).sum() / (2.0 * shooting.size.sum()))
-    explained = np.zeros_like(found.residual)
-    if null is not None:
-        # Both residuals in units of the null's noise: only then do they differ by what the effects explain.
-        ratio = np.tile(found.scale / null.fit.scale, len(shooting.rows))
-        explained = null.fit.residual - found.residual * ratio
+    explained = np.zeros_like(found.residual) if null is None else explained_by(found, null)
     return EffectTrial(effects, found, heldout, explained, loss)
+
+
+def explained_by(found: Fit, null: EffectTrial) -> FloatArray:
+    """Returns by how much a fit reduces the residual of another one (windows, compared * states), in its noise."""
+    # Both residuals in units of the null's noise: only then do they differ by what the effects explain.
+    ratio = np.tile(found.scale / null.fit.scale, found.residual.shape[1] // len(found.scale))
+    return np.asarray(null.fit.residual - found.residual * ratio)
 
 
 def start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:

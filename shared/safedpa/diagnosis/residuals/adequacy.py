@@ -8,8 +8,10 @@ are tried on unseen folds:
 - of the size of the residual of each window on the sizes of the states and actions in it: what grows with the command
   is no disturbance from outside, even if its mean is 0.
 
-``noise_share`` is the share of the residual's squares that measurement noise explains. The noise is estimated from
-third differences of the measured states, which contain hardly any motion.
+Commands may change at any time between two rows. What that makes of the residual grows with the command as well, so
+its expected squares are subtracted before sizes are compared.
+
+``noise_share`` is the share of the residual's squares that measurement noise explains.
 
 Source: Hoerl and Kennard, Technometrics 12, 1970 (ridge regression); Billings and Voon, International Journal of
 Control 44, 1986 (tests of residuals against all functions of past inputs and outputs); Breusch and Pagan, Econometrica
@@ -27,7 +29,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.least_squares import fit
-from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.multiple_shooting import Shooting, measurement_noise
 from safedpa.diagnosis.fit.trial import EffectTrial, standardized_gain, trial_of
 from safedpa.diagnosis.report_schema import Remainder
 from safedpa.diagnosis.residuals.weak_sindy import (
@@ -66,8 +68,9 @@ _MOST_COLUMNS = 200
 _AGES = (0.1, 0.25, 0.5, 1.0, 2.0)
 # Windows in a third of all that are compared, and multiples of the median at which their squares are clipped.
 _MIN_THIRD, _CLIPPED = 5, 20.0
-# Weights of a third difference, and the sum of their squares.
-_DIFFERENCE, _SQUARES = np.array([1.0, -3.0, 3.0, -1.0]), 20.0
+# Variance of the time at which a command changes, in squares of the shift that was tried: it is anywhere within a
+# period, T^2 / 12, where half a period was tried, T^2 / 4.
+_ANY_TIME = 1.0 / 3.0
 
 
 def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> Remainder | None:
@@ -77,12 +80,12 @@ def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) 
     # Commands that change between two rows act half a period earlier on average, which is no effect of the robot. The
     # fit is repeated for that, and because the filter may have moved the parameters.
     tried = []
-    for windows in (shooting, shooting.with_commands_between_rows()):
+    for windows in (shooting, shooting.with_commands(between_rows=shooting.recorded is None)):
         fitted = fit(trial.fit.model, trial.fit.paths, windows, trial.fit.scale, steps=2)
         tried.append((trial_of(fitted, windows, (), None), windows))
     best, windows = min(tried, key=lambda item: item[0].fit.value)
     share, errors = max(_dependence(best, windows, states), _periodic(best, windows, states), key=lambda item: item[0])
-    spread, variable, spread_errors = _spread(best, windows)
+    spread, variable, spread_errors = _spread(best, windows, _squares_by_timing(best, windows))
     return Remainder(share, errors, spread, variable, spread_errors, noise_share(best, windows))
 
 
@@ -182,9 +185,22 @@ class _Ridge:
         return np.asarray((remaining**2).sum(axis=1))
 
 
-def _spread(trial: EffectTrial, shooting: Shooting) -> tuple[float, str, float]:
-    """Returns ratio, variable and standard errors of the largest dependence of the residual's size; see Remainder."""
-    squares = (trial.heldout / trial.fit.scale**2).sum(axis=1)
+def _squares_by_timing(trial: EffectTrial, shooting: Shooting) -> FloatArray:
+    """Returns the expected squares (windows, states) of the residual from commands that change at any time."""
+    if not trial.fit.model.system.action:
+        return np.zeros_like(trial.heldout)
+    other = shooting.with_commands(between_rows=shooting.recorded is None)
+    now, moved = (windows.residuals([trial.fit.model])[0] for windows in (shooting, other))
+    shift = shooting.eliminated((moved - now)[..., None], trial.fit.scale)[..., 0]
+    return _ANY_TIME * shooting.squares(shift) * trial.fit.scale**2
+
+
+def _spread(trial: EffectTrial, shooting: Shooting, timing: FloatArray) -> tuple[float, str, float]:
+    """Returns ratio, variable and standard errors of the largest dependence of the residual's size; see Remainder.
+
+    ``timing`` (windows, states) are squares that the time of the commands explains.
+    """
+    squares = (np.maximum(trial.heldout - timing, 0.0) / trial.fit.scale**2).sum(axis=1)
     # A few disturbed windows must not decide.
     squares = np.minimum(squares, _CLIPPED * np.median(squares) + 1e-12)
     found = [(1.0, "", 0.0)]
@@ -216,13 +232,6 @@ def _sizes_in_windows(shooting: Shooting) -> dict[str, FloatArray]:
 
 def noise_share(trial: EffectTrial, shooting: Shooting) -> float:
     """Returns the share of the residual's squares that measurement noise explains, as the mean over the states."""
-    windows = shooting.windows
-    found = []
-    for index, size in enumerate(trial.fit.scale):
-        parts = [windows.states[begin:stop, index] for begin, stop in windows.bounds.tolist() if stop - begin > 4]
-        if parts:
-            differences = np.concatenate([np.convolve(part, _DIFFERENCE, mode="valid") for part in parts])
-            # The median ignores glitches and steps; 0.6745 relates it to the deviation of Gaussian noise.
-            noise = float(np.median(np.abs(differences))) / 0.6745 / np.sqrt(_SQUARES)
-            found.append(min(1.0, (noise / max(float(size), 1e-12)) ** 2))
-    return float(np.mean(found)) if found else 0.0
+    noise = measurement_noise(shooting.windows)
+    found = np.minimum(1.0, (noise / np.maximum(trial.fit.scale, 1e-12)) ** 2)
+    return float(np.mean(found[np.isfinite(found)])) if np.isfinite(found).any() else 0.0

@@ -20,6 +20,7 @@ from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import (
     EffectTrial,
     block_gain,
+    explained_by,
     explanation_correlation,
     fit_trial,
     trial_of,
@@ -36,7 +37,7 @@ from safedpa.diagnosis.residuals.dependence import (
     remaining_rates,
 )
 from safedpa.diagnosis.residuals.weak_sindy import TIME, SelectedTerms, Term, is_significant, selected_terms
-from safedpa.diagnosis.search.acceptance import ALIKE, SIMPLER, SURE
+from safedpa.diagnosis.search.acceptance import ALIKE, SAME_SHAPE, SIMPLER, SURE
 from safedpa.diagnosis.search.regions import RegionFit, best_region
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
@@ -136,6 +137,8 @@ def alternative_formula(search: SearchState, names: LibraryMatcher | None = None
     min_decrease = _MIN_DECREASE if len(selected.terms) == most else _MIN_DECREASE_IF_SIMPLER
     if trial.loss > found.loss - min_decrease or block_gain(found, trial, shooting) < _LEAD:
         return None
+    if _same_shape(found, trial, null):
+        return None
     if names is not None and names.of_formula(trial):
         return None
     withdrawn = ", ".join(search.added)
@@ -145,6 +148,13 @@ def alternative_formula(search: SearchState, names: LibraryMatcher | None = None
             search.candidates[index] = replace(item, decision="suspected", reason=reason)
     search.added, search.current, search.error = [], search.first, search.first_error
     return _formula_result(selected, trial, null, dependences_of(null, shooting), shooting)
+
+
+def _same_shape(found: EffectTrial, formula: EffectTrial, null: EffectTrial) -> bool:
+    """Returns whether a formula explains what the effects found explain: sign(speed) is dry friction, say."""
+    again = explained_by(found.fit, null)
+    size = float(np.sqrt((again**2).sum() * (formula.explained**2).sum()))
+    return size > 0.0 and float((again * formula.explained).sum()) > SAME_SHAPE * size
 
 
 def _region_result(region_fit: RegionFit, trial: EffectTrial, shooting: Shooting) -> Unexplained:

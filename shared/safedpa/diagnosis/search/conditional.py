@@ -15,6 +15,7 @@ import numpy as np
 
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.least_squares import fit, known_slopes, relinearized
+from safedpa.diagnosis.fit.multiple_shooting import measurement_noise
 from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, fit_trial, trial_of
 from safedpa.diagnosis.report_schema import Condition
 from safedpa.diagnosis.search.acceptance import FALL, SIMPLER, with_reason
@@ -30,7 +31,7 @@ from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, know
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
-from safedpa.effects.law import may_have_law, plain
+from safedpa.effects.law import ABS, SHAPES, may_have_law, plain
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
 
@@ -89,6 +90,8 @@ _LEFT_OUT, _LAWS_WITHOUT, _CANDIDATES = 4, 3, 8
 _MIN_DECREASE = 5e-4
 # Rounds, each adding at most one law. More would only add run time: laws are rare.
 _ROUNDS = 3
+# Deviations of a state's noise within which a border is not distinguishable from rest.
+_AT_REST = 2.0
 # A run counts in the vote if the law changes it by this share of the largest change: in runs that hardly enter the
 # region chance decides.
 _AFFECTED = 0.02
@@ -276,6 +279,7 @@ def _best_passing(search: SearchState, trials: Sequence[EffectTrial]) -> EffectT
         and _passes(trial, search)
         and _in_most_runs(trial, search)
         and _covers_some_rows(trial, search)
+        and not _is_dry_friction(trial, search)
         and _present_outside_law(trial, search)
     ]
     if not passing:
@@ -366,6 +370,25 @@ def _covers_some_rows(trial: EffectTrial, search: SearchState) -> bool:
     action = dict(zip(windows.system.action_names, windows.actions.T, strict=True))
     context = Context(state, action, {}, windows.time, model.period, NUMPY)
     return _MIN_ROW_SHARE < float(np.mean(item.law.inside(values, context))) < 1.0 - _MIN_ROW_SHARE
+
+
+def _is_dry_friction(trial: EffectTrial, search: SearchState) -> bool:
+    """Returns whether a border is at rest, to within the noise: what changes there is dry friction, or its rounding.
+
+    A gain that differs forwards and backwards is none.
+    """
+    item, windows = _with_a_law(trial), search.shooting.windows
+    if item is None or not isinstance(item.law, Where) or item.law.shape not in SHAPES:
+        return False
+    name, system = item.law.variable.removeprefix(ABS), windows.system
+    if name not in system.state_names or name in POSITION:
+        return False
+    least = _AT_REST * float(np.nan_to_num(measurement_noise(windows))[system.state_names.index(name)])
+    settings = trial.fit.model.settings
+    own = _names(plain(item))
+    borders = [settings[f"{item.name}.{p.name}"].value for p in item.parameters if p.name not in own]
+    jumps = name != item.law.variable or all(p.neutral == 0.0 for p in plain(item).parameters)
+    return jumps and min(map(abs, borders)) < least
 
 
 def _in_most_runs(trial: EffectTrial, search: SearchState) -> bool:

@@ -134,20 +134,16 @@ def with_timing_uncertainty(final: Fit, search: SearchState) -> Fit:
     A log has the command that is in force at each row. If it changed a share s of a period before, the mean command
     over the period before the row is (1 - s) u[k] + s u[k + 1], and a fit with s = 0 finds delays that are s periods
     too short. Parameters are fitted for s = 0 and s = 1/2, which is the mean of changes at any time. With the shift d
-    of a parameter between the two and the probability w of s = 1/2 (equal ones before the recordings are compared), the
-    variance is std^2 + w d^2.
+    of a parameter between the two and the probability w of the one that the search did not take (equal ones before the
+    recordings are compared), the variance is std^2 + w d^2.
     """
     if not final.free.any() or not final.model.system.action:
         return final
-    at_rows, between = (
-        fit(final.model, final.paths, windows, final.scale)
-        for windows in (search.shooting, search.shooting.with_commands_between_rows())
-    )
-    gain = ratio_gain(
-        trial_of(at_rows, search.shooting, (), None), trial_of(between, search.shooting, (), None), search.shooting
-    )
+    other = search.shooting.with_commands(between_rows=not search.between_rows)
+    taken, rival = (fit(final.model, final.paths, windows, final.scale) for windows in (search.shooting, other))
+    gain = ratio_gain(trial_of(taken, search.shooting, (), None), trial_of(rival, other, (), None), search.shooting)
     weight = 1.0 / (1.0 + float(np.exp(-np.clip(gain, -_MOST_GAIN, _MOST_GAIN))))
-    shift = np.where(at_rows.free & between.free, between.values - at_rows.values, 0.0)
+    shift = np.where(taken.free & rival.free, rival.values - taken.values, 0.0)
     return replace(final, stated=np.hypot(final.deviations(search.shooting), np.sqrt(weight) * np.abs(shift)))
 
 

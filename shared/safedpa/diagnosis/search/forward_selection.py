@@ -59,6 +59,7 @@ from safedpa.diagnosis.search.further_trials import (
     passing_at_other_horizon,
     promising_pairs,
     rare_effects,
+    timing_explains_more,
 )
 from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.diagnosis.search.regions import best_region
@@ -73,6 +74,9 @@ MOST = 12
 _CONFIRMED_TRIALS = 3
 # Trials of one stage that are relinearised while MUCH is missing: the first order is poor only for large effects.
 _RELINEARISED_TRIALS = 4
+
+# Changes of the time at which commands are taken to change: to between the rows, and back.
+_SWITCHES = 2
 
 ReportProgress = Callable[[int, int, str], None]
 """Called with (done, total, message) of the current stage; how many stages follow is unknown."""
@@ -147,6 +151,7 @@ def _add_effects(search: SearchState, report_progress: ReportProgress, other_hor
 def _add_one_by_one(search: SearchState, report_progress: ReportProgress, other_horizons: OtherHorizons) -> None:
     """Adds effects one after the other until none passes."""
     before: dict[str, EffectTrial] = {}
+    switches = 0
     # Stages continue to count after a law or a step ahead, so that candidates of a stage stay together.
     first = 1 + max((item.stage for item in search.candidates), default=-1)
     most = first + MOST - len(search.added)
@@ -157,8 +162,13 @@ def _add_one_by_one(search: SearchState, report_progress: ReportProgress, other_
         trials = fit_trials(search.current, available, search.shooting, before, report)
         # The fitted values of this stage are starts for the next: adding one effect moves most others little.
         before = {trial.effects[0]: trial for trial in trials}
+        null = search.copy()
         if not add_best_trial(search, stage, trials, other_horizons):
             break
+        if timing_explains_more(null, search) and switches < _SWITCHES:
+            search.continue_from(null)
+            search.set_timing(between_rows=not search.between_rows)
+            switches += 1
         search.note_error()
 
 

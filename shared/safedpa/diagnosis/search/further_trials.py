@@ -6,6 +6,8 @@
 of 0.5, 0.2 and 2 times the length. Several tests require a higher threshold each (Bonferroni): passing at one of four
 horizons with 3.4 standard errors is as rare as passing at one with 3.
 
+**Timing**: before an effect is accepted, commands that change between the rows of the log are its rival.
+
 **One step ahead**, while much is missing. Recordings that differ from each other (each at one throttle) identify
 several effects together. A single effect, fitted without one of the recordings, hardly improves the prediction of that
 one. A search that stops there stops by chance, for example at 2.96 standard errors where 3 are required. So the trial
@@ -26,7 +28,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.diagnosis.fit.cross_validation import error_with
 from safedpa.diagnosis.fit.data_checks import HorizonData
-from safedpa.diagnosis.fit.least_squares import relinearized
+from safedpa.diagnosis.fit.least_squares import fit, relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import (
     EffectTrial,
@@ -65,6 +67,8 @@ _SURE = 3.4
 _OPEN = 1.0
 # Candidates that are tried at other horizons: each needs several fits.
 _OPEN_CANDIDATES = 3
+# Ratio of held-out errors below which an effect explains more than the time of the commands could.
+_MOST_BY_TIMING = 0.5
 _REASON = "alone too small a gain, but accepted together with the effects found after it"
 
 
@@ -168,7 +172,8 @@ def passing_at_other_horizon(
         return None
     by_name = {item.name: item for item in library}
     best: PassingCandidate | None = None
-    for evidence in other_horizons():
+    for recorded in other_horizons():
+        evidence = recorded.with_commands(between_rows=search.between_rows)
         again, shooting = relinearized(search.current.fit, evidence.shooting)
         null, data = trial_of(again, shooting, (), None), replace(evidence, shooting=shooting)
         for trial in open_ones:
@@ -207,6 +212,24 @@ def _fit_at_horizon(
     after = error_with(extended.fit, data.shooting, data.heldout).value
     fall = 1.0 - after / before if before > 0 else 0.0
     return PassingCandidate(trial, data.seconds, block_gain(null, extended, data.shooting), fall)
+
+
+def timing_explains_more(null: SearchState, search: SearchState) -> bool:
+    """Returns whether commands that change at another time explain more than what was added to ``null``, with nothing.
+
+    A log has the command of each row. Whether it changed with the row or before is no effect of the robot, but half a
+    period too late looks like too little damping.
+    """
+    # Half a period explains no such fall.
+    if not null.shooting.windows.system.action or search.error.value < _MOST_BY_TIMING * null.error.value:
+        return False
+    plain, other = search.shooting, search.shooting.with_commands(between_rows=not search.between_rows)
+    before, rival = (
+        trial_of(fit(null.current.fit.model, null.current.fit.paths, windows, scale, steps=2), windows, (), None)
+        for windows, scale in ((plain, null.current.fit.scale), (other, null.current.fit.scale))
+    )
+    # It takes no parameter, so being as good as an effect that passes is enough.
+    return block_gain(before, rival, plain) > LIKELY and block_gain(search.current, rival, plain) > 0.0
 
 
 def look_one_step_ahead(search: SearchState) -> SearchState | None:

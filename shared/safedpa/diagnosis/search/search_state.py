@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.least_squares import Fit, relinearized
+from safedpa.diagnosis.fit.least_squares import Fit, fit, relinearized
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, trial_of
 from safedpa.diagnosis.report_schema import Remainder
@@ -100,6 +100,22 @@ class SearchState:
         self.shooting, self.current = shooting, trial_of(fitted, shooting, (), None)
         self.error = self.error_of(fitted)
 
+    @property
+    def between_rows(self) -> bool:
+        """Whether commands change between the rows of the recordings."""
+        return self.shooting.recorded is not None
+
+    def set_timing(self, *, between_rows: bool) -> None:
+        """Continues with commands that change at rows or between them, and the models fitted to these."""
+        self.heldout = self.heldout.with_commands(between_rows=between_rows)
+        self.raw = None if self.raw is None else self.raw.with_commands(between_rows=between_rows)
+        windows = (self.first_shooting or self.shooting).with_commands(between_rows=between_rows)
+        first = fit(self.first.fit.model, self.first.fit.paths, windows, self.first.fit.scale)
+        self.first, self.first_shooting = trial_of(first, windows, (), None), windows
+        self.first_error = error_with(first, windows, self.heldout)
+        windows, now = self.shooting.with_commands(between_rows=between_rows), self.current.fit
+        self.set_model(*((now, windows) if not now.paths else relinearized(now, windows)))
+
     def copy(self) -> SearchState:
         """Returns a search that may be continued without changing this one."""
         return replace(
@@ -124,9 +140,10 @@ class SearchState:
 
     def continue_from(self, other: SearchState) -> None:
         """Continues from the state of another search."""
-        # ``first`` is not copied: both searches began with the same model. ``refits`` belongs to the old current model.
+        # ``refits`` belongs to the old current model.
         for name in (
             "shooting", "current", "error", "candidates", "added", "region", "rivals", "without", "least_errors",
+            "first", "first_error", "heldout", "first_shooting", "raw",
         ):  # fmt: skip
             setattr(self, name, getattr(other, name))
 
