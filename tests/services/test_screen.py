@@ -29,7 +29,7 @@ def child_of(folder, code=None, *, heartbeat=True, restarts=0):
     """Returns a child with the attributes that the view reads."""
     log = folder / "policy.log"
     ended = {"exit_code": code, "restarts": restarts, "cause": "", "given_up": False}
-    return SimpleNamespace(name="policy", pid=4711, heartbeat=heartbeat, log=log, **ended)
+    return SimpleNamespace(name="policy", pid=4711, heartbeat=heartbeat, log=log, rotate_log=lambda: None, **ended)
 
 
 def drawn(watch, child):

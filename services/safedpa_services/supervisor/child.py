@@ -34,6 +34,8 @@ _LONGEST_CAUSE = 300
 """Characters of the log in a cause."""
 _FULL_BYTES = 1 << 16
 """Free disk space below which a log may end in the middle of a line."""
+MOST_LOG_BYTES = 4 << 20
+"""A log of this size is moved to ``NAME.log.1``, which replaces an older one: at most twice as much for a process."""
 _PROGRAM = re.compile(r"^safedpa-[a-z_-]+: ")
 
 
@@ -134,6 +136,19 @@ class Child:
             self.log.parent.mkdir(parents=True, exist_ok=True)
             return self.log.open("ab")
         return Path(os.devnull).open("ab")
+
+    def rotate_log(self) -> None:
+        """Moves a log that has become too long; call it often.
+
+        The process goes on writing to the same file, so its content is copied and the file emptied. Lines that are
+        written meanwhile are lost. On a full disk the content is lost, because the recording needs the space.
+        """
+        with contextlib.suppress(OSError):
+            if self.log.stat().st_size < MOST_LOG_BYTES:
+                return
+            with contextlib.suppress(OSError):
+                shutil.copyfile(self.log, self.log.with_name(f"{self.log.name}.1"))
+            os.truncate(self.log, 0)
 
     def begin(self) -> None:
         """Begins its work: signals the process if it waits, or starts it."""

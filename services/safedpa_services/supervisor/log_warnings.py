@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -60,6 +61,7 @@ class LogWarnings:
         for child in self._children:
             for event in self._new_events(child):
                 self._report(event)
+            child.rotate_log()
             if child.restarts > self._restarts[child.name]:
                 self._restarts[child.name] = child.restarts
                 self._note("child.restarted", _restarted(child), child)
@@ -83,6 +85,8 @@ class LogWarnings:
         begin = self._read.get(child.name, 0)
         try:
             with child.log.open("rb") as file:
+                if file.seek(0, os.SEEK_END) < begin:  # it was emptied
+                    begin = 0
                 file.seek(begin)
                 new = file.read(_MOST_BYTES)
         except OSError:  # not started yet, or the folder was removed
