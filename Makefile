@@ -7,9 +7,11 @@ INSTALLED := $(ENVIRONMENT)/.installed
 COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 GENERATED := build/.generated
-PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
+# In the environment variable as well, because pip builds our own package with what it finds there alone.
+PIP := PIP_CONSTRAINT=$(CURDIR)/constraints.txt $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
+TOOLS := build/tools/.installed
 
-.PHONY: help compiled demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints clean
+.PHONY: help compiled demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints hashes clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -92,13 +94,15 @@ environment: $(INSTALLED) $(GENERATED)  ## creates .venv, or brings it up to dat
 # Links, not copies, of the product and its laboratory are installed, so the environment changes only with these files.
 # Bytecode is made next to the installing, by the other core: pip would make it file after file.
 BYTECODE := $(BIN)/python -m compileall -qq -j 2 $(ENVIRONMENT)/lib || true
-$(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt constraints-hashes.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "$(PYTHON): wanted Python 3.11; say make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@echo "Installing into $(ENVIRONMENT); the first time this takes two to three minutes."
 	@$(PYTHON) -m venv $(ENVIRONMENT)
-	@$(PIP) --no-compile torch==2.13.0
-	@($(BYTECODE)) & $(PIP) --no-compile --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
+	@mkdir -p build
+	@$(PIP) --no-compile --report build/torch.json torch==2.13.0
+	@($(BYTECODE)) & $(PIP) --no-compile --report build/packages.json --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
+	@$(PYTHON) deploy/check_hashes.py build/torch.json build/packages.json
 	@touch $@
 
 # Takes a second, and leaves files as they are that come out the same.
@@ -107,52 +111,51 @@ $(GENERATED): $(INSTALLED) $(shell find shared/safedpa -type f -not -name 'gener
 	@mkdir -p build
 	@touch $@
 
-# Kubernetes' own schemas, 22 MiB, in an environment of their own.
-SCHEMAS := build/manifests/bin/kubernetes-validate
-manifests: environment $(SCHEMAS)  ## what deploy/kubernetes_region.py writes, compared with Kubernetes' schemas
-	@rm -rf build/manifests/keys
+# What checks the project and is no part of it: in an environment of its own, each file compared with its hash.
+$(TOOLS): deploy/tools.txt
+	@rm -rf build/tools
+	@$(PYTHON) -m venv build/tools
+	@build/tools/bin/python -m pip install -qq --disable-pip-version-check --require-hashes --requirement deploy/tools.txt
+	@touch $@
+
+manifests: environment $(TOOLS)  ## what deploy/kubernetes_region.py writes, compared with Kubernetes' schemas
+	@rm -rf build/manifests
 	@$(BIN)/safedpa certificates build/manifests/keys --robot robot-1 --robot robot-2 >/dev/null
 	@$(BIN)/python deploy/kubernetes_region.py --robots 2 --certificates build/manifests/keys --robots-from 10.20.0.0/16 \
 		> build/manifests/region.yaml
-	@$(SCHEMAS) --strict --quiet build/manifests/region.yaml
-	@rm -rf build/manifests/keys build/manifests/region.yaml
+	@build/tools/bin/kubernetes-validate --strict --quiet build/manifests/region.yaml
+	@rm -rf build/manifests
 
-$(SCHEMAS):
-	@$(PYTHON) -m venv build/manifests
-	@build/manifests/bin/python -m pip install -qq --disable-pip-version-check kubernetes-validate==1.37.0
-
-# cosmic-ray in an environment of its own; the tests run in the project's.
-COSMIC_RAY := build/mutation/bin/cosmic-ray
-mutation: environment $(COSMIC_RAY)  ## mutates MODULE=shared/... and runs TESTS=tests/... for each mutant; use a clone
+# The tests run in the project's environment.
+mutation: environment $(TOOLS)  ## mutates MODULE=shared/... and runs TESTS=tests/... for each mutant; use a clone
+	@mkdir -p build/mutation
 	@sed -e 's#MODULE#$(MODULE)#' -e 's#TESTS#$(TESTS)#' tests/tools/mutation.toml > build/mutation/session.toml
-	@$(COSMIC_RAY) init --force build/mutation/session.toml build/mutation/session.sqlite
-	@build/mutation/bin/cr-filter-operators build/mutation/session.sqlite build/mutation/session.toml
-	@$(COSMIC_RAY) exec build/mutation/session.toml build/mutation/session.sqlite
-	@build/mutation/bin/cr-report --surviving-only --show-diff build/mutation/session.sqlite
+	@build/tools/bin/cosmic-ray init --force build/mutation/session.toml build/mutation/session.sqlite
+	@build/tools/bin/cr-filter-operators build/mutation/session.sqlite build/mutation/session.toml
+	@build/tools/bin/cosmic-ray exec build/mutation/session.toml build/mutation/session.sqlite
+	@build/tools/bin/cr-report --surviving-only --show-diff build/mutation/session.sqlite
 
-$(COSMIC_RAY):
-	@$(PYTHON) -m venv build/mutation
-	@build/mutation/bin/python -m pip install -qq --disable-pip-version-check cosmic-ray==8.7.0
-
-bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
-	@$(PYTHON) -m venv build/bill
-	@build/bill/bin/python -m pip install -qq --disable-pip-version-check cyclonedx-bom==7.5.0
-	@build/bill/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file build/sbom.json $(ENVIRONMENT)
+bill: environment $(TOOLS)  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
+	@build/tools/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file build/sbom.json $(ENVIRONMENT)
 	@echo "Written: build/sbom.json"
 
-audit:  ## known holes in what is pinned; needs the public index
-	@mkdir -p build
-	@$(PYTHON) -m venv build/audit
-	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit
-	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
+audit: $(TOOLS)  ## fails on a known hole in what is pinned that deploy/waivers.toml does not name; asks the public index
+	@$(PYTHON) deploy/audit.py build/tools/bin/pip-audit constraints-hashes.txt deploy/tools.txt
 
 constraints:  ## writes constraints.txt again from the newest releases
 	@rm -rf build/constraints
 	@$(PYTHON) -m venv build/constraints
 	@build/constraints/bin/python -m pip install --quiet torch==2.13.0
-	@build/constraints/bin/python -m pip install --quiet --editable '.[bench,test,lint]'
-	@build/constraints/bin/python -m pip freeze --exclude safedpa | sed 's/+cpu$$//' > constraints.txt
+	@build/constraints/bin/python -m pip install --quiet --editable '.[test,lint]' --editable 'sim[peers]' hatchling==1.32.4
+	@build/constraints/bin/python -m pip freeze --all --exclude safedpa --exclude safedpa-lab --exclude pip \
+		| sed 's/+cpu$$//' > constraints.txt
 	@rm -rf build/constraints
+	@$(MAKE) --no-print-directory hashes
+
+COMPILE := build/tools/bin/uv pip compile --quiet --no-header --generate-hashes --python-version 3.11 --output-file
+hashes: $(TOOLS)  ## writes the hashes of what constraints.txt and deploy/tools.in pin, from the index
+	@$(COMPILE) constraints-hashes.txt --no-deps --no-annotate constraints.txt
+	@$(COMPILE) deploy/tools.txt deploy/tools.in
 
 clean:  ## removes everything that was made here, the environment included
 	@rm -rf $(ENVIRONMENT) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
