@@ -20,7 +20,7 @@ from draw_diagrams import FENCE, picture_of
 __all__ = ["notebook_as_markdown", "on_files", "on_page_markdown"]
 
 ROOT = Path(__file__).resolve().parents[1]
-ALONGSIDE = ("CHANGELOG.md", "CONTRIBUTING.md")
+ALONGSIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md")
 """Pages that lie where people look for them first, and are shown on the site, too."""
 
 
