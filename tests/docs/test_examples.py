@@ -2,7 +2,6 @@
 
 import re
 import runpy
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +52,10 @@ def test_a_bag_leads_to_the_wrong_track(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_both_robots_in_a_file_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is an extra")
-    sys.path.insert(0, str(DOCS))
-    import draw_examples
-
-    draw_examples.draw_cleaner(tmp_path / "cleaner.png")
-    draw_examples.draw_quadrotor(tmp_path / "quadrotor.png")
-    draw_examples.draw_notebook(tmp_path / "notebook.png")
-    states, _ = draw_examples.path_of("quadrotor/quadrotor.py", "Quadrotor", 3.0, (12.0, 0.0, 0.0, 0.0))
+    drawing = runpy.run_path(str(DOCS / "draw_examples.py"))
+    for name in ("cleaner", "quadrotor", "notebook"):
+        drawing[f"draw_{name}"](tmp_path / f"{name}.png")
+    states, _ = drawing["path_of"]("quadrotor/quadrotor.py", "Quadrotor", 3.0, (12.0, 0.0, 0.0, 0.0))
     assert states[:, 2].max() < 3.0
     assert all(path.stat().st_size > 5000 for path in tmp_path.glob("*.png"))
 
