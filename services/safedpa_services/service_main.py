@@ -20,6 +20,8 @@ from safedpa.bus.service.sandbox import JobHandle, JobProcess
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.service.service_loop import Scheduler
 from safedpa.bus.transport.memory import JointTransport
+from safedpa.errors import InputError
+from safedpa.extras import need_linux
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.service_factories import PreparedService
 
@@ -29,7 +31,11 @@ arrivals."""
 
 
 def service_parser(program: str) -> argparse.ArgumentParser:
-    """Returns a parser with the options of every service: the bus, the model, the robot."""
+    """Returns a parser with the options of every service: the bus, the model, the robot. Ends where none can run."""
+    try:
+        need_linux(program)
+    except InputError as error:
+        sys.exit(str(error))
     parser = argparse.ArgumentParser(prog=program)
     add_bus_options(parser)
     parser.add_argument("--model", default=DEFAULT_ROBOT, help="model file, or the name of one that ships")

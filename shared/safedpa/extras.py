@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from functools import wraps
 from typing import Any, TypeVar
 
-from safedpa.errors import MissingExtraError
+from safedpa.errors import InputError, MissingExtraError
 
-__all__ = ["EXTRAS", "INCLUDED", "extra_of", "missing", "need", "need_module", "needs"]
+__all__ = ["EXTRAS", "INCLUDED", "extra_of", "missing", "need", "need_linux", "need_module", "needs"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -44,6 +44,16 @@ def missing(extra: str, *, alone: bool = False) -> tuple[str, ...]:
     """
     names = EXTRAS[extra] if alone else _modules(extra)
     return tuple(name for name in names if importlib.util.find_spec(name) is None)
+
+
+def need_linux(what: str) -> None:
+    """Raises InputError on a system without the modules of POSIX, where the library works but services do not."""
+    lacking = [name for name in ("fcntl", "resource") if importlib.util.find_spec(name) is None]
+    if lacking:
+        raise InputError(
+            f"{what} needs Linux; this system has no {' and no '.join(lacking)}: use a container or WSL; the library "
+            "(filter, comparison, diagnosis) works here"
+        )
 
 
 def need(*extras: str, what: str = "this", instead: str = "", alone: bool = False) -> None:

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points, version
 import click
 
 from safedpa.errors import InputError, MissingExtraError, SafedpaError, did_you_mean
-from safedpa.extras import extra_of
+from safedpa.extras import extra_of, need_linux
 from safedpa.limits import readable
 
 COMMANDS = (
@@ -27,6 +27,9 @@ _IN_SHARED_MODULES = {
     "dismiss": "stop_orders", "go": "stop_orders", "stop": "stop_orders",
 }  # fmt: skip
 """Commands of which several are in one module, each under its own name."""
+
+_SERVICES = ("demo", "ros", "serve", "up")
+"""Commands that start services."""
 
 ENTRY_POINTS = "safedpa.commands"
 """Entry-point group with which other distributions add commands: name = "module:command"."""
@@ -55,6 +58,14 @@ class _Commands(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
         return sorted({*COMMANDS, *(point.name for point in entry_points(group=ENTRY_POINTS))})
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        found = super().resolve_command(ctx, args)
+        if found[0] in _SERVICES:
+            need_linux(f"'safedpa {found[0]}'")
+        return found
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
         if cmd_name in COMMANDS:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import resource
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -129,9 +128,18 @@ def diagnose_robot(task: Task) -> RobotResult:
     document = _document(task, status, reason, unread)
     document["seconds"] = round(time.perf_counter() - begin, 3)
     document["processor_seconds"] = round(time.process_time() - processor, 3)
-    document["memory_mebibytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    document["memory_mebibytes"] = _most_mebibytes()
     document["measured_seconds"] = 0.0 if report is None else round(report[1], 3)
     return RobotResult(task.robot.name, document, texts)
+
+
+def _most_mebibytes() -> int:
+    """Most memory of this process so far [MiB]; 0 where the system does not report it."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
 def failed_result(task: Task, reason: str) -> RobotResult:

@@ -14,6 +14,9 @@ from safedpa.errors import InputError, near_files
 from safedpa.limits.table import limit, too_much
 from safedpa.limits.text import parse_json
 
+_READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Opens a file; without the second flag a pipe without a writer would block."""
+
 
 def file_of_at_most(path: Path, name: str) -> bytes:
     """Returns the bytes of a regular file that is no larger than the limit ``name``.
@@ -22,7 +25,7 @@ def file_of_at_most(path: Path, name: str) -> bytes:
     ``open`` does.
     """
     most = limit(name)
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer blocks otherwise
+    descriptor = os.open(path, _READ)
     with open(descriptor, "rb") as file:
         found = os.fstat(descriptor)
         if stat.S_ISDIR(found.st_mode):

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import select
 import socket
 import stat
@@ -51,11 +50,19 @@ Address = tuple[str, int]
 
 def raise_descriptor_limit() -> None:
     """Raises this process's soft limit of file descriptors to its hard limit, but not above 65 536."""
+    import resource  # here, because the library has to be importable on systems without it
+
     with contextlib.suppress(ValueError, OSError):
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         wanted = min(hard, _MOST_DESCRIPTORS) if hard != resource.RLIM_INFINITY else _MOST_DESCRIPTORS
         if soft < wanted:
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def _descriptor_limit() -> int:
+    import resource
+
+    return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
 def listening_ports() -> set[int]:
@@ -150,7 +157,7 @@ class ConnectionReaper:
 
     def _fill_reserve(self) -> bool:
         """Fills the reserve of descriptors; returns whether another descriptor was free."""
-        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        limit = _descriptor_limit()
         wanted = min(_RESERVE, limit // 6)
         try:
             # Duplicates of standard error: a descriptor that needs no file.
@@ -189,7 +196,7 @@ def _sockets() -> Iterable[int]:
     """Yields the descriptors of this process's sockets."""
     # Tests every number with poll, which reports POLLNVAL for a closed one. Reading /proc/self/fd would need a free
     # descriptor.
-    limit = min(resource.getrlimit(resource.RLIMIT_NOFILE)[0], _MOST_DESCRIPTORS)
+    limit = min(_descriptor_limit(), _MOST_DESCRIPTORS)
     empty_blocks = 0
     for first in range(0, limit, _BLOCK):
         numbers = range(first, min(first + _BLOCK, limit))

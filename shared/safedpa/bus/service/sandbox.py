@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import pickle
-import resource
 import signal
 import struct
 import sys
@@ -186,6 +184,8 @@ class JobProcess:
             os.set_blocking(pipe.fileno(), False)
         # Linux only, and subject to a per-user limit. Without it the pipe has the default of 64 KiB, and larger jobs
         # fail more often on a busy machine.
+        import fcntl
+
         with contextlib.suppress(OSError, AttributeError):
             fcntl.fcntl(self._process.stdin.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
@@ -266,6 +266,8 @@ def _forked(work: Callable[[Any], dict[str, Any]], content: bytes) -> dict[str, 
 
 
 def _carry_out(work: Callable[[Any], dict[str, Any]], content: bytes, pipe: IO[bytes]) -> None:
+    import resource
+
     # Hard limits, which the child cannot raise again. No core dumps and no files: a job only computes.
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_SECONDS, _CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["DamageError", "channels_at_end", "damage_finding", "records_of", "undamaged_records"]
 
 _MAGIC = b"\x89MCAP0\r\n"
+_READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Opens a file; without the second flag a pipe without a writer would block."""
 _MAX_SKIPPED = 10_000
 """Limit for records of unknown kinds in one chunk, and for unknown or too short ones outside of chunks."""
 _MIN_RECORD_BYTES, _FIRST_PRIVATE_OPCODE = 6, 0x80
@@ -354,7 +356,7 @@ class _BoundedReader(io.BufferedReader):
     """A file whose reads are bounded by the record limit: lengths inside a damaged record can be arbitrary."""
 
     def __init__(self, path: Path) -> None:
-        raw: IO[bytes] = io.FileIO(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC))  # O_NONBLOCK for pipes
+        raw: IO[bytes] = io.FileIO(os.open(path, _READ))
         super().__init__(raw)  # type: ignore[arg-type]
         self._most = limit("mcap_record_bytes")
 

@@ -79,6 +79,7 @@ _direct = threading.local()
 _lock = threading.Lock()
 _server: list[tuple[subprocess.Popen[bytes], socket.socket]] = []
 _spent = [0.0]
+_warned: list[bool] = []
 
 
 def in_own_process(
@@ -132,9 +133,10 @@ def iterated_in_own_process(
 
 
 def _is_direct() -> bool:
-    """Whether readers run in this process; warns where no limits can be set."""
+    """Whether readers run in this process; warns once where no limits can be set."""
     on = getattr(_direct, "on", False)
-    if not on and sys.platform != "linux":
+    if not on and sys.platform != "linux" and not _warned:
+        _warned.append(True)
         warnings.warn("log files are read without limits of time and memory on this system", stacklevel=3)
     return on or sys.platform != "linux"
 
