@@ -130,7 +130,7 @@ def test_the_filter_needs_numpy_and_its_solver_alone() -> None:
         "import sys, pathlib, re\n"
         "known = {'numpy', 'piqp', 'safedpa'} | set(sys.stdlib_module_names) | {'__main__', '_distutils_hack'}\n"
         "text = pathlib.Path(sys.argv[1]).read_text()\n"
-        "code, = re.findall(r'```python\\n(.*?)```', text, re.DOTALL)\n"
+        "code, *_ = re.findall(r'```python\\n(.*?)```', text, re.DOTALL)\n"
         "before = set(sys.modules)\n"
         "exec(compile(code, 'README.md', 'exec'), {})\n"
         "print(sorted({name.split('.')[0] for name in set(sys.modules) - before} - known))\n"

@@ -63,3 +63,12 @@ def test_both_robots_in_a_file_are_drawn(tmp_path: Path) -> None:
 def test_each_example_of_the_gallery_has_its_picture() -> None:
     shown = set(re.findall(r"\(\.\./pictures/examples/(\w+)\.png\)", GALLERY))
     assert shown == {path.stem for path in (DOCS / "pictures" / "examples").glob("*.png")}
+
+
+@pytest.mark.long
+def test_the_picture_of_the_readme_is_drawn_by_its_command(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is an extra")
+    drawing = runpy.run_path(str(DOCS / "draw_drives.py"))
+    drawing["animate"](tmp_path / "drives.gif", seconds=2.0)
+    assert (tmp_path / "drives.gif").read_bytes()[:3] == b"GIF"
+    assert (DOCS / "pictures" / "drives.gif").stat().st_size < 2_000_000

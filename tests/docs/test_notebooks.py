@@ -38,6 +38,12 @@ def test_six_lines_lead_from_a_csv_file_to_a_plotted_effect_with_a_name() -> Non
     assert shown["image/png"].startswith("iVBOR")
 
 
+def test_the_readme_shows_the_lines_of_the_notebook() -> None:
+    readme = (NOTEBOOKS[0].parents[2] / "README.md").read_text(encoding="utf-8")
+    cells = code_cells(next(path for path in NOTEBOOKS if path.stem == "diagnose_a_log"))
+    assert "".join(cells[1]["source"]).strip() in readme
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_holds_what_its_cells_show(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
