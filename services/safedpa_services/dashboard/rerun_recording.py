@@ -79,8 +79,9 @@ SERVER_MEMORY = "256MB"
 _FLUSH_SECONDS = 1.0
 _BATCH_SECONDS = 0.4
 """Rows of one path are collected for this time [s] before they go to the viewers."""
-_FILE_BATCH_SECONDS = 5.0
-"""The same for the file: each batch of a path has a header of 1 kB. A loss of power costs as much of the pictures."""
+_FILE_BATCH_SECONDS = 20.0
+"""The same for the file: each batch of a path has a header of 1 kB, which with 5 s was half of the file. A kill or a
+loss of power costs as much of the pictures; the recording of the bus loses half a second."""
 _LOOK_SECONDS = 1.0
 
 

@@ -155,7 +155,9 @@ ELSEWHERE: Final = {
     "diagnosis-pictures": "draws pictures",
     "state-limits": "measures the limits that ship in safedpa/safety/named_state_limits",
     "log-faults": "reads spoiled logs; tests require its counts",
+    "full-disk": "mounts file systems; exit code 1 where a run fails",
     "long-logs": "times one size of logs; docs/evidence/speed.md has the sizes",
+    "soak": "an hour in real time; exit code 1 where a limit is exceeded",
 }
 """Experiments whose results no page quotes, and why."""
 

@@ -14,6 +14,7 @@ from safedpa_lab.experiments import (
     fleet,
     hostile,
     margins,
+    operation,
     pendulum,
     point,
     ros,
@@ -43,7 +44,8 @@ _ALL = Experiment(
 )
 
 _PACKAGES = (
-    adversary, car, diagnosis, driving, fleet, hostile, log_faults, margins, pendulum, point, ros, sensing, tuning,
+    adversary, car, diagnosis, driving, fleet, hostile, log_faults, margins,
+    operation, pendulum, point, ros, sensing, tuning,
 )  # fmt: skip
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {

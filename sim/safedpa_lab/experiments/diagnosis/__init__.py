@@ -90,6 +90,13 @@ EXPERIMENTS = (
                 show_default=True,
                 help="parallel drives, half a core each",
             ),
+            Parameter(
+                "--busy",
+                type=click.IntRange(0, None),
+                default=0,
+                show_default=True,
+                help="further processes that only compute, at normal priority",
+            ),
             FILE_OUT,
             path("--recordings", None, default=Path("runs"), show_default=True, metavar="DIR"),
         ),

@@ -6,7 +6,9 @@ import datetime
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +33,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment demo``: each drive is a separate process, in real time."""
     seeds = range(options["seed"], options["seed"] + options["drives"])
     drives: list[dict[str, Any]] = []
-    with ThreadPoolExecutor(options["parallel"]) as pool:
+    with _busy(options["busy"]), ThreadPoolExecutor(options["parallel"]) as pool:
         for drive in pool.map(partial(_drive, folder=options["recordings"]), seeds):
             drives.append(drive)
             report_progress(len(drives), len(seeds))
@@ -40,11 +42,24 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         "date": datetime.date.today().isoformat(),
         "seeds": [seeds.start, seeds.stop - 1],
         "alongside": options["parallel"],
+        "busy": options["busy"],
         "wanted": {"fall": _WANTED_FALL, "way_after_m": _WANTED_WAY, "longest_stand_unsaid_s": _LONGEST_UNSAID},
         "drives": len(drives),
         **{step: sum(drive[step] for drive in drives) for step in _STEPS},
         "each": drives,
     }
+
+
+@contextmanager
+def _busy(count: int) -> Iterator[None]:
+    """Keeps ``count`` processes computing, as other work on the machine does."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
 
 
 def _drive(seed: int, folder: Path) -> dict[str, Any]:

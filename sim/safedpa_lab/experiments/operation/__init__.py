@@ -1,0 +1,47 @@
+"""Operation over a long time and on a full disk, measured on the real processes of ``safedpa up``.
+
+Read ``soak.py`` first: memory, page and disk of a fleet with its dashboard open in a browser. ``full_disk.py`` fills
+the disk of a run in each phase.
+"""
+
+from __future__ import annotations
+
+from safedpa_lab.experiments.record import FILE_OUT, Experiment, integer, number
+
+__all__ = ["EXPERIMENTS"]
+
+EXPERIMENTS = (
+    Experiment(
+        name="soak",
+        help="""Run a fleet for an hour with its dashboard open in a browser.
+
+    Measures the memory of each process and of the page, and the growth of the files. Exit code 1 if a limit is
+    exceeded, a process restarts or a robot collides. A run of less than an hour is extrapolated to an hour, which
+    the report states. Needs Chromium.""",
+        run=f"{__name__}.soak:run",
+        parameters=(
+            number("--minutes", 60.0, "of driving", least=1.0),
+            integer("--robots", 3, positive=True),
+            integer("--seed", 1),
+            FILE_OUT,
+        ),
+        report=f"{__name__}.soak:report",
+        verdict=f"{__name__}.soak:verdict",
+        extras=("sim", "view", "workbench"),
+        small=("--minutes", "1", "--robots", "1"),
+    ),
+    Experiment(
+        name="full-disk",
+        help="""Fill the disk of a run before it starts, while it drives, and at its end.
+
+    Each run has a small file system in memory, which only the superuser can create. Another program takes the free
+    space within seconds. Exit code 1 if a run does not end in time, restarts its robot, does not report the disk, or
+    leaves an unreadable recording.""",
+        run=f"{__name__}.full_disk:run",
+        parameters=(number("--seconds", 12.0, "of driving per run", positive=True), integer("--seed", 1), FILE_OUT),
+        report=f"{__name__}.full_disk:report",
+        verdict=f"{__name__}.full_disk:verdict",
+        extras=("sim",),
+        small=("--seconds", "4"),
+    ),
+)
