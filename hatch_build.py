@@ -1,11 +1,11 @@
-"""Generates the modules of recorded equations while a wheel is built, and compiles them and a few others with mypyc.
+"""Compiles decisions to C and a few modules of the services with mypyc while a wheel is built.
 
     SAFEDPA_COMPILE=0   never compiles: a wheel of Python source alone
     SAFEDPA_COMPILE=1   always compiles: the build fails where that is not possible
     unset               compiles if a C compiler is found; otherwise the wheel holds Python source, and a line says so
 
-An editable installation gets neither: ``python -m safedpa.generate`` generates the modules next to their sources, and a
-compiled module would not follow when its source is edited.
+An editable installation gets neither: its decisions are compiled to the user's cache (``python -m safedpa.generate``),
+and a compiled module would not follow when its source is edited.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ __all__ = ["CompilingHook"]
 
 _SOURCES = {"safedpa": Path("shared"), "safedpa_sim": Path("sim")}
 """The folder of each package."""
+_BUILT = "safedpa/native/built"
+"""Where ``safedpa.native.library`` looks for compiled decisions first."""
 _LIST = _SOURCES["safedpa"] / "safedpa" / "compiled.py"
 _OPTIONS = "--follow-imports=skip", "--ignore-missing-imports", "--python-version=3.11"
 """Imported modules are not compiled along, so nothing else need be installed to compile."""
@@ -33,29 +35,29 @@ _FLAGS = "-ffp-contract=off"
 
 
 class CompilingHook(BuildHookInterface[Any]):
-    """Adds generated and compiled modules to a wheel."""
+    """Adds compiled decisions and modules to a wheel."""
 
     PLUGIN_NAME = "custom"
 
     def dependencies(self) -> list[str]:
-        """What the generator imports, and mypyc where there is a C compiler."""
-        compiler = self.config["requires"] if self._wanted() and self._reason() is None else []
-        return [*self.config["generator"], *compiler]
+        """What ``safedpa.generate`` imports, and mypyc; nothing where nothing is compiled."""
+        if not self._wanted() or self._reason() is not None:
+            return []
+        return [*self.config["generator"], *self.config["requires"]]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Generates, compiles, and reports in one line whether the wheel holds compiled modules.
+        """Compiles, and reports in one line whether the wheel holds what was compiled.
 
-        Raises RuntimeError where nothing can be generated, or where a demanded compilation fails.
+        Raises RuntimeError where a demanded compilation fails.
         """
-        if version == "editable":
+        if version == "editable" or not self._wanted():
             return
         self._work = work = Path(tempfile.mkdtemp(prefix="safedpa-"))
-        self._generate(work, build_data)
-        if not self._wanted():
-            return
-        problem = self._reason() or self._compiled(work, build_data)
+        problem = self._reason() or self._kernels(work / "kernels") or self._compiled(work / "modules", build_data)
         if problem is None:
-            self.app.display_info("safedpa: the modules of every decision are compiled")
+            built = {str(file): f"{_BUILT}/{file.name}" for file in (work / "kernels").glob("*.so")}
+            build_data["force_include"].update(built)
+            self.app.display_info("safedpa: decisions and the services' innermost modules are compiled")
         elif self._forced():
             raise RuntimeError(f"safedpa: not compiled: {problem}; set SAFEDPA_COMPILE=0 for a wheel of Python source")
         else:
@@ -72,28 +74,27 @@ class CompilingHook(BuildHookInterface[Any]):
         found = any(shutil.which(name) for name in (os.environ.get("CC", "cc").split()[0], "gcc", "clang"))
         return None if found else "no C compiler"
 
-    def _generate(self, work: Path, build_data: dict[str, Any]) -> None:
-        """Puts the generated modules into the wheel."""
+    def _kernels(self, folder: Path) -> str | None:
+        """Compiles the decisions of the shipped robots into a folder. Returns what went wrong, or None."""
         # Not by PYTHONPATH: pip's isolated environment removes every path that an editable installation has added, and
         # the sources are one of them.
         sources = str(Path(self.root) / _SOURCES["safedpa"])
         code = f"import runpy, sys; sys.path.insert(0, {sources!r}); "
         code += "runpy.run_module('safedpa.generate', None, '__main__')"
-        command = [sys.executable, "-c", code, str(work)]
+        command = [sys.executable, "-c", code, str(folder)]
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-        if done.returncode != 0:
+        if done.returncode != 0 or not any(folder.glob("*.so")):
             reason = (done.stderr.strip().splitlines() or ["no output"])[-1]
-            raise RuntimeError(f"safedpa: python -m safedpa.generate failed: {reason}")
-        build_data["force_include"].update({str(file): str(file.relative_to(work)) for file in work.rglob("*.py")})
+            return f"python -m safedpa.generate: {reason}"
+        return None
 
     def _compiled(self, work: Path, build_data: dict[str, Any]) -> str | None:
         """Puts the compiled modules into the wheel. Returns what went wrong, or None."""
         files = [name.replace(".", "/") + ".py" for name in listed(Path(self.root) / _LIST)]
         for file in files:
-            if not (work / file).exists():  # those that exist are generated
-                (work / file).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy(Path(self.root) / _SOURCES[Path(file).parts[0]] / file, work / file)
+            (work / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(Path(self.root) / _SOURCES[Path(file).parts[0]] / file, work / file)
             for folder in (work / file).parents:
                 if folder == work:
                     break

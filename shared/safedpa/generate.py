@@ -1,7 +1,7 @@
-"""Generates the modules of recorded equations: ``python -m safedpa.generate [FOLDER]``.
+"""Compiles the decisions of the shipped robots: ``python -m safedpa.generate [FOLDER]``.
 
-``make environment`` and the build of a wheel run it. Without a FOLDER the files are written next to the sources that
-they are generated from. The same sources give the same bytes.
+``make environment`` and the build of a wheel run it. Without a FOLDER the compiled files go to the user's cache.
+Without a C compiler it says so in one line: the same decisions are then computed by Python.
 """
 
 from __future__ import annotations
@@ -9,34 +9,38 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from safedpa.disk import write_through
-from safedpa.dynamics import generate_steps
-from safedpa.robots.car import generate_barriers
+from safedpa.dynamics import shipped_steps
+from safedpa.native import NoKernelError
+from safedpa.native.library import build_into, load, load_module
+from safedpa.robots.car import shipped_rows as car_rows
+from safedpa.robots.differential_drive import shipped_rows as wheeled_rows
+from safedpa.robots.pendulum import shipped_rows as pendulum_rows
 
-__all__ = ["GENERATORS", "generate"]
-
-GENERATORS = {
-    "safedpa.dynamics.generated_steps": generate_steps.source,
-    "safedpa.robots.car.generated_barriers": generate_barriers.source,
-}
-"""What returns the text of each generated module."""
+__all__ = ["generate", "shipped_sources"]
 
 
-def generate(folder: Path) -> list[Path]:
-    """Writes all generated modules below ``folder``, and returns their paths; files that are up to date stay untouched.
+def shipped_sources() -> list[str]:
+    """The C of every shipped model and of the barriers of the shipped robots."""
+    return [
+        *shipped_steps.sources(),
+        *car_rows.sources(),
+        *wheeled_rows.sources(),
+        *pendulum_rows.sources(),
+    ]
 
-    Raises OSError where a file cannot be written.
-    """
-    paths = []
-    for module, source in GENERATORS.items():
-        path = folder.joinpath(*module.split(".")).with_suffix(".py")
-        text = source()
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_through(path, text)
-        paths.append(path)
-    return paths
+
+def generate(folder: Path | None = None) -> None:
+    """Compiles into a folder, or what is missing in the user's cache. Raises NoKernelError where it is not possible."""
+    if folder is not None:
+        build_into(folder, shipped_sources())
+        return
+    load_module()
+    for source in shipped_sources():
+        load(source)
 
 
 if __name__ == "__main__":
-    generate(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1])
+    try:
+        generate(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+    except NoKernelError as error:
+        sys.exit(f"safedpa: decisions are not compiled: {error}")

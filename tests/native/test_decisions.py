@@ -1,9 +1,13 @@
 """A decision by the compiled search is the decision of Python, to the last bit."""
 
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +32,8 @@ ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 
 def scene(count: int, seed: int = 1) -> list[list[float]]:
     random = np.random.default_rng([seed, count])
-    return np.column_stack([random.uniform(-3.5, 3.5, (count, 2)), random.uniform(0.2, 0.35, count)]).tolist()
+    discs = np.column_stack([random.uniform(-3.5, 3.5, (count, 2)), random.uniform(0.2, 0.35, count)])
+    return [[float(entry) for entry in disc] for disc in discs]
 
 
 def by_python(safe: SafetyFilter) -> SafetyFilter:
@@ -81,7 +86,7 @@ def test_odd_numbers_have_the_verdict_of_python(state: list[float], nominal: lis
 
 @pytest.mark.parametrize(
     "state", [None, "abcd", [0.0, 0.0, 0.0], [True, 0.0, 0.0, 0.0], np.zeros((1, 4)), np.zeros(4, np.float32), 1.0,
-              np.ma.masked_array(np.zeros(4), [0, 1, 0, 0]), np.zeros(8)[::2], (0, 0, 0, 0)],
+              np.ma.masked_array(np.zeros(4), [False, True, False, False]), np.zeros(8)[::2], (0, 0, 0, 0)],
 )  # fmt: skip
 def test_inputs_of_other_kinds_have_the_verdict_of_python(state: Any) -> None:
     assert fields(COMPILED.decide(state, [1.0, 0.0], CAR.latent)) == fields(
@@ -158,3 +163,44 @@ def test_one_action_and_networks_decide_as_python(name: str) -> None:
         state, nominal = random.uniform((-0.35, -0.8), (0.35, 0.8)), random.uniform(-20.0, 20.0, 1)
         found, wanted = (one.decide(state, nominal, model.latent) for one in (compiled, python))
         assert fields(found) == fields(wanted)
+
+
+SAYS = "from safedpa.native.library import why_not_compiled; print(why_not_compiled() or 'compiled')"
+
+
+def says(cache: Path, **more: str) -> str:
+    """Whether a new process with this cache decides by compiled code, or why not."""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache), **more}
+    done = subprocess.run([sys.executable, "-c", SAYS], capture_output=True, text=True, check=True, env=environment)
+    return done.stdout.strip()
+
+
+@pytest.mark.long
+def test_a_damaged_or_foreign_extension_is_never_loaded(tmp_path: Path) -> None:
+    assert says(tmp_path) == "compiled"
+    folder = tmp_path / "safedpa" / "kernels"
+    (made,) = folder.glob("*.so")
+    whole = made.read_bytes()
+    for damage in (whole[: len(whole) // 2], b"", whole[:-1] + bytes([whole[-1] ^ 1])):
+        made.write_bytes(damage)
+        assert "failed" in says(tmp_path, CC="false")
+        assert says(tmp_path) == "compiled"
+        (made,) = folder.glob("*.so")
+        assert made.read_bytes() != damage
+    folder.chmod(0o777)
+    assert "other users may write it" in says(tmp_path)
+    folder.chmod(0o700)
+    made.unlink()
+    made.symlink_to("/dev/null")
+    assert "link" in says(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"), [({"PATH": ""}, "no C compiler"), ({"CC": "false"}, "failed"), ({"HOME": "/dev/null"}, "")]
+)
+def test_without_a_compiler_or_a_folder_python_decides(setting: dict[str, str], reason: str, tmp_path: Path) -> None:
+    cache = tmp_path if "HOME" not in setting else Path("/dev/null")
+    found = says(cache, **setting)
+    assert found != "compiled"
+    assert reason in found
+    assert "\n" not in found

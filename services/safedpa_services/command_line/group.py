@@ -162,13 +162,14 @@ def _fail(message: str, code: int) -> int:
 
 
 def _print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:
-    """Prints the version, and whether the filter's innermost modules are compiled."""
+    """Prints the version, and whether the filter's decisions are compiled."""
     del option
     if wanted and not context.resilient_parsing:
-        from safedpa.compiled import compiled_modules
+        from safedpa.native.library import why_not_compiled
 
-        kind = "compiled" if compiled_modules() else "Python source"
-        click.echo(f"safedpa, version {version('safedpa')}; the filter's innermost modules: {kind}")
+        reason = why_not_compiled()
+        kind = f"Python ({reason})" if reason else "compiled"
+        click.echo(f"safedpa, version {version('safedpa')}; the filter's decisions: {kind}")
         context.exit()
 
 

@@ -18,8 +18,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics.tangent import GENERATED_MODULE, ScalarTangent, compiled_tangent, tangent_text
-from safedpa.equations.generated import digest, generated
+from safedpa.dynamics.tangent import ScalarTangent, compiled_tangent, tangent_text
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, NotRecordableError, Recorded, Tape, name_of
 from safedpa.native import NoKernelError
 from safedpa.native.captured import Captured
@@ -309,11 +308,6 @@ def _compiled(
     """Returns the compiled function; ``freeing`` deletes each variable after its last use."""
     # freeing is for arrays over many robots: NumPy reuses the memory, which then stays in the processor's cache
     text = _text(head, tape, after, forms, freeing=freeing)
-    # a digest covers the text only, not what a call does; and no generated step takes complex numbers
-    if table is FLOATS and not tape.calls:
-        known: ScalarStep | None = generated(GENERATED_MODULE).get(digest(text))
-        if known is not None:
-            return known
     # functions as globals of the text, not as attributes of the table: one lookup less in every operation
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
     scope.update({name: getattr(table, name) for name in FUNCTIONS})

@@ -23,16 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
-from safedpa.equations.generated import digest, generated
 from safedpa.equations.rows import nested
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Line
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 ScalarTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
 """(state, felt action, latent, time [s]) -> next state (states,), its slopes in the action (states, actions)."""
-
-GENERATED_MODULE = "safedpa.dynamics.generated_steps"
-"""Module that the build generates from the equations of the shipped models."""
 
 _IMAGINARY = 1e-30
 """Imaginary part of a perturbed action: its square vanishes next to every real part, so the slope is exact."""
@@ -87,10 +83,6 @@ def compiled_tangent(
 ) -> ScalarTangent:
     """Returns the function of values and slopes for recorded lines; ``after`` and ``actions`` name variables."""
     text = tangent_text(head, tape, after, actions)
-    # the digest covers the text only, not what a call does
-    known: ScalarTangent | None = None if calls else generated(GENERATED_MODULE).get(digest(text))
-    if known is not None:
-        return known
     # a constant that is infinite or NaN is written by its name, as repr does
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
     scope.update({name: getattr(FLOATS, name) for name in FUNCTIONS})

@@ -12,11 +12,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
 
-from safedpa.equations.generated import digest
 from safedpa.equations.slopes import Style, negative, operand_slopes, product, sum_of
 from safedpa.equations.tape import Line, Recorded, Tape, name_of
 from safedpa.operations import Operations, Scalar
@@ -90,11 +87,6 @@ class RowTape:
         for name in [name for names in self.each for name in names]:
             self._levels[name] = "item"
         self._sort()
-
-    @property
-    def digest(self) -> str:
-        """Identifies the functions that this package generates from the tape."""
-        return digest(f"{_package()}{(self.state, self.shared, self.each, self.results, self.grad_bound, self.lines)}")
 
     def _shared(self, number: int, group: RowGroup) -> list[str]:
         owner = number if group.body < 0 else group.body
@@ -208,12 +200,6 @@ def _larger(one: Scalar, other: Scalar, operations: Operations) -> Scalar:
     if names[0] == names[1] or names[1] == "(0.0)":
         return one
     return other if names[0] == "(0.0)" else operations.maximum(one, other)
-
-
-@cache
-def _package() -> str:
-    """The digest of this package's sources: with other rules for slopes the same tape gives other functions."""
-    return digest("".join(path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 
 def nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """Generates recorded rows as a class over Python floats, for one robot.
 
-Floats because the first NumPy call in a tick takes several microseconds. The source is the same whether it is executed
-at once or written to a module that the build compiles.
+Floats because the first NumPy call in a tick takes several microseconds. ``safedpa.native`` translates the same lines
+to C; the class answers where there is no compiler, and for numbers that Python's math refuses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ def scalar_rows(tape: RowTape) -> Any:
     """Returns the class, compiled now."""
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "chain_rule": chain_rule, "Sequence": Sequence}
     scope.update({name: getattr(FLOATS, name) for name in FUNCTIONS})
-    scope["final"] = lambda one: one  # the decorator lets mypyc call methods directly; here it has no use
     exec(scalar_class(tape, "Rows"), scope)  # arithmetic on generated names only
     return scope["Rows"]
 
@@ -36,7 +35,7 @@ def scalar_class(tape: RowTape, name: str) -> str:
     """Returns the source of a class whose instances hold the values of one scene."""
     parts = [_beginning(tape), _h_floats(tape), _grad_h_floats(tape), _lie_derivative_floats(), _grad_bound(tape)]
     body = "\n\n".join("\n".join(f"    {line}".rstrip() for line in part) for part in parts)
-    return f'@final\nclass {name}:\n    """h of all rows at a state, and its slopes."""\n\n{body}\n'
+    return f'class {name}:\n    """h of all rows at a state, and its slopes."""\n\n{body}\n'
 
 
 def _value(line: Line) -> Lines:

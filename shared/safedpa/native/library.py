@@ -31,7 +31,17 @@ from typing import Any, Final
 from safedpa.disk import why_not_written
 from safedpa.errors import SafedpaError
 
-__all__ = ["NoKernelError", "build_into", "cache_folder", "is_compiled", "later", "load", "load_module", "remark"]
+__all__ = [
+    "NoKernelError",
+    "build_into",
+    "cache_folder",
+    "is_compiled",
+    "later",
+    "load",
+    "load_module",
+    "remark",
+    "why_not_compiled",
+]
 
 _FLAGS: Final = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 """No fused multiply-add, which rounds once where NumPy rounds twice. Without errno, sqrt is one instruction; its result
@@ -44,6 +54,8 @@ _PARTS: Final = ("programs.c", "search.c", "least_violation.c", "module.c")
 _PACKAGED: Final = Path(__file__).with_name("built")
 """Kernels of what ships, compiled when a wheel is built; as private as the package itself."""
 _LOADING: Final = Lock()
+_FAILED: Final[dict[tuple[object, ...], str]] = {}
+"""Why a compiler failed, by key, folder and command."""
 _SECONDS: Final = 60.0
 """s after which a compiler is ended."""
 _MOST_FILES: Final = 200
@@ -145,20 +157,26 @@ def module_source() -> str:
     return "\n".join(Path(__file__).with_name(part).read_text(encoding="utf-8") for part in _PARTS)
 
 
+def why_not_compiled() -> str:
+    """Why decisions are computed by Python; empty: they are compiled. The first call may compile for two seconds."""
+    try:
+        load_module()
+    except NoKernelError as error:
+        return str(error)
+    return ""
+
+
 def build_into(folder: Path, sources: Sequence[str]) -> None:
     """Compiles the extension module and these sources into a folder, for a wheel. Raises NoKernelError."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    _compiled(folder, *_key(module_source(), (*_FLAGS, *_python_flags())))
-    for source in sources:
-        _compiled(folder, *_key(source, _FLAGS))
+    folder.mkdir(parents=True, exist_ok=True)
+    for source, flags in ((module_source(), (*_FLAGS, *_python_flags())), *((one, _FLAGS) for one in sources)):
+        # readable by the users of the wheel, who are others than the one who built it
+        _compiled(folder, *_key(source, flags)).chmod(0o644)
 
 
 def _python_flags() -> tuple[str, ...]:
-    folder = Path(sysconfig.get_paths()["include"])
-    if not (folder / "Python.h").is_file():
-        raise NoKernelError(f"{folder} has no Python.h: install the headers of this Python")
-    # in the key as well: an extension is for one version of Python
-    return (f"-I{folder}", f"-DMADE_FOR_PYTHON={sys.hexversion}")
+    # the version is in the key as well: an extension is for one version of Python
+    return f"-I{sysconfig.get_paths()['include']}", f"-DMADE_FOR_PYTHON={sys.hexversion}"
 
 
 @cache
@@ -184,7 +202,9 @@ def _path_of(source: str, flags: tuple[str, ...], folder: Path) -> Path:
     """Returns the file of a source: of the package, of the cache, or compiled now."""
     key, _, every = _key(source, flags)
     for path in _PACKAGED.glob(f"{key}-*.so"):
-        if path.name == f"{key}-{_digest(path.read_bytes())}.so":
+        # as private as the sources next to it: others may not write
+        shared = any(each.stat().st_mode & 0o022 for each in (_PACKAGED, path))
+        if not shared and path.name == f"{key}-{_digest(path.read_bytes())}.so":
             return path
     try:
         _make_private(folder)
@@ -235,6 +255,13 @@ def _compiled(folder: Path, key: str, source: str, flags: tuple[str, ...]) -> Pa
     import subprocess  # only where a kernel is compiled: a service must start in 0.7 s
 
     compiler = _compiler()
+    for headers in (Path(flag[2:]) for flag in flags if flag.startswith("-I")):
+        if not (headers / "Python.h").is_file():
+            raise NoKernelError(f"{headers} has no Python.h: install the headers of this Python")
+    # a compiler that fails or hangs is not asked again for the same source
+    attempt = key, folder, *compiler
+    if attempt in _FAILED:
+        raise NoKernelError(_FAILED[attempt])
     with tempfile.TemporaryDirectory(
         prefix="new-", dir=folder
     ) as work:  # 0700; on the same disk, so renaming is atomic
@@ -246,10 +273,12 @@ def _compiled(folder: Path, key: str, source: str, flags: tuple[str, ...]) -> Pa
                 command, capture_output=True, text=True, check=False, timeout=_SECONDS, stdin=subprocess.DEVNULL
             )
         except subprocess.TimeoutExpired as error:
-            raise NoKernelError(f"{compiler[0]} took more than {_SECONDS:g} s") from error
+            _FAILED[attempt] = f"{compiler[0]} took more than {_SECONDS:g} s"
+            raise NoKernelError(_FAILED[attempt]) from error
         if done.returncode != 0 or not made.is_file():
             reason = (done.stderr.strip().splitlines() or ["no output"])[0]
-            raise NoKernelError(f"{compiler[0]} failed: {reason.replace(work, '')}")
+            _FAILED[attempt] = f"{compiler[0]} failed: {reason.replace(work, '')}"
+            raise NoKernelError(_FAILED[attempt])
         made.chmod(0o600)
         path = folder / f"{key}-{_digest(made.read_bytes())}.so"
         made.replace(path)

@@ -12,8 +12,15 @@ static double *doubles(PyObject *given, Py_ssize_t wanted, double *out, const ch
         return NULL;
     }
     for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *item = PySequence_Fast_GET_ITEM(items, i);
-        out[i] = PyFloat_CheckExact(item) ? PyFloat_AS_DOUBLE(item) : PyFloat_AsDouble(item);
+        /* the conversion of another number than a float may run Python, which may shorten the list */
+        PyObject *item = i < PySequence_Fast_GET_SIZE(items) ? PySequence_Fast_GET_ITEM(items, i) : Py_None;
+        if (PyFloat_CheckExact(item)) {
+            out[i] = PyFloat_AS_DOUBLE(item);
+            continue;
+        }
+        Py_INCREF(item);
+        out[i] = PyFloat_AsDouble(item);
+        Py_DECREF(item);
         if (out[i] == -1.0 && PyErr_Occurred()) {
             Py_DECREF(items);
             return NULL;
@@ -175,14 +182,17 @@ typedef struct {
     PyObject *kind, *shared, *each, *twin;
 } Rows;
 
-static int copy_table(PyObject *table, int width, double **place)
+static int copy_table(PyObject *table, Py_ssize_t wanted, int width, double **place)
 {
     PyObject *items = PySequence_Fast(table, "items");
     if (!items)
         return -1;
-    const Py_ssize_t count = PySequence_Fast_GET_SIZE(items);
-    for (Py_ssize_t i = 0; i < count; i++) {
-        if (!doubles(PySequence_Fast_GET_ITEM(items, i), width, *place, "item")) {
+    for (Py_ssize_t i = 0; i < wanted; i++) {
+        PyObject *item = i < PySequence_Fast_GET_SIZE(items) ? PySequence_Fast_GET_ITEM(items, i) : Py_None;
+        Py_INCREF(item);
+        const int good = doubles(item, width, *place, "item") != NULL;
+        Py_DECREF(item);
+        if (!good) {
             Py_DECREF(items);
             return -1;
         }
@@ -252,7 +262,7 @@ static int rows_init(Rows *self, PyObject *args, PyObject *kw)
     for (Py_ssize_t g = 0; g < count; g++) {
         PyObject *table = PyList_GET_ITEM(each, g);
         self->items[g] = place;
-        if (PySequence_Size(table) != self->counts[g] || copy_table(table, widths[g], &place) < 0) {
+        if (PySequence_Size(table) != self->counts[g] || copy_table(table, self->counts[g], widths[g], &place) < 0) {
             if (!PyErr_Occurred())
                 PyErr_SetString(PyExc_ValueError, "items that change");
             return -1;
@@ -381,7 +391,7 @@ static PyObject *rows_lie(Rows *self, PyObject *const *args, Py_ssize_t count)
         PyErr_NoMemory();
     else if (!slopes)
         found = PyErr_Occurred() ? NULL : ask_twin(self, "lie_derivative_floats", args, count);
-    else if (copy_table(args[1], (int)actions, &place) == 0) {
+    else if (copy_table(args[1], states, (int)actions, &place) == 0) {
         double *out = PyMem_Malloc(sizeof(double) * (size_t)(rows * actions + 1));
         for (Py_ssize_t i = 0; out && i < rows; i++)
             for (Py_ssize_t column = 0; column < actions; column++) {

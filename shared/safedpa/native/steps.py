@@ -108,6 +108,11 @@ class CompiledRows:
         """Returns an object with ``h_floats``, ``grad_h_floats``, ``lie_derivative_floats`` and ``grad_bound``."""
         return self._made(shared, each)
 
+    def prepare(self) -> None:
+        """Makes the twin's class now, where nothing is compiled yet."""
+        if self._made == self._twin:
+            self._class  # noqa: B018 - cached
+
     def wait(self) -> None:
         """Waits until there is no compiler to wait for."""
         self._done.wait()

@@ -21,7 +21,6 @@ from safedpa.runtime.scene import MOST_OBSTACLES
 from safedpa.safety import FilterSettings, SafetyFilter, Status
 from safedpa.safety.barriers.base import CachingBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
-from safedpa.safety.decision import Decision, FilterInput
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.solver.constraints import Constraints
 from safedpa_lab.benchmarks.timing import timed
@@ -176,11 +175,6 @@ FLOORS: Final = (NETWORKS, PROGRAM, BOTH)
 """Parts that no decision with networks can do without; with physics, the program."""
 
 
-def once(what: str) -> str:
-    """The name of ``each_part_once`` with one of ``MODELS``."""
-    return f"each part of a decision once, {what}"
-
-
 Asked = tuple[Callable[[Any], Any], Sequence[Any]]
 """A call and its inputs."""
 
@@ -207,7 +201,6 @@ def with_floors(problem: FilterProblem, calls: int, seconds: float) -> dict[str,
     (networks, known), (solve, posed) = networks_alone(problem, model), program_alone(problem, model)
     asked |= {NETWORKS: (networks, known), PROGRAM: (solve, posed)}
     asked[BOTH] = (lambda pair: (networks(pair[0]), solve(pair[1])), list(zip(known, posed, strict=True)))
-    asked |= {once(what): each_part_once(problem, load_model(name)) for name, what in MODELS.items()}
     return {name: timed(call, inputs, calls, seconds) for name, (call, inputs) in asked.items()}
 
 
@@ -229,25 +222,6 @@ def program_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
         A, b = first_program(one, barriers, tuple(state.tolist()), plain, tuple(latent.tolist()), {})
         posed.append((A, b, plain))
     return lambda rows: solve(rows[0], rows[1], rows[2]), posed
-
-
-def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
-    """Inputs, conditions, nominal action, slopes, one program, what its action comes to, verdict: without a search, a
-    check of other actions or a way back towards the nominal action, so that many of these actions are not the best, nor
-    all of them safe.
-    """
-    one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
-    tools = one.tools
-
-    def through(request: FilterInput) -> Any:
-        decision = Decision(tools, request)
-        conditions, nominal = decision._build_constraints(), tuple(request.nominal)
-        about = conditions.evaluate(nominal)
-        A, b = conditions.linearize(about).at(about.residual, nominal, 0.0)
-        came = conditions.evaluate(tuple(tools.program.solve(A, b, nominal).action))
-        return decision._verdict(Status.corrected, came, "", "solved")
-
-    return through, [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
 
 
 def first_program(

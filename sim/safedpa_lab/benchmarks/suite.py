@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from safedpa.compiled import compiled_modules
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.fleet.workers import available_cores
+from safedpa.native.library import why_not_compiled
 from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.benchmarks.results import Effort
 from safedpa_lab.benchmarks.rows import ROWS, measured
@@ -96,7 +96,7 @@ def machine() -> Document:
         "cores": available_cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "compiled": bool(compiled_modules()),
+        "compiled": not why_not_compiled(),
         "threads": os.environ.get("OMP_NUM_THREADS", "as many as there are cores"),
         "versions": {name: found for name in _VERSIONS if (found := installed_version(name))},
     }

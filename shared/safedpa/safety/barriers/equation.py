@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -53,8 +53,6 @@ class AbstractEquationBarrier(AbstractBarrier):
     """Numbers per item, also if there is no item."""
     form: tuple[int, ...] = ()
     """Integers that select a variant of the equation; see ``Given``."""
-    generated_module: ClassVar[str] = ""
-    """Module that the build generates from this equation, so that its rows are compiled; empty: none."""
 
     @staticmethod
     @abstractmethod

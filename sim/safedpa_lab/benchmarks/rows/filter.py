@@ -13,15 +13,15 @@ from safedpa.safety import SafetyFilter
 from safedpa_lab.benchmarks.filter_problem import (
     FLOORS,
     MODELS,
+    NETWORKS,
     FilterProblem,
     decisions,
-    once,
     problem_with,
     wedged,
     with_floors,
 )
 from safedpa_lab.benchmarks.peer_process import ask_peer
-from safedpa_lab.benchmarks.python_source import of_source
+from safedpa_lab.benchmarks.python_source import without_compiler
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Floor, Row, Target, microseconds, missing
 
 _COUNTS: Final = (1, 4, 16, 64, 256, 1024)
@@ -116,31 +116,37 @@ _QUICK = ("cbfpy, elastiqp", "cvxpy, Clarabel", "IPOPT (casadi)")
 _GROWING: Final = ("cbfpy, elastiqp", "cbfpy, qpax", "run-time-assurance", "cvxpy, Clarabel")
 """Peers whose cost is shown over the number of obstacles."""
 _BEST: Final = "cbfpy"
-_SHARE: Final = 0.5
-"""Of the best cbfpy backend's time, at most."""
-_SOURCE_TIMES: Final = 2.0
-"""As long as the compiled modules, at most."""
+_AHEAD: Final = {1: 1.5, 8: 3.0, 32: 6.0}
+"""By the number of obstacles: how many times faster than the best cbfpy backend, at least."""
+_PHYSICS: Final = {"p50": 8.0, "p99": 20.0}
+_NOT_COMPILED: Final = {"p50": 250.0, "p99": 400.0}
+_INFEASIBLE: Final = {"p50": 60.0, "p99": 150.0}
+"""us of a decision at most: with physics and eight obstacles, the same without a compiler, and where no action is
+feasible."""
+_WITHOUT: Final = "8, no compiler"
+_WEDGED: Final = "no feasible action"
 
 
 def measure(effort: Effort) -> Row:
     """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick.
 
-    f and g alone, the program alone, both, and each part once are timed as the decisions are: the floors under them.
+    f and g alone, the program in Python alone, and both are timed as the decisions are.
     """
     counts = effort.of((8,), (1, 8, 32))
     problems = {count: problem_with(count) for count in counts}
     calls, seconds = effort.of((300, 0.3), (20_000, 4.0))
     ours = [entry for count in counts for entry in _ours(problems[count], calls, seconds)]
-    source = _source(calls, seconds)
+    infeasible = decisions(wedged(), load_model("car"), calls, seconds)
+    ours += [microseconds("safedpa, physics", infeasible, _WEDGED), _without_compiler(calls, seconds)]
     peers = _peers(problems, effort)
-    targets, without_target = _targets([*ours, source], peers, counts)
+    targets, without_target = _targets(ours, peers, counts)
     hopeless = {entry.name: entry.more["wedged"] for entry in peers if entry.more.get("wedged")}
     notes: tuple[str, ...] = (f"a car wedged in, where no action satisfies every condition: this filter {_hopeless()}",)
     notes += tuple(f"there {name} {phrase}" for name, phrase in hopeless.items())
     growing = [peer[:4] for peer in _PEERS if peer[0] in _GROWING and (not effort.quick or peer[0] in _QUICK)]
     curves = (over_obstacles(growing, effort), over_effects(problems[8], effort))
     work = "one decision of the safety filter that has to change the nominal action: model, barriers, QP, verdict"
-    own, notes = (*ours, source), (*notes, *without_target)
+    own, notes = tuple(ours), (*notes, *without_target)
     return Row("filter", work, "p50", own, tuple(peers), tuple(targets), curves, notes=notes)
 
 
@@ -154,45 +160,35 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
         found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
     note = "no decision can do without"
     found += [microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS]
-    note = "no search, no way back towards the nominal action, its action is not checked: how fast this design could be"
-    return [
-        *found,
-        *(
-            microseconds(f"safedpa, {once(what)}", times[once(what)], f"{named}, floor", note)
-            for what in MODELS.values()
-        ),
-    ]
+    return found
 
 
-def _source(calls: int, seconds: float) -> Entry:
-    """The first line of eight obstacles again, by the Python source in a process of its own."""
-    name, problem = "safedpa, Python source", "8, Python source"
-    found = of_source(calls, seconds)
+def _without_compiler(calls: int, seconds: float) -> Entry:
+    """Decisions with physics and eight obstacles by Python, in a process of its own."""
+    name, found = "safedpa, physics", without_compiler(calls, seconds)
     if "missing" in found:
-        return missing(name, found["missing"], problem)
-    return microseconds(name, found, problem, "networks f and g; nothing compiled, in a process of its own")
+        return missing(name, found["missing"], _WITHOUT)
+    return microseconds(name, found, _WITHOUT, "Python decides: compiling is forbidden, in a process of its own")
 
 
 def _targets(ours: Sequence[Entry], peers: Sequence[Entry], counts: Sequence[int]) -> tuple[list[Target], list[str]]:
-    """Half of the best cbfpy backend's times of the same run, and why there is no target where that is not there."""
+    """Shares of the best cbfpy backend's times of the same run, and why there is none where that is not there."""
     targets, notes = list[Target](), list[str]()
     for count in counts:
         named = _named(count)
         known = [entry for entry in peers if entry.name.startswith(_BEST) and entry.problem == named and entry.figures]
         if not known:
-            notes.append(f"no target with {named}: it is half of {_BEST}'s time, which is not there")
+            notes.append(f"no target with {named}: it is a share of {_BEST}'s time, which is not there")
             continue
-        for what in MODELS.values():
-            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {once(what)}", f"{named}, floor")
-            targets += [_half(figure, entry, known, floor) for figure in ("p50", "p99")]
-    learned, physics = (_of(ours, f"safedpa, {what}", "8 obstacles") for what in MODELS.values())
-    wanted = learned.figures["p99"]
-    targets.append(Target("p99 of physics, that of the networks, 8 obstacles", wanted, physics.figures["p99"], "us"))
-    source = next((entry for entry in ours if entry.name.endswith("Python source") and entry.figures), None)
-    if source is not None:
-        wanted = _SOURCE_TIMES * learned.figures["p50"]
-        phrase = f"p50 of the Python source, {_SOURCE_TIMES:g} times the compiled one's"
-        targets.append(Target(phrase, wanted, source.figures["p50"], "us"))
+        for model, what in MODELS.items():
+            entry = _of(ours, f"safedpa, {what}", named)
+            floor = _of(ours, f"safedpa, {NETWORKS}", f"{named}, floor") if model == "car_learned" else None
+            targets += [_share(figure, entry, known, floor, _AHEAD[count]) for figure in ("p50", "p99")]
+    physics = f"safedpa, {MODELS['car']}"
+    for problem, limits in (("8 obstacles", _PHYSICS), (_WITHOUT, _NOT_COMPILED), (_WEDGED, _INFEASIBLE)):
+        found = _of(ours, physics, problem)
+        for figure, most in limits.items() if found.figures else ():
+            targets.append(Target(f"{figure} of physics, {problem}", most, found.figures[figure], "us"))
     return targets, notes
 
 
@@ -200,12 +196,13 @@ def _of(entries: Sequence[Entry], name: str, problem: str) -> Entry:
     return next(entry for entry in entries if entry.name == name and entry.problem == problem)
 
 
-def _half(figure: str, entry: Entry, known: Sequence[Entry], floor: Entry) -> Target:
-    """Half of what the best of ``known`` takes, next to what the parts of a decision take."""
+def _share(figure: str, entry: Entry, known: Sequence[Entry], floor: Entry | None, ahead: float) -> Target:
+    """A share of what the best of ``known`` takes, next to the floor of a decision."""
     best = min(known, key=lambda peer: peer.figures[figure])
-    what = f"{figure} of {entry.name.removeprefix('safedpa, ')}, {entry.problem}, half of {best.name}"
-    wanted = round(_SHARE * best.figures[figure], 2)
-    part = Floor(floor.name.removeprefix("safedpa, "), floor.figures[figure])
+    name = entry.name.removeprefix("safedpa, ")
+    what = f"{figure} of {name}, {entry.problem}, {ahead:g} times faster than {best.name}"
+    wanted = round(best.figures[figure] / ahead, 2)
+    part = None if floor is None else Floor(floor.name.removeprefix("safedpa, "), floor.figures[figure])
     return Target(what, wanted, entry.figures[figure], "us", floor=part)
 
 

@@ -26,8 +26,8 @@ from safedpa.bus import (
     decode,
     encode,
 )
-from safedpa.compiled import compiled_modules
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.native.library import why_not_compiled
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.scenes.perceived import CarScene
@@ -106,7 +106,7 @@ def measure(effort: Effort) -> Row:
     asked["8 circles"] = _reported()
     asked["the program alone, 256 points"] = _alone(places_seen(256))
     times = in_turn(asked, calls, seconds)
-    built = "compiled" if compiled_modules() else "Python source, nothing compiled"
+    built = "decided by Python" if why_not_compiled() else "compiled decisions"
     ours = [microseconds("safedpa, physics", found, name, built) for name, found in times.items()]
     chains = {
         rays: tuple(map(percentiles, chain_times(rays, effort.of(60, 400)))) for rays in effort.of((360,), (360, 1080))

@@ -15,8 +15,6 @@ from safedpa.equations import Given
 from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.stopping import stopping_distance
 
-GENERATED_MODULE = "safedpa.robots.car.generated_barriers"
-"""Module that the build generates from the equations of the car's barriers."""
 _LENGTHS = 4
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
-from safedpa.robots.car.barriers.body import GENERATED_MODULE, SweptBody, TrailerEnvelope, body_of, hitch_of
+from safedpa.robots.car.barriers.body import SweptBody, TrailerEnvelope, body_of, hitch_of
 from safedpa.robots.car.barriers.body import grad_bound as steepest_of_body
 from safedpa.robots.car.barriers.obstacles import Footprint
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
@@ -69,7 +69,6 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
     at_once = True
     reads = ("x", "y", "yaw", "speed")
     numbers = 5
-    generated_module = GENERATED_MODULE
 
     def __init__(
         self,

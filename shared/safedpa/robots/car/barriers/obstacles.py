@@ -1,7 +1,7 @@
 """The car's barriers: obstacles and walls around a body extended by its stopping distance, and speed limits.
 
-Each is one equation; ``python -m safedpa.generate`` generates ``generated_barriers.py`` from them. ``barriers_around``
-draws random ones to calibrate margins from logs, ``largest_gradients`` bounds their gradients.
+Each is one equation. ``barriers_around`` draws random ones to calibrate margins from logs, ``largest_gradients`` bounds
+their gradients.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations, Scalar
 from safedpa.robots.car.barriers.body import (
-    GENERATED_MODULE,
     TrailerEnvelope,
     body_of,
     grad_bound,
@@ -57,7 +56,6 @@ class ObstacleBarrier(AbstractEquationBarrier):
     kind = "obstacle"
     reads = _STATES
     numbers = 3
-    generated_module = GENERATED_MODULE
     grad_bound = staticmethod(grad_bound)
 
     def __init__(
@@ -116,7 +114,6 @@ class FieldBarrier(AbstractEquationBarrier):
     kind = "field"
     reads = _STATES
     numbers = 4
-    generated_module = GENERATED_MODULE
     grad_bound = staticmethod(grad_bound)
     names = tuple(
         f"{wall} wall, {end} end" for end in ("front", "rear") for wall in ("left", "right", "lower", "upper")

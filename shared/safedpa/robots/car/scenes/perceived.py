@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage, SurroundingsMessage
-from safedpa.equations.generated import generated
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers.body import GENERATED_MODULE
+from safedpa.robots.car import shipped_rows
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import car_barriers, with_towed_load
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
@@ -22,10 +21,10 @@ from safedpa.robots.car.dynamics.throttle import BrakingByThrottle
 from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.scene import MOST_OBSTACLES, AbstractScene
 from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBarrierSet
+from safedpa.safety.barriers.equation import rows_of
 from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
 from safedpa.safety.settings import FilterSettings
 
-generated(GENERATED_MODULE)  # imported now, because the import takes a tick and would delay the first decision
 _PATIENCE = 0.2
 """s; the harder brake may act this much longer than braking from full speed takes."""
 
@@ -57,6 +56,8 @@ class CarScene(AbstractScene):
         """Cache keys of the barriers: the scene, and the position of the load."""
         self._barriers: AbstractBarrierSet = Barriers(())
         self._stack: AbstractBarrierSet = self._barriers
+        for pattern in shipped_rows.patterns():  # now: loading takes a tick and would delay the first decision
+            rows_of(pattern, shipped_rows.STATES).prepare()
 
     def _brake(self, state: NDArray[np.float64] | None) -> NDArray[np.float64]:
         """Returns the resting action; in perceived surroundings, where movers are possible, the harder brake.
