@@ -15,7 +15,7 @@ def test_evidence_and_developer_pages_stay_short() -> None:
     assert 0 < length <= 25_000
 
 
-def test_sentences_have_sixteen_words_and_hardly_ever_more_than_thirty() -> None:
+def test_sentences_are_short_on_average_and_hardly_ever_long() -> None:
     _, _, count, mean, long = measured(sorted(DOCS.rglob("*.md")))
     assert count > 1000
     assert mean <= 16
