@@ -40,7 +40,7 @@ Action: TypeAlias = tuple[float, ...]
 Backup = Callable[[FloatArray | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
-# A module attribute, not the import itself: compiled code looks it up at every call too, so tests can replace it.
+# A module attribute, so that tests can replace it.
 solve_sqp: Callable[..., tuple[ActionCandidate, str]] = _solve_sqp
 
 _BINDING: Final = 0.02

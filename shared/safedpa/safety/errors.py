@@ -1,8 +1,4 @@
-"""Errors within one decision; in a module of their own, since a compiled module may not define them.
-
-mypyc lays out a class in memory by its bases, and does not know the layout of a base in another module: an exception
-defined there corrupted memory and crashed the process.
-"""
+"""Errors within one decision."""
 
 from __future__ import annotations
 

@@ -434,10 +434,7 @@ def _linear_values(gradients: list[list[float]], offsets: list[float], u: list[f
 
 
 def _reach_levels(scaled_h: list[float], levels: list[float]) -> bool:
-    for index in range(len(levels)):  # noqa: SIM110 - a generator takes longer when compiled
-        if scaled_h[index] < levels[index]:
-            return False
-    return True
+    return not any(value < level for value, level in zip(scaled_h, levels, strict=True))
 
 
 def _relevant_rows(gradients: list[list[float]], offsets: list[float], levels: list[float]) -> list[int]:

@@ -108,8 +108,7 @@ class Linearization:
             if change - change != 0.0:
                 _require_finite(row)
             # Only ever raised: residuals of earlier candidates stay comparable.
-            if change > self._scales[index]:  # noqa: PLR1730 - max() of two floats costs a call when compiled
-                self._scales[index] = change
+            self._scales[index] = max(self._scales[index], change)
             self._changes[index] = change
             self._rows[index] = row
 

@@ -295,7 +295,7 @@ def _usable_action(solution: Solution, program: _Program) -> tuple[float, ...] |
     """
     if not solution.solved:
         return None
-    # x - x is 0 for finite x and NaN otherwise: the cheapest test for finite values in compiled code.
+    # x - x is 0 for finite x and NaN otherwise.
     for value in solution.action:
         if value - value != 0.0:
             return None
