@@ -97,7 +97,8 @@ def diagnose(
     shown = displayed_windows(usable.runs, horizon, evidence)
     # Judged before the search: with too little data, any ranking of effects would look like a finding.
     judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
-    library = library_for(model)
+    # Rare effects are tried too, but only for what the common ones leave.
+    library = library_for(model, rare=True)
     if not judge.enough:
         usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
     horizons: list[float] = []

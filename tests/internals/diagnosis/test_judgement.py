@@ -58,7 +58,8 @@ def by_table(monkeypatch: pytest.MonkeyPatch, gains: dict[tuple[str, str], float
 @pytest.mark.parametrize(
     ("gain", "after", "before", "added"),
     [
-        (3.0, 50.0, 100.0, False), (3.001, 50.0, 100.0, True), (3.001, 96.9, 100.0, True),
+        (2.0, 50.0, 100.0, False), (2.001, 69.0, 100.0, True), (2.001, 71.0, 100.0, False), (3.0, 0.1, 0.2, False),
+        (3.001, 50.0, 100.0, True), (3.001, 96.9, 100.0, True),
         (3.001, 97.1, 100.0, False), (4.5, 97.1, 100.0, False), (4.501, 97.1, 100.0, True),
         (4.501, 99.5, 100.0, True), (4.501, 99.7, 100.0, False), (9.0, 99.7, 100.0, False),
         (9.0, 130.0, 100.0, False), (9.0, math.nan, 100.0, False), (9.0, -1.0, 0.0, False),

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,3 +102,18 @@ def test_a_case_is_diagnosed_and_judged(monkeypatch: pytest.MonkeyPatch) -> None
     assert outcome.hidden == ("target_dead_zone",)
     assert outcome.verdict
     assert np.isfinite(outcome.error_ratio)
+
+
+@pytest.mark.parametrize("robot", plants.PLANTS)
+def test_a_resonance_rings_and_does_not_diverge(robot: str) -> None:
+    plant = plants.PLANTS[robot]
+    plant = replace(plant, seconds=4.0 * plant.hold[1])
+    plain, ringing = (plants.drive(plant, {}, 3, outside)[1] for outside in ("", "resonance"))
+    assert np.abs(ringing).max() < 3.0 * np.abs(plain).max()
+    assert np.abs(ringing - plain).max() > 0.0
+
+
+@pytest.mark.long
+def test_commands_that_change_between_rows_are_no_drag() -> None:
+    outcome = run_case(OwnCase("own_none", "own_motor", 3243408480, {}, 3))
+    assert (outcome.verdict, outcome.added) == ("nothing_missing", ())
