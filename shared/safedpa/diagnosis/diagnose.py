@@ -28,6 +28,7 @@ from safedpa.diagnosis.fit.data_checks import (
     finding_row,
     prepare_runs,
 )
+from safedpa.diagnosis.fit.least_squares import bounds_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, values_of
 from safedpa.diagnosis.report_schema import (
@@ -112,6 +113,7 @@ def diagnose(
     tried, data = library if judge.enough else [], (evidence.shooting, evidence.heldout)
     search = run_search(model, tried, *data, report_progress, other_horizons, _remaining)
     shown = search.heldout if shown is evidence.heldout else shown.with_commands(between_rows=search.between_rows)
+    usable.quality[:0] = _base_at_bound(search)
     usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence), *_timing(search)])
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
     unexplained, likely = found = _unmodelled(search, judge, library)
@@ -204,6 +206,26 @@ def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
         "record them in one coordinate frame"
     )
     return [finding_row("all", Finding("different_places", message))]
+
+
+def _base_at_bound(search: SearchState) -> list[dict[str, Any]]:
+    """Returns a finding if a free parameter of the base ended at a bound before any effect was added."""
+    fitted = search.first.fit
+    low, high = bounds_of(fitted.model, fitted.paths)
+    edge = 1e-6 * (high - low)
+    ends = (fitted.values <= low + edge) | (fitted.values >= high - edge)
+    names = [
+        f"{path} = {value:.3g} {fitted.model.parameters[path].unit}"
+        for path, value, end in zip(fitted.paths, fitted.values.tolist(), ends.tolist(), strict=True)
+        if end
+    ]
+    if not names:
+        return []
+    message = (
+        f"{', '.join(names)} ended at a bound before any effect was added: the model lacks something large, or its "
+        "bounds, or the units of the recordings, are wrong"
+    )
+    return [finding_row("all", Finding("base_at_bound", message))]
 
 
 def _timing(search: SearchState) -> list[dict[str, Any]]:
