@@ -36,7 +36,7 @@ def test_it_prints_its_address_and_ends_at_once_without_a_viewer(tmp_path):
         with urllib.request.urlopen(address, timeout=PATIENCE) as page:
             assert page.status == 200
             assert "rerun%2Bhttp://localhost" in page.url
-            assert b'memory_limit: "400MB"' in page.read(), "the viewer keeps what it is sent within a limit"
+            assert b'memory_limit: "250MB"' in page.read(), "the viewer keeps what it is sent within a limit"
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
         rest, complaint = process.communicate(timeout=PATIENCE)

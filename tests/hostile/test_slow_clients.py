@@ -121,6 +121,9 @@ def test_many_silent_clients_do_not_shut_out_a_user_of_the_same_address(ports: d
     """Also where they are more than the descriptors that are left, and where they wait for a TLS handshake."""
     for name, port in ports.items():
         links = [socket.create_connection(("127.0.0.1", port), timeout=60.0) for _ in range(300)]
+        for link in links[200:] if name != "TLS" else ():  # some with a body that does not come
+            with contextlib.suppress(OSError):
+                link.sendall(f"{cookie(port).replace('GET', 'POST')}Content-Length: 9\r\n\r\n".encode())
         try:
             assert ask(port, tls=name == "TLS") in (200, 302, 303, 502), name
         finally:

@@ -17,7 +17,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 import httpx
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 
@@ -93,7 +93,7 @@ class DataProxy(PageServer):
         asked = httpx.Request(request.method, target, headers=[*headers, ("connection", "close")], content=body)
         try:
             answer = await self._client.send(asked, stream=True)
-        except httpx.TransportError as error:
+        except (httpx.TransportError, ClientDisconnect) as error:
             return PlainTextResponse(f"Rerun's data server did not answer ({type(error).__name__})\n", 502)
         kept = {name: value for name, value in answer.headers.items() if name not in _DROPPED}
         return StreamingResponse(_parts(answer), answer.status_code, kept)

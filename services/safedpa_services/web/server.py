@@ -42,10 +42,12 @@ class PageProtocol(H11Protocol):
 
     _deadline: asyncio.TimerHandle | None = None
     _stalled: asyncio.TimerHandle | None = None
+    _since = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Takes a connection; closes an idle one, which may be this one, if there are too many."""
         super().connection_made(transport)
+        self._since = self.loop.time()
         _make_room(self.connections, self.client)
         self._set_deadline()
 
@@ -73,23 +75,28 @@ class PageProtocol(H11Protocol):
 
     @property
     def idle_since(self) -> float | None:
-        """Time [s] since which a request head is awaited; None while a request is answered, and for a web socket."""
-        awaits = self.cycle is None or self.cycle.response_complete
-        if not awaits or self.transport.get_protocol() is not self:
-            return None
-        return self.loop.time() if self._deadline is None else self._deadline.when() - HEAD_SECONDS
+        """Time [s] since which the client owes a request or its body; None while it is answered, and for a socket."""
+        return self._since if self._awaits_head or (self._is_http and self.cycle.more_body) else None
+
+    @property
+    def _is_http(self) -> bool:
+        return self.transport.get_protocol() is self
+
+    @property
+    def _awaits_head(self) -> bool:
+        return self._is_http and (self.cycle is None or self.cycle.response_complete)
 
     def abort(self) -> None:
         """Closes the connection at once."""
-        if self.transport.get_protocol() is self:
+        if self._is_http:
             self.connections.discard(self)
             self.transport.abort()
 
     def _set_deadline(self) -> None:
-        if self.idle_since is None and self._deadline is not None:
+        if not self._awaits_head and self._deadline is not None:
             self._deadline.cancel()
-            self._deadline = None
-        elif self.idle_since is not None and self._deadline is None:
+            self._deadline, self._since = None, self.loop.time()
+        elif self._awaits_head and self._deadline is None:
             self._deadline = self.loop.call_later(HEAD_SECONDS, self.abort)
 
 

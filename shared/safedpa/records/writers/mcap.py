@@ -58,6 +58,7 @@ class McapRecorder:
         self._channels: dict[str, int] = {}
         self._sequences: dict[int, int] = {}
         self._last_flush_ns: int | None = None
+        self._newest_ns: int | None = None
         self._failure = ""
         self.written = 0
         """Number of messages written so far."""
@@ -93,18 +94,20 @@ class McapRecorder:
             )
         )
         self.written += 1
+        self._newest_ns = log_time_ns
         if self._last_flush_ns is None:
             self._last_flush_ns = log_time_ns
         elif log_time_ns - self._last_flush_ns >= _FLUSH_NANOSECONDS:
-            self._last_flush_ns = log_time_ns
             self.flush()
 
     def flush(self) -> None:
         """Writes the present chunk to the operating system. Raises RecordingError."""
+        self._last_flush_ns = self._newest_ns
         self._attempt(lambda writer: writer.flush())
 
     def sync(self) -> None:
         """Flushes, and waits until everything is on the disk and acknowledged. Raises RecordingError."""
+        self._last_flush_ns = self._newest_ns
         self._attempt(lambda writer: self._file.sync(after=writer.flush))
         self.acknowledged = self.written
 

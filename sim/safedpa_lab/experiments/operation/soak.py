@@ -29,7 +29,8 @@ FILE_RATE: Final = 1.0
 """Largest growth of the dashboard's file, relative to that of the recording."""
 _SETTLED: Final = 1.0 / 6.0
 """Part of a run in which caches fill: ten minutes of an hour."""
-_SAMPLE_SECONDS = 5.0
+_SAMPLE_SECONDS, _KEPT = 5.0, 6
+"""One sample of so many is kept in the result."""
 _START_SECONDS, _END_SECONDS = 180.0, 120.0
 _BROWSER = ("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
 _DASHBOARD = re.compile(r"live view (http://\S+)")
@@ -65,6 +66,7 @@ def judged(samples: Sequence[Sample], seconds: float) -> dict[str, Any]:
         "recording_kb_per_second": 1000.0 * recording,
         "file_rate": pictures / recording if recording > 0.0 else 0.0,
         "samples": len(settled),
+        "series": list(samples[::_KEPT]),
     }
 
 
