@@ -204,3 +204,40 @@ def test_without_a_compiler_or_a_folder_python_decides(setting: dict[str, str], 
     assert found != "compiled"
     assert reason in found
     assert "\n" not in found
+
+
+PERIOD = 0.05
+DISCS = [(1.5, 0.2, 0.4), (2.5, -0.8, 0.4)]
+
+
+def step(x: Any, a: Any, operations: Any) -> list[Any]:
+    moved = [x[0] + PERIOD * x[3] * operations.cos(x[2]), x[1] + PERIOD * x[3] * operations.sin(x[2])]
+    return [*moved, x[2] + PERIOD * a[1], x[3] + PERIOD * a[0]]
+
+
+def brake(x: Any, operations: Any) -> list[Any]:
+    return [operations.clip(-x[3] / PERIOD, -1.0, 1.0), 0.0 * x[3]]
+
+
+def room(x: Any, operations: Any) -> list[Any]:
+    return [operations.hypot(x[0] - cx, x[1] - cy) - radius for cx, cy, radius in DISCS]
+
+
+def test_rollouts_of_ones_own_functions_are_decided_as_by_python() -> None:
+    own = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon=0.01)
+    filters = []
+    for _ in range(2):
+        barrier = safedpa.RolloutBarrier(step, brake, room, horizon=30, names=("first", "second"))
+        assert not barrier.not_compiled
+        filters.append(SafetyFilter(barrier.prediction, [barrier], own, backup=barrier.backup))
+    compiled, python = filters
+    python.tools = replace(python.tools, compiled=None)
+    random, seen = np.random.default_rng(9), set[str]()
+    for _ in range(60):
+        state, nominal = random.uniform((-0.5, -0.5, -0.5, 0.0), (1.2, 0.5, 0.5, 1.2)), random.uniform(-1.0, 1.0, 2)
+        found, wanted = compiled.decide(state, nominal), python.decide(state, nominal)
+        assert (found.status, found.reason, found.active) == (wanted.status, wanted.reason, wanted.active)
+        np.testing.assert_allclose(found.action, wanted.action, rtol=0.0, atol=1e-12)
+        seen.add(found.status.value)
+    assert {"passed", "corrected"} <= seen
+    assert compiled.decide([np.nan, 0.0, 0.0, 0.0], [0.0, 0.0]).status.value == "fallback"

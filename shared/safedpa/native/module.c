@@ -435,6 +435,59 @@ static PyTypeObject RowsType = {
     .tp_dealloc = (destructor)rows_free, .tp_methods = rows_methods,
     .tp_doc = "h of all barriers of one scene, and its slopes, compiled: as the classes of equations.scalar_rows."};
 
+/* ---- Rollout ---- */
+
+typedef struct {
+    PyObject_HEAD
+    barrier_rows own;
+    rollout_functions functions;
+    PyObject *owner;
+} Rollout;
+
+/* (run, differences, gradient or 0, address of the arrays, rows, states, owner of the arrays) */
+static int rollout_init(Rollout *self, PyObject *args, PyObject *kw)
+{
+    unsigned long long run, differences, gradient, call;
+    PyObject *owner;
+    (void)kw;
+    if (!PyArg_ParseTuple(args, "KKKKiiO", &run, &differences, &gradient, &call, &self->own.rows, &self->own.states,
+                          &owner))
+        return -1;
+    if (self->owner || self->own.states < 1 || self->own.states > MOST_STATES) {
+        PyErr_SetString(PyExc_ValueError, "a rollout of another size");
+        return -1;
+    }
+    self->functions.run = (int (*)(const rollout_call *, int))(uintptr_t)run;
+    self->functions.differences = (int (*)(const rollout_call *, int, int))(uintptr_t)differences;
+    self->functions.gradient = (int (*)(const rollout_call *, int, int))(uintptr_t)gradient;
+    self->functions.call = (rollout_call *)(uintptr_t)call;
+    self->own.rollout = &self->functions;
+    Py_INCREF(owner);
+    self->owner = owner;
+    return 0;
+}
+
+static void rollout_free(Rollout *self)
+{
+    Py_XDECREF(self->owner);
+    Py_TYPE(self)->tp_free((PyObject *)self);
+}
+
+static PyTypeObject RolloutType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "safedpa_kernel.Rollout", .tp_basicsize = sizeof(Rollout),
+    .tp_flags = Py_TPFLAGS_DEFAULT, .tp_new = PyType_GenericNew, .tp_init = (initproc)rollout_init,
+    .tp_dealloc = (destructor)rollout_free, .tp_doc = "A compiled rollout with the arrays of one thread."};
+
+/* The barriers of Rows or of a Rollout; NULL for other objects. */
+static const barrier_rows *barriers_of(PyObject *object)
+{
+    if (PyObject_TypeCheck(object, &RowsType) && ((Rows *)object)->kind)
+        return &((Rows *)object)->own;
+    if (PyObject_TypeCheck(object, &RolloutType) && ((Rollout *)object)->owner)
+        return &((Rollout *)object)->own;
+    return NULL;
+}
+
 /* ---- Search ---- */
 
 typedef struct {
@@ -574,11 +627,12 @@ static PyObject *answer(Search *self, int kind, const candidate *c, solver_statu
 static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *at_once)
 {
     decision *d = &self->d;
-    if (!PyObject_TypeCheck(rows, &RowsType) || !((Rows *)rows)->kind || ((Rows *)rows)->own.rows < 1) {
+    const barrier_rows *own = barriers_of(rows);
+    if (!own || own->rows < 1) {
         PyErr_Format(PyExc_TypeError, "rows: got another object than compiled rows");
         return 0;
     }
-    const int count = ((Rows *)rows)->own.rows;
+    const int count = own->rows;
     Py_CLEAR(self->rows);
     Py_CLEAR(self->names); /* those of another scene */
     if (!reserve(self, count) || !doubles(epsilon, count, (double *)d->epsilon, "epsilon"))
@@ -595,7 +649,7 @@ static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *
     Py_DECREF(once);
     Py_INCREF(rows);
     self->rows = rows;
-    d->set = &self->set, d->barriers = &((Rows *)rows)->own, d->state = self->state, d->latent = self->latent;
+    d->set = &self->set, d->barriers = own, d->state = self->state, d->latent = self->latent;
     return 1;
 }
 
@@ -988,7 +1042,8 @@ static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "safedpa_kernel",
 __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
 {
     PyObject *module = PyModule_Create(&definition);
-    if (!module || PyType_Ready(&StepType) < 0 || PyType_Ready(&RowsType) < 0 || PyType_Ready(&SearchType) < 0)
+    if (!module || PyType_Ready(&StepType) < 0 || PyType_Ready(&RowsType) < 0 || PyType_Ready(&SearchType) < 0 ||
+        PyType_Ready(&RolloutType) < 0)
         return NULL;
     for (int i = 0; i < FIELDS; i++)
         if (!(field_keys[i] = PyUnicode_InternFromString(FIELD_NAMES[i])))
@@ -996,9 +1051,10 @@ __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
     for (int i = 0; i < 3; i++)
         if (!(solver_names[i] = PyUnicode_InternFromString(STATUS_NAMES[i])))
             return NULL;
-    Py_INCREF(&StepType), Py_INCREF(&RowsType), Py_INCREF(&SearchType);
+    Py_INCREF(&StepType), Py_INCREF(&RowsType), Py_INCREF(&SearchType), Py_INCREF(&RolloutType);
     if (PyModule_AddObject(module, "Step", (PyObject *)&StepType) < 0 ||
         PyModule_AddObject(module, "Rows", (PyObject *)&RowsType) < 0 ||
+        PyModule_AddObject(module, "Rollout", (PyObject *)&RolloutType) < 0 ||
         PyModule_AddObject(module, "Search", (PyObject *)&SearchType) < 0)
         return NULL;
     return module;

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from threading import local
-from typing import Final, Self, final
+from typing import Any, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.equations.tape import Line, NotRecordableError
 from safedpa.native.c_source import PRELUDE, Constants, c_lines, function_source, slope_lines
-from safedpa.native.library import load
+from safedpa.native.library import load, load_module
 from safedpa.native.tracing import RecordedFunction
 
 __all__ = ["FoundMinimum", "RecordedItems", "RolloutKernel"]
@@ -102,6 +102,8 @@ class _Workspace:
             self.origin, self.x, self.directions, self.path, self.memory, *self.found, self.out, self.flags, self.points
         )  # fmt: skip
         self.call = _Call(setup, *(array.ctypes.data for array in arrays))
+        self.arrays = (*self._data, *arrays)
+        self.for_search: dict[bool, Any] = {}
         self.reference = ctypes.byref(self.call)
 
     def begin(self, origin: Floats | None, state: Floats, time: float) -> int:
@@ -215,12 +217,29 @@ class RolloutKernel:
         self.functions.call_gradient(work.reference, has_origin, count)
         return work.out[: self.count * self.states].reshape(self.count, self.states).copy()
 
+    def rows_for_search(self, exact: bool) -> Any:
+        """``safedpa_kernel.Rollout`` over the arrays of this thread; ``exact``: slopes by the chain rule."""
+        work = self._workspace()
+        if exact not in work.for_search:
+            names = "call_rollout", "call_lie_differences", "call_gradient"
+            run, differences, gradient = [_address(self.functions, name) for name in names]
+            own = run, differences, gradient if exact else 0, ctypes.addressof(work.call)
+            kept = self.functions, work.call, work.arrays
+            work.for_search[exact] = load_module().Rollout(*own, self.count, self.states, kept)
+        return work.for_search[exact]
+
     def _workspace(self) -> _Workspace:
         try:
             work: _Workspace = self.spaces.work
         except AttributeError:
             work = self.spaces.work = _Workspace(self)
         return work
+
+
+def _address(functions: ctypes.PyDLL, name: str) -> int:
+    found = ctypes.cast(getattr(functions, name), ctypes.c_void_p).value
+    assert found is not None
+    return found
 
 
 def _typed(functions: ctypes.PyDLL) -> ctypes.PyDLL:

@@ -4,7 +4,7 @@
    safety/decision.py, in the same order, so that results have the same bits. What those answer by an exception, by the
    general solver or by NumPy is declined here: Python then answers. */
 
-enum { MOST_ACTIONS = 2, MOST_STATES = 64 };
+enum { MOST_ACTIONS = 2, MOST_STATES = 64, MOST_SEEN = 128 };
 
 static const double NO_INFLUENCE = 1e-9, ROUNDING = 1e-10, TINY = 1e-300, REACH_ROUNDING = 1e-9, MARK = 1e-10;
 static const double SAME = 1e-8, SERVED_WELL = 0.1, MOST_LEFT = 0.75, NEEDLESS = 0.05, OVERSHOOT = 0.25, LEFT = 0.9;
@@ -22,6 +22,23 @@ typedef void slopes_function(
     const double *, const double *, const double *, const double *const *, const int *, const int *, int, double *);
 typedef void bound_function(const double *, const double *, const double *, double *);
 
+/* One caller's arrays of a compiled rollout, as in path_minimum.c. */
+typedef struct {
+    const double *k_step, *k_backup, *k_h, *latent, *held, *shared, *each;
+    double time;
+    int items, rows, ticks;
+} rollout_setup;
+typedef struct {
+    rollout_setup u;
+    double *origin, *x, *directions, *path, *memory, *values, *shares, *size, *out;
+    int *flags, *points;
+} rollout_call;
+typedef struct {
+    int (*run)(const rollout_call *, int), (*differences)(const rollout_call *, int, int);
+    int (*gradient)(const rollout_call *, int, int); /* NULL: central differences of the whole path */
+    rollout_call *call;
+} rollout_functions;
+
 typedef struct {
     h_function *h;
     slopes_function *slopes;
@@ -30,6 +47,7 @@ typedef struct {
     const double *const *items;
     const int *counts;
     int rows, states;
+    const rollout_functions *rollout; /* in place of h and slopes */
 } barrier_rows;
 
 typedef struct {
@@ -48,11 +66,14 @@ typedef struct {
     double action[MOST_ACTIONS], *next, *h, *residual, min_h;
     unsigned char *violated;
     int feasible;
+    /* of a rollout: where each h is least on the path */
+    int *points;
+    double *shares;
 } candidate;
 
 typedef struct {
     double g[MOST_STATES * MOST_ACTIONS], reach, *row, *change;
-    const double *state;
+    const candidate *about;
     unsigned char *known;
 } tangent_plane;
 
@@ -75,7 +96,8 @@ typedef struct {
     double nominal[MOST_ACTIONS];
     double last_g[MOST_STATES * MOST_ACTIONS];
     int has_last_g, saturated;
-    candidate *nominal_candidate, *found;
+    candidate *nominal_candidate, *found, *seen[MOST_SEEN];
+    int seen_count;
     program_2d program;
     max_min lp;
     block *blocks, *current;
@@ -120,6 +142,7 @@ static void *memory(decision *d, size_t bytes)
 static void forget(decision *d)
 {
     d->current = NULL;
+    d->seen_count = 0;
 }
 
 /* ---- floating-point exceptions: what Python raises for, NumPy answers ---- */
@@ -157,9 +180,30 @@ static double smallest_of(const double *values, int count)
 
 /* ---- model and barriers ---- */
 
+/* Runs the path from the measured state over `state`; writes the least h. Returns the number of states on it. */
+static int roll_out(decision *d, const double *state, double *h)
+{
+    const rollout_functions *r = d->barriers->rollout;
+    const size_t size = sizeof(double) * (size_t)d->barriers->states;
+    memcpy(r->call->origin, d->state, size);
+    memcpy(r->call->x, state, size);
+    r->call->u.time = d->time;
+    const int count = r->run(r->call, 1);
+    if (count < 0)
+        decline(d, "a state on the path is not finite");
+    memcpy(h, r->call->values, sizeof(double) * (size_t)d->barriers->rows);
+    return count;
+}
+
 static void evaluate_h(decision *d, const double *state, double *h)
 {
     const barrier_rows *b = d->barriers;
+    if (b->rollout) {
+        roll_out(d, state, h);
+        if (!all_finite(h, b->rows))
+            decline(d, "h is not finite");
+        return;
+    }
     clear_flags();
     b->h(state, b->kept, b->k, b->items, b->counts, h);
     if (odd_numbers() || !all_finite(h, b->rows))
@@ -184,6 +228,25 @@ static void predict(decision *d, const double *action, double *next)
         decline(d, "the predicted state is not finite");
 }
 
+/* h and its points on the path over the predicted state. A search meets the same state again and again. */
+static void rolled_out(decision *d, candidate *c)
+{
+    const int rows = d->barriers->rows;
+    const size_t size = sizeof(double) * (size_t)d->barriers->states;
+    for (int i = 0; i < d->seen_count; i++)
+        if (!memcmp(d->seen[i]->next, c->next, size)) {
+            memcpy(c->h, d->seen[i]->h, sizeof(double) * (size_t)rows);
+            c->points = d->seen[i]->points, c->shares = d->seen[i]->shares;
+            return;
+        }
+    evaluate_h(d, c->next, c->h);
+    const rollout_call *call = d->barriers->rollout->call;
+    c->points = memcpy(ARRAY(d, int, rows), call->points, sizeof(int) * (size_t)rows);
+    c->shares = memcpy(ARRAY(d, double, rows), call->shares, sizeof(double) * (size_t)rows);
+    if (d->seen_count < MOST_SEEN)
+        d->seen[d->seen_count++] = c;
+}
+
 static candidate *evaluate(decision *d, const double *action)
 {
     const int rows = d->barriers->rows;
@@ -194,7 +257,10 @@ static candidate *evaluate(decision *d, const double *action)
     c->violated = ARRAY(d, unsigned char, rows);
     memcpy(c->action, action, sizeof(double) * (size_t)d->set->actions);
     predict(d, action, c->next);
-    evaluate_h(d, c->next, c->h);
+    if (d->barriers->rollout)
+        rolled_out(d, c);
+    else
+        evaluate_h(d, c->next, c->h);
     int violations = 0;
     for (int row = 0; row < rows; row++) {
         const double slack = c->h[row] - d->rhs[row];
@@ -298,7 +364,7 @@ static tangent_plane *linearize(decision *d, const candidate *about)
     if (!d->has_last_g || !d->set->affine)
         control_matrix(d, about);
     memcpy(t->g, d->last_g, sizeof(double) * (size_t)(states * actions));
-    t->state = about->next;
+    t->about = about;
     t->row = ARRAY(d, double, rows * actions);
     t->change = ARRAY(d, double, rows);
     t->known = ARRAY(d, unsigned char, rows);
@@ -318,27 +384,72 @@ static tangent_plane *linearize(decision *d, const candidate *about)
     return t;
 }
 
-static void compute_rows(decision *d, tangent_plane *t, const int *unknown, int count)
+/* The rows p'g from the slopes (rows, states) of these rows. */
+static void chain_rule(const decision *d, tangent_plane *t, const int *rows, int count, const double *slopes)
 {
     const int states = d->barriers->states, actions = d->set->actions;
-    if (!count)
-        return;
-    double *slopes = ARRAY(d, double, count * states);
-    const barrier_rows *b = d->barriers;
-    clear_flags();
-    b->slopes(t->state, b->kept, b->k, b->items, b->counts, unknown, count, slopes);
-    if (odd_numbers())
-        decline(d, "a slope of h is not finite");
-    for (int i = 0; i < count; i++) {
-        const int row = unknown[i];
-        double change = 0.0;
+    for (int i = 0; i < count; i++)
         for (int column = 0; column < actions; column++) {
             double total = 0.0;
             for (int s = 0; s < states; s++)
                 total += slopes[i * states + s] * t->g[s * actions + column];
-            t->row[row * actions + column] = total;
-            change += size_of(total) * d->set->width[column];
+            t->row[rows[i] * actions + column] = total;
         }
+}
+
+/* The rows of a rollout: by the chain rule along the path, or by differences over the range of each action. */
+static void rollout_rows(decision *d, tangent_plane *t, const int *unknown, int count)
+{
+    const rollout_functions *r = d->barriers->rollout;
+    const int states = d->barriers->states, actions = d->set->actions, rows = d->barriers->rows;
+    const candidate *about = t->about;
+    if (r->gradient) {
+        double *ignored = ARRAY(d, double, rows), *slopes = ARRAY(d, double, count * states);
+        const int length = roll_out(d, about->next, ignored);
+        if (r->gradient(r->call, 1, length) < 0)
+            decline(d, "no slopes along the path");
+        for (int i = 0; i < count; i++)
+            memcpy(slopes + i * states, r->call->out + unknown[i] * states, sizeof(double) * (size_t)states);
+        chain_rule(d, t, unknown, count, slopes);
+        return;
+    }
+    memcpy(r->call->origin, d->state, sizeof(double) * (size_t)states);
+    memcpy(r->call->x, about->next, sizeof(double) * (size_t)states);
+    memcpy(r->call->points, about->points, sizeof(int) * (size_t)rows);
+    memcpy(r->call->shares, about->shares, sizeof(double) * (size_t)rows);
+    r->call->u.time = d->time;
+    for (int column = 0; column < actions; column++)
+        for (int s = 0; s < states; s++)
+            r->call->directions[column * states + s] = t->g[s * actions + column] * d->set->width[column];
+    if (r->differences(r->call, 1, actions) < 0)
+        decline(d, "a state on the path is not finite");
+    for (int i = 0; i < count; i++)
+        for (int column = 0; column < actions; column++)
+            t->row[unknown[i] * actions + column] =
+                r->call->out[unknown[i] * actions + column] / d->set->width[column];
+}
+
+static void compute_rows(decision *d, tangent_plane *t, const int *unknown, int count)
+{
+    const int actions = d->set->actions;
+    if (!count)
+        return;
+    const barrier_rows *b = d->barriers;
+    if (b->rollout)
+        rollout_rows(d, t, unknown, count);
+    else {
+        double *slopes = ARRAY(d, double, count * b->states);
+        clear_flags();
+        b->slopes(t->about->next, b->kept, b->k, b->items, b->counts, unknown, count, slopes);
+        if (odd_numbers())
+            decline(d, "a slope of h is not finite");
+        chain_rule(d, t, unknown, count, slopes);
+    }
+    for (int i = 0; i < count; i++) {
+        const int row = unknown[i];
+        double change = 0.0;
+        for (int column = 0; column < actions; column++)
+            change += size_of(t->row[row * actions + column]) * d->set->width[column];
         if (change - change != 0.0)
             decline(d, "a slope of h is not finite");
         if (change > d->scales[row])

@@ -11,7 +11,7 @@ from typing import Any, Self, final
 import numpy as np
 
 from safedpa.native.c_source import PRELUDE, Constants, function_source, slope_lines
-from safedpa.native.library import load
+from safedpa.native.library import load, load_module
 from safedpa.native.tracing import RecordedFunction
 
 __all__ = ["StepKernel"]
@@ -43,7 +43,8 @@ class StepKernel:
         self._step, self._tangent = functions.call_step, functions.call_tangent
         self._step.restype = self._tangent.restype = None
         self._constants, self._sizes = constants, sizes
-        self._spaces = local()
+        self._spaces, self._library = local(), functions
+        self._object: Any = None
 
     @classmethod
     def compiled(cls, recording: RecordedFunction) -> Self:
@@ -71,6 +72,15 @@ class StepKernel:
         self._step(*work.inputs)
         found: list[float] = work.out[:]
         return found
+
+    def compiled_step(self) -> Any:
+        """The same functions as ``safedpa_kernel.Step``. Raises NoKernelError."""
+        if self._object is None:
+            addresses = [ctypes.cast(each, ctypes.c_void_p).value for each in (self._step, self._tangent)]
+            states, actions, latents = self._sizes[:3]
+            constants = self._constants.tolist()
+            self._object = load_module().Step(*addresses, constants, states, actions, latents, self._library)
+        return self._object
 
     def tangent(
         self, state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from math import inf, nan
+from math import inf, isnan, nan
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -17,6 +17,7 @@ from safedpa.native import NoKernelError
 from safedpa.native.library import load_module, remark
 from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.cache import BarrierValueCache
+from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
 from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.settings import FilterSettings
@@ -83,7 +84,9 @@ class CompiledDecisions:
         self._settings, self._program, self._prediction = settings, program, prediction
         self._search: Any = None
         self._step: Any = None
-        self._possible = len(program.sides) <= _MOST_ACTIONS and prediction.is_project_model
+        self._possible = len(program.sides) <= _MOST_ACTIONS and (
+            prediction.is_project_model or prediction.step_function is not None
+        )
         self._scene: _Scene | None = None
         self._ranges: Any = None
 
@@ -117,7 +120,7 @@ class CompiledDecisions:
         at_once = memory is None or prediction.has_nothing_in_flight(memory)
         if not self._possible or self._ranges is None or not at_once or not self._report_time(time):
             return None
-        step = None if prediction.affine else prediction.compiled_step()
+        step = None if prediction.affine else prediction.compiled_step(0, len(self._program.sides))
         scene = self._scene
         if scene is None or parts is not scene.parts or step is not self._step or epsilon != scene.requested:
             scene = self._scene = self._scene_of(tools, parts, epsilon, step)
@@ -168,6 +171,14 @@ class CompiledDecisions:
         rows = barriers.scalar_rows(states)
         return rows.barriers if isinstance(rows, BarrierValueCache) else rows
 
+    def _rollout_of(self, barriers: AbstractBarrierSet, state: tuple[float, ...]) -> Any:
+        """A compiled rollout that is the only barrier, after it was compared with its functions; else None."""
+        part = barriers[0] if len(barriers) == 1 else None
+        if not isinstance(part, RolloutBarrier):
+            return None
+        part.starting_at(np.array(state))  # compares
+        return part.compiled_rows(len(state), len(self._program.sides), self._prediction.seconds)
+
     def decide(
         self,
         barriers: AbstractBarrierSet,
@@ -185,10 +196,12 @@ class CompiledDecisions:
             return None
         self._scene = None
         rows = self._rows_of(barriers, len(state))
+        if rows is None and isnan(least):
+            rows = self._rollout_of(barriers, state)
         prediction = self._prediction
         motion = prediction.affine_motion(state, latent) if prediction.affine else None
         known, period, trained = (None, 0.0, 0.0) if motion is None else motion.entries
-        step = prediction.compiled_step() if motion is None else None
+        step = prediction.compiled_step(len(state), len(nominal)) if motion is None else None
         if rows is None or (motion is None and step is None) or not self._ready(step, rows):
             return None
         free = prediction.nominal_latent if latent is None else latent
@@ -237,8 +250,8 @@ class CompiledDecisions:
                 ranges = [None if one is None else (one.low_floats, one.high_floats) for one in self._ranges]
                 kinds = Verdict, Status.passed, Status.corrected, OUTSIDE_LIMITS
                 self._search.prepare(*kinds, np.ndarray, np.frombuffer, *ranges)
-            self._step, self._rows = step, module.Rows
-        return type(rows) is self._rows
+            self._step, self._rows = step, (module.Rows, module.Rollout)
+        return type(rows) in self._rows
 
 
 @final

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,6 +113,18 @@ class RolloutBarrier(AbstractBarrier):
         ``operations`` has no slopes: give the filter ``Prediction(affine, step)``.
         """
         return self._compiled.prediction or self.loop.prediction
+
+    def compiled_rows(self, states: int, actions: int, seconds: float) -> Any:
+        """The compiled rollout for the compiled search at ``seconds`` of the run; None: the search must be Python's.
+
+        To be asked after ``starting_at``, which compares it with the functions.
+        """
+        kernel = self._compiled.kernel(states)
+        exact = self._knows_gradient and kernel is not None and kernel.has_gradient
+        by_numpy = self._knows_gradient and self.loop.constant and not exact
+        if kernel is None or kernel.actions < actions or by_numpy or self._compiled.time != seconds:
+            return None
+        return kernel.rows_for_search(exact)
 
     @property
     def not_compiled(self) -> str:

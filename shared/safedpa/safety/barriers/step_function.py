@@ -50,6 +50,11 @@ class StepFunction:
             value, g = map(np.array, kernel.tangent(state.tolist(), around.tolist(), (), 0.0))
         return value - g @ around, g
 
+    def compiled_step(self, states: int, actions: int) -> Any:
+        """The compiled step and tangent as one object for the compiled search; None without a compiler."""
+        kernel = self._kernel(states, actions)
+        return None if kernel is None else kernel.compiled_step()
+
     def prepare(self, states: int, actions: int) -> None:
         """Compiles now, rather than while a robot drives."""
         self._kernel(states, actions)

@@ -221,9 +221,17 @@ class Prediction:
             return None
         return AffineMotion(state, known, model.period, base.weights.description.period)
 
-    def compiled_step(self) -> Any:
-        """The model's compiled step; None: there is none, or it is not up to date."""
-        physics = self._physics
+    @property
+    def step_function(self) -> Any:
+        """The user's ``step(x, a, operations)``, if the prediction is one; else None."""
+        owner = getattr(self._step, "__self__", None)
+        return owner if hasattr(owner, "compiled_step") else None
+
+    def compiled_step(self, states: int, actions: int) -> Any:
+        """The model's compiled step for so many states and actions; None: there is none, or it is not up to date."""
+        physics, function = self._physics, self.step_function
+        if function is not None:
+            return function.compiled_step(states, actions) if states else None
         if physics is None or self.has_actuator_memory:
             return None
         if self._scalar_step is None:
