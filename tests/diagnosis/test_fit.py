@@ -361,3 +361,16 @@ def test_actuators_are_followed_within_each_row(tmp_path, name, parameter, value
     (std,) = found.deviations
     assert std < 4e-4 * value
     assert abs(found.model.settings[path].value - value) < 2.5 * std
+
+
+def test_commands_between_rows_are_means_of_neighbours_and_can_be_taken_back(given):
+    recorded = data_at_horizon(given[1], 1.0)
+    between = recorded.with_commands(between_rows=True)
+    assert between.with_commands(between_rows=True).shooting is between.shooting
+    back = between.with_commands(between_rows=False)
+    for name in ("shooting", "heldout"):
+        before, during, after = (getattr(item, name).windows for item in (recorded, between, back))
+        (begin, end), u = before.bounds[0], before.actions
+        np.testing.assert_allclose(during.actions[begin : end - 1], 0.5 * (u[begin : end - 1] + u[begin + 1 : end]))
+        np.testing.assert_array_equal(during.actions[end - 1], u[end - 1])
+        np.testing.assert_array_equal(after.actions, u)

@@ -113,8 +113,7 @@ class SearchState:
         first = fit(self.first.fit.model, self.first.fit.paths, windows, self.first.fit.scale)
         self.first, self.first_shooting = trial_of(first, windows, (), None), windows
         self.first_error = error_with(first, windows, self.heldout)
-        windows, now = self.shooting.with_commands(between_rows=between_rows), self.current.fit
-        self.set_model(*((now, windows) if not now.paths else relinearized(now, windows)))
+        self.set_model(*relinearized(self.current.fit, self.shooting.with_commands(between_rows=between_rows)))
 
     def copy(self) -> SearchState:
         """Returns a search that may be continued without changing this one."""
