@@ -224,7 +224,7 @@ def room(x: Any, operations: Any) -> list[Any]:
 
 
 def test_rollouts_of_ones_own_functions_are_decided_as_by_python() -> None:
-    own = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon=0.01)
+    own = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon={"rollout": 0.01})
     filters = []
     for _ in range(2):
         barrier = safedpa.RolloutBarrier(step, brake, room, horizon=30, names=("first", "second"))

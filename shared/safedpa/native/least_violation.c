@@ -200,7 +200,8 @@ static void maximin(
     for (int i = 0; i < v->count; i++)
         if (lowest[i] <= (isnan(levels[i]) ? most : levels[i]))
             add_max_min_row(p, gradients + i * actions, offsets[i], levels[i]);
-    if (!p->count || !solve_max_min(p, &d->program, u))
+    clear_flags();
+    if (!p->count || !solve_max_min(p, &d->program, u) || odd_numbers())
         decline(d, "the max-min program needs the general solver");
 }
 

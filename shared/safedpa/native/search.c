@@ -489,6 +489,7 @@ static solver_status solve_program(
     const decision_settings *set = d->set;
     const int actions = set->actions;
     program_2d *q = &d->program;
+    clear_flags();
     double x = (nominal[0] - set->low[0]) / set->width[0], y = 0.0, weight = set->weight[0];
     if (actions > 1)
         y = (nominal[1] - set->low[1]) / set->width[1], weight = set->weight[1];
@@ -518,7 +519,8 @@ static solver_status solve_program(
         clip_action(set, nominal, action);
         return NOT_NEEDED;
     }
-    if (!solve_hard(q) && !solve_soft(q))
+    /* Python raises for a division by zero */
+    if ((!solve_hard(q) && !solve_soft(q)) || odd_numbers())
         decline(d, "the quadratic program needs the general solver");
     action[0] = q->x == 1.0 ? set->high[0] : set->low[0] + set->width[0] * q->x;
     if (actions > 1)
