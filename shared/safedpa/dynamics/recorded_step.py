@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.tangent import ScalarTangent, compiled_tangent, tangent_text
-from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, NotRecordableError, Recorded, Tape, name_of
-from safedpa.native import NoKernelError
+from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.native.captured import Captured
-from safedpa.native.library import remark
-from safedpa.native.steps import compiled_step
+from safedpa.native.steps import LateStep
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
 ScalarStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -164,17 +162,16 @@ def _step_and_tangent(
     tape: Tape, head: list[str], after: list[str], names: Names, native: bool
 ) -> tuple[ScalarStep, ScalarTangent]:
     actions = _numbered("a", names[1])
+    late = None
     if native and not tape.calls:
-        try:
-            texts = _text(head, tape, after, FLOAT_FORMS), tangent_text(head, tape.lines, after, actions)
-            compiled = compiled_step(*texts, (len(names[0]), len(names[1]), len(names[2])))
-            return compiled.step, compiled.tangent
-        except NoKernelError as error:
-            remark(str(error))
-        except NotRecordableError:  # an operation without C: the recorded functions are used
-            pass
+        texts = _text(head, tape, after, FLOAT_FORMS), tangent_text(head, tape.lines, after, actions)
+        late = LateStep(*texts, (len(names[0]), len(names[1]), len(names[2])))
+        if late.compiled is not None:
+            return late.compiled.step, late.compiled.tangent
     tangent = compiled_tangent(head, tape.lines, tape.calls, after, actions)
-    return _compiled(head, tape, after, FLOAT_FORMS, FLOATS), tangent
+    step = _compiled(head, tape, after, FLOAT_FORMS, FLOATS)
+    step.late = late  # type: ignore[attr-defined]  # for ``compiled_step_of``
+    return step, tangent
 
 
 def record_own_step(
@@ -214,8 +211,17 @@ def compiled_step_of(step: Any) -> Any:
     """Returns the ``safedpa.native`` object whose method a recorded step is, if it is up to date; else None."""
     if not all(each.unchanged() for each in getattr(step, "watched", ())):
         return None
-    owner = getattr(getattr(step, "function", step), "__self__", None)
+    own = getattr(step, "function", step)
+    late = getattr(own, "late", None)
+    owner = getattr(own, "__self__", None) if late is None else late.compiled
     return owner if hasattr(owner, "tangent") else None
+
+
+def wait_for_compiler(step: Any) -> None:
+    """Waits until no compiler is busy with this step."""
+    late = getattr(getattr(step, "function", step), "late", None)
+    if late is not None:
+        late.wait()
 
 
 def record_batch_step(equations: Equations, names: Names) -> ScalarStep | None:

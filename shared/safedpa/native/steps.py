@@ -24,7 +24,7 @@ from safedpa.equations.tape import NotRecordableError
 from safedpa.native.library import NoKernelError, is_compiled, later, load, load_module, remark
 from safedpa.native.translate import Translator, function_lines
 
-__all__ = ["CompiledRows", "compiled_step", "rows_source", "step_source"]
+__all__ = ["CompiledRows", "LateStep", "compiled_step", "rows_source", "step_source"]
 
 _HEAD: Final = '#include <math.h>\n\n#define EXPORTED __attribute__((visibility("default"))) void\n'
 _ARGUMENTS: Final = (("state", "s"), ("action", "a"), ("latent", "z"))
@@ -56,6 +56,41 @@ def compiled_step(step: str, tangent: str, sizes: tuple[int, int, int]) -> Any:
     return load_module().Step(
         _address(library, "model_step"), _address(library, "model_tangent"), constants, *sizes, library
     )
+
+
+@final
+class LateStep:
+    """The compiled step of a model: at once if it is in the cache, otherwise as soon as the compiler is done.
+
+    A background thread compiles, because a robot that drives gets new models and must not wait for that.
+    """
+
+    def __init__(self, step: str, tangent: str, sizes: tuple[int, int, int]) -> None:
+        self.compiled: Any = None
+        """The ``Step``; None: Python computes."""
+        self._done = Event()
+        try:
+            ready = is_compiled(step_source(step, tangent)[0])
+        except NotRecordableError:  # an operation without C
+            self._done.set()
+            return
+        make = partial(self._make, step, tangent, sizes)
+        if ready:
+            make()
+        else:
+            later(make)
+
+    def wait(self) -> None:
+        """Waits until there is no compiler to wait for."""
+        self._done.wait()
+
+    def _make(self, step: str, tangent: str, sizes: tuple[int, int, int]) -> None:
+        try:
+            self.compiled = compiled_step(step, tangent, sizes)
+        except NoKernelError as error:
+            remark(str(error))
+        finally:
+            self._done.set()
 
 
 def rows_source(tape: RowTape) -> tuple[str, list[float], list[str]]:

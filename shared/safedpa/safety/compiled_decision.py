@@ -104,6 +104,8 @@ class CompiledDecisions:
             remark(str(error))
             self._possible = False
             return
+        if parts:  # a filter that gets its barriers later is that of a robot that may be driving already
+            self._prediction.wait_for_compiler()
         barriers = make_barrier_set(parts or ())
         if isinstance(barriers, CompiledBarrierSet) and states:
             with contextlib.suppress(Exception):  # what fails here is reported by the decision that needs it

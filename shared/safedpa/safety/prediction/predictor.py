@@ -14,7 +14,7 @@ import numpy as np
 
 from safedpa.arrays import FloatArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
-from safedpa.dynamics.recorded_step import compiled_step_of
+from safedpa.dynamics.recorded_step import compiled_step_of, wait_for_compiler
 from safedpa.errors import InputError
 from safedpa.safety.prediction.dead_time import ActuatorModel, EffectStart, InFlightCommands
 from safedpa.safety.validation import checked_output
@@ -237,6 +237,11 @@ class Prediction:
         if self._scalar_step is None:
             self._scalar_step = physics.scalar_step(physics.period)
         return compiled_step_of(self._scalar_step)
+
+    def wait_for_compiler(self) -> None:
+        """Waits until no compiler is busy with the model's step."""
+        if self._physics is not None:
+            wait_for_compiler(self._physics.scalar_step(self._physics.period))
 
     @property
     def seconds(self) -> float:
