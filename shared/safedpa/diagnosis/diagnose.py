@@ -70,16 +70,21 @@ _Unmodelled = tuple[Unexplained | None, list[JudgedTrial]]
 _MIN_DETECTABLE = 0.5
 
 
-def library_for(model: PhysicsModel, *, rare: bool = False) -> list[AbstractEffect]:
+def library_for(model: PhysicsModel) -> list[AbstractEffect]:
     """Returns the robot's effects that the model's actions allow and that the model does not have.
 
-    Those that are ``rare`` only if asked for. Bounds are those for logs of the model's period.
+    Without the rare ones. Bounds are those for logs of the model's period.
     """
+    return [item for item in _effects_for(model) if not item.rare]
+
+
+def _effects_for(model: PhysicsModel) -> list[AbstractEffect]:
+    """Returns the same with the rare effects."""
     have = {item.name for item in model.effects}
     actions = set(model.system.action_names)
     every = effects_of(model.system.name).values()
     chosen = [item for item in every if item.name not in have and set(item.needs) <= actions]
-    return [item.at_period(model.period) for item in chosen if rare or not item.rare]
+    return [item.at_period(model.period) for item in chosen]
 
 
 def diagnose(
@@ -99,7 +104,7 @@ def diagnose(
     # Judged before the search: with too little data, any ranking of effects would look like a finding.
     judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
     # Rare effects are tried too, but only for what the common ones leave.
-    library = library_for(model, rare=True)
+    library = [*library_for(model), *(item for item in _effects_for(model) if item.rare)]
     if not judge.enough:
         usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
     horizons: list[float] = []
