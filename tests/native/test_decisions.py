@@ -20,6 +20,7 @@ from safedpa.dynamics import load_model
 from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, SafetyFilter, Verdict
 from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.prediction.dead_time import InFlightCommands
 from safedpa.safety.solver.candidates import HeldSolution
 
 if shutil.which("cc") is None:
@@ -241,3 +242,17 @@ def test_rollouts_of_ones_own_functions_are_decided_as_by_python() -> None:
         seen.add(found.status.value)
     assert {"passed", "corrected"} <= seen
     assert compiled.decide([np.nan, 0.0, 0.0, 0.0], [0.0, 0.0]).status.value == "fallback"
+
+
+def test_with_commands_in_flight_under_several_delays_verdicts_are_those_of_python() -> None:
+    random, seen = np.random.default_rng(11), set[str]()
+    for _ in range(150):
+        commands = random.uniform((-0.6, -0.34), (2.0, 0.34), (2, 2))
+        queue = tuple((tuple(one.tolist()), float(random.uniform(0.01, 0.1))) for one in commands)
+        others = tuple(InFlightCommands(None, (0.0, 0.0), part) for part in (queue[:1], queue))
+        memory = InFlightCommands(None, (0.0, 0.0), queue[: random.integers(0, 3)], others[: random.integers(0, 3)])
+        state = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0))
+        found = COMPILED.decide(state, [2.0, 0.1], CAR.latent, memory=memory)
+        assert fields(found) == fields(PYTHON.decide(state, [2.0, 0.1], CAR.latent, memory=memory))
+        seen.add(found.status.value)
+    assert {"passed", "corrected", "violated"} <= seen

@@ -34,7 +34,7 @@ static double relax(const violation_search *v, double value, double tolerance)
 
 static void measure_reach(decision *d, candidate *const *known, int count, double *reach)
 {
-    const int rows = d->barriers->rows, actions = d->set->actions, corners = 1 << actions;
+    const int rows = d->rows, actions = d->set->actions, corners = 1 << actions;
     for (int row = 0; row < rows; row++) {
         double low = INFINITY, high = -INFINITY;
         for (int i = 0; i < count; i++) {
@@ -59,7 +59,7 @@ static void measure_reach(decision *d, candidate *const *known, int count, doubl
 static void split_rows(violation_search *v, const candidate *one, const double *reach)
 {
     const decision *d = v->d;
-    for (int row = 0; row < d->barriers->rows; row++) {
+    for (int row = 0; row < d->rows; row++) {
         const double base = d->base_scales[row], size = larger(base, size_of(one->h[row]));
         const int moved = reach[row] > ROW_ROUNDING * size;
         const double scale = moved ? larger(base, reach[row]) : size;
@@ -376,7 +376,7 @@ static scored *search_levels(violation_search *v, scored *const *known, int coun
 static candidate *least_violation(
     decision *d, candidate *const *known, int count, int **uncontrollable, int *uncontrollable_count)
 {
-    const int rows = d->barriers->rows;
+    const int rows = d->rows;
     violation_search *v = ARRAY(d, violation_search, 1);
     scored *all[MOST_SCORED];
     double *reach = ARRAY(d, double, rows);

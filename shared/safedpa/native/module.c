@@ -590,7 +590,7 @@ static const char *const STATUS_NAMES[] = {"not run", "not needed", "solved"};
 static PyObject *answer(Search *self, int kind, const candidate *c, solver_status status, double binding)
 {
     decision *d = &self->d;
-    const int rows = d->barriers->rows;
+    const int rows = d->rows;
     double slack = 0.0;
     PyObject *active = PyTuple_New(0);
     int count = 0, *order = NULL;
@@ -624,7 +624,7 @@ static PyObject *answer(Search *self, int kind, const candidate *c, solver_statu
 }
 
 /* The scene of the decisions that follow. */
-static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *at_once)
+static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *at_once, int cases)
 {
     decision *d = &self->d;
     const barrier_rows *own = barriers_of(rows);
@@ -632,21 +632,26 @@ static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *
         PyErr_Format(PyExc_TypeError, "rows: got another object than compiled rows");
         return 0;
     }
-    const int count = own->rows;
+    const int each = own->rows, count = each * cases;
+    if (cases < 1 || cases > MOST_STATES / own->states || (cases > 1 && own->rollout)) {
+        PyErr_Format(PyExc_ValueError, "got %d states, wanted fewer", cases);
+        return 0;
+    }
     Py_CLEAR(self->rows);
     Py_CLEAR(self->names); /* those of another scene */
     if (!reserve(self, count) || !doubles(epsilon, count, (double *)d->epsilon, "epsilon"))
         return 0;
     PyObject *once = PySequence_Fast(at_once, "at_once");
-    if (!once || PySequence_Fast_GET_SIZE(once) != count) {
+    if (!once || PySequence_Fast_GET_SIZE(once) != each) {
         Py_XDECREF(once);
         if (!PyErr_Occurred())
             PyErr_Format(PyExc_ValueError, "at_once of other rows");
         return 0;
     }
     for (int row = 0; row < count; row++)
-        self->at_once[row] = PySequence_Fast_GET_ITEM(once, row) == Py_True;
+        self->at_once[row] = PySequence_Fast_GET_ITEM(once, row % each) == Py_True;
     Py_DECREF(once);
+    d->cases = cases, d->rows = count, d->states = own->states * cases;
     Py_INCREF(rows);
     self->rows = rows;
     d->set = &self->set, d->barriers = own, d->state = self->state, d->latent = self->latent;
@@ -659,7 +664,7 @@ static int set_model(Search *self, PyObject *known, double period, double traine
     decision *d = &self->d;
     const int states = d->barriers->states;
     d->known = NULL, d->model = NULL;
-    if (known != Py_None) {
+    if (known != Py_None && d->cases == 1) {
         d->known = self->known, d->period = period, d->trained_period = trained_period;
         return doubles(known, states * (self->set.actions + 1), self->known, "known") != NULL;
     }
@@ -701,13 +706,18 @@ static int decide_quickly(Search *self, double least)
 static PyObject *search_decide(Search *self, PyObject *const *args, Py_ssize_t count)
 {
     decision *d = &self->d;
-    if (!check_count(count, 11) || !set_scene(self, args[0], args[5], args[6]))
+    const barrier_rows *own = count == 11 ? barriers_of(args[0]) : NULL;
+    const Py_ssize_t numbers = own ? PySequence_Size(args[1]) : 0;
+    if (!check_count(count, 11) || numbers < 0)
+        return NULL;
+    const int cases = own && own->states && numbers <= MOST_STATES ? (int)numbers / own->states : 1;
+    if (!set_scene(self, args[0], args[5], args[6], cases))
         return NULL;
     const double least = PyFloat_AsDouble(args[10]);
     const double period = PyFloat_AsDouble(args[8]), trained_period = PyFloat_AsDouble(args[9]);
     d->time = PyFloat_AsDouble(args[4]);
     if (PyErr_Occurred() || !set_model(self, args[7], period, trained_period) ||
-        !doubles(args[1], d->barriers->states, self->state, "state") ||
+        !doubles(args[1], d->states, self->state, "state") ||
         !doubles(args[2], self->set.actions, d->nominal, "nominal") ||
         (d->model && !doubles(args[3], d->model->latents, self->latent, "latent")))
         return NULL;
@@ -834,9 +844,9 @@ static PyObject *search_prepare(Search *self, PyObject *const *args, Py_ssize_t 
 /* (rows, epsilon, at_once, names, margin, remark) of the verdicts that follow. */
 static PyObject *search_scene(Search *self, PyObject *const *args, Py_ssize_t count)
 {
-    if (!check_count(count, 6) || !set_scene(self, args[0], args[1], args[2]))
+    if (!check_count(count, 6) || !set_scene(self, args[0], args[1], args[2], 1))
         return NULL;
-    if (!PyTuple_Check(args[3]) || PyTuple_GET_SIZE(args[3]) != self->d.barriers->rows)
+    if (!PyTuple_Check(args[3]) || PyTuple_GET_SIZE(args[3]) != self->d.rows)
         return PyErr_Format(PyExc_ValueError, "names of other rows");
     Py_INCREF(args[3]);
     Py_XSETREF(self->names, args[3]);
@@ -912,17 +922,17 @@ static PyObject *search_verdict(Search *self, PyObject *const *args, Py_ssize_t 
 /* (action, next state, h, residual, violated rows) */
 static PyObject *plain_candidate(Search *self, const candidate *c)
 {
-    const barrier_rows *b = self->d.barriers;
+    const decision *d = &self->d;
     PyObject *violated = PyList_New(0);
-    for (int row = 0; violated && row < b->rows; row++)
+    for (int row = 0; violated && row < d->rows; row++)
         if (c->violated[row]) {
             PyObject *index = PyLong_FromLong(row);
             if (!index || PyList_Append(violated, index) < 0)
                 Py_CLEAR(violated);
             Py_XDECREF(index);
         }
-    return Py_BuildValue("(NNNNN)", tuple_of(c->action, self->set.actions), list_of(c->next, b->states),
-                         list_of(c->h, b->rows), list_of(c->residual, b->rows), violated);
+    return Py_BuildValue("(NNNNN)", tuple_of(c->action, self->set.actions), list_of(c->next, d->states),
+                         list_of(c->h, d->rows), list_of(c->residual, d->rows), violated);
 }
 
 /* (answer as of `decide`, violated rows, candidate) of an action. */
@@ -1011,7 +1021,7 @@ static PyObject *search_search(Search *self, PyObject *const *args, Py_ssize_t c
 static PyObject *search_h_now(Search *self, PyObject *unused)
 {
     (void)unused;
-    return self->rows ? list_of(self->d.h_now, self->d.barriers->rows) : PyErr_Format(PyExc_ValueError, "no decision");
+    return self->rows ? list_of(self->d.h_now, self->d.rows) : PyErr_Format(PyExc_ValueError, "no decision");
 }
 
 static PyObject *search_why(Search *self, PyObject *unused)

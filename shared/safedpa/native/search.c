@@ -86,6 +86,9 @@ typedef struct block {
 typedef struct {
     const decision_settings *set;
     const barrier_rows *barriers;
+    /* Of several delays each has a state at which an action takes effect: a case. Rows and states of all cases, the
+       states one after the other. */
+    int cases, rows, states;
     const model_step *model;
     /* f and g of a model that is affine in the action, with its periods; else unused */
     const double *known;
@@ -184,14 +187,14 @@ static double smallest_of(const double *values, int count)
 static int roll_out(decision *d, const double *state, double *h)
 {
     const rollout_functions *r = d->barriers->rollout;
-    const size_t size = sizeof(double) * (size_t)d->barriers->states;
+    const size_t size = sizeof(double) * (size_t)d->states;
     memcpy(r->call->origin, d->state, size);
     memcpy(r->call->x, state, size);
     r->call->u.time = d->time;
     const int count = r->run(r->call, 1);
     if (count < 0)
         decline(d, "a state on the path is not finite");
-    memcpy(h, r->call->values, sizeof(double) * (size_t)d->barriers->rows);
+    memcpy(h, r->call->values, sizeof(double) * (size_t)d->rows);
     return count;
 }
 
@@ -200,19 +203,20 @@ static void evaluate_h(decision *d, const double *state, double *h)
     const barrier_rows *b = d->barriers;
     if (b->rollout) {
         roll_out(d, state, h);
-        if (!all_finite(h, b->rows))
+        if (!all_finite(h, d->rows))
             decline(d, "h is not finite");
         return;
     }
     clear_flags();
-    b->h(state, b->kept, b->k, b->items, b->counts, h);
-    if (odd_numbers() || !all_finite(h, b->rows))
+    for (int i = 0; i < d->cases; i++)
+        b->h(state + i * b->states, b->kept, b->k, b->items, b->counts, h + i * b->rows);
+    if (odd_numbers() || !all_finite(h, d->rows))
         decline(d, "h is not finite");
 }
 
 static void predict(decision *d, const double *action, double *next)
 {
-    const int states = d->barriers->states, actions = d->set->actions;
+    const int states = d->states, actions = d->set->actions;
     clear_flags();
     if (d->known) {
         const double *entry = d->known + states;
@@ -223,7 +227,9 @@ static void predict(decision *d, const double *action, double *next)
             next[row] = d->state[row] + d->period * ((d->known[row] + effect) / d->trained_period);
         }
     } else
-        d->model->step(d->state, action, d->latent, &d->time, d->model->k, next);
+        for (int i = 0; i < d->cases; i++)
+            d->model->step(d->state + i * d->barriers->states, action, d->latent, &d->time, d->model->k,
+                           next + i * d->barriers->states);
     if (odd_numbers() || !all_finite(next, states))
         decline(d, "the predicted state is not finite");
 }
@@ -231,8 +237,8 @@ static void predict(decision *d, const double *action, double *next)
 /* h and its points on the path over the predicted state. A search meets the same state again and again. */
 static void rolled_out(decision *d, candidate *c)
 {
-    const int rows = d->barriers->rows;
-    const size_t size = sizeof(double) * (size_t)d->barriers->states;
+    const int rows = d->rows;
+    const size_t size = sizeof(double) * (size_t)d->states;
     for (int i = 0; i < d->seen_count; i++)
         if (!memcmp(d->seen[i]->next, c->next, size)) {
             memcpy(c->h, d->seen[i]->h, sizeof(double) * (size_t)rows);
@@ -249,9 +255,9 @@ static void rolled_out(decision *d, candidate *c)
 
 static candidate *evaluate(decision *d, const double *action)
 {
-    const int rows = d->barriers->rows;
+    const int rows = d->rows;
     candidate *c = ARRAY(d, candidate, 1);
-    c->next = ARRAY(d, double, d->barriers->states);
+    c->next = ARRAY(d, double, d->states);
     c->h = ARRAY(d, double, rows);
     c->residual = ARRAY(d, double, rows);
     c->violated = ARRAY(d, unsigned char, rows);
@@ -276,7 +282,7 @@ static candidate *evaluate(decision *d, const double *action)
 static double min_scaled_residual(const decision *d, const candidate *c)
 {
     double smallest = c->residual[0] / d->scales[0];
-    for (int row = 1; row < d->barriers->rows; row++)
+    for (int row = 1; row < d->rows; row++)
         if (c->residual[row] < smallest * d->scales[row])
             smallest = c->residual[row] / d->scales[row];
     return smallest;
@@ -284,7 +290,7 @@ static double min_scaled_residual(const decision *d, const candidate *c)
 
 static void set_right_hand_side(decision *d)
 {
-    const int rows = d->barriers->rows;
+    const int rows = d->rows;
     const double share = 1.0 - d->set->eta;
     d->h_now = ARRAY(d, double, rows);
     d->rhs = ARRAY(d, double, rows);
@@ -309,7 +315,7 @@ static void clip_action(const decision_settings *set, const double *action, doub
 
 static int is_saturated(const decision *d, const double *g, int column, const double *reached)
 {
-    for (int row = 0; row < d->barriers->states; row++) {
+    for (int row = 0; row < d->states; row++) {
         const double motion = size_of(reached[row] - d->state[row]), size = size_of(reached[row]);
         const double noise = NO_INFLUENCE * (motion > size ? motion : size);
         if (!(size_of(g[row * d->set->actions + column]) * d->set->width[column] <= noise))
@@ -320,14 +326,17 @@ static int is_saturated(const decision *d, const double *g, int column, const do
 
 static void control_matrix(decision *d, const candidate *about)
 {
-    const int states = d->barriers->states, actions = d->set->actions;
+    const int states = d->states, actions = d->set->actions;
     double g[MOST_STATES * MOST_ACTIONS], next[MOST_STATES];
     if (d->known) {
         for (int i = 0; i < states * actions; i++)
             g[i] = d->period * (d->known[states + i] * 1e-30 / d->trained_period) / 1e-30;
     } else {
+        const int own = d->barriers->states;
         clear_flags();
-        d->model->tangent(d->state, about->action, d->latent, &d->time, d->model->k, next, g);
+        for (int i = 0; i < d->cases; i++)
+            d->model->tangent(d->state + i * own, about->action, d->latent, &d->time, d->model->k, next + i * own,
+                              g + i * own * actions);
         if (odd_numbers())
             decline(d, "g is not finite");
     }
@@ -359,7 +368,7 @@ static void control_matrix(decision *d, const candidate *about)
 
 static tangent_plane *linearize(decision *d, const candidate *about)
 {
-    const int states = d->barriers->states, actions = d->set->actions, rows = d->barriers->rows;
+    const int states = d->states, actions = d->set->actions, rows = d->rows;
     tangent_plane *t = ARRAY(d, tangent_plane, 1);
     if (!d->has_last_g || !d->set->affine)
         control_matrix(d, about);
@@ -373,7 +382,9 @@ static tangent_plane *linearize(decision *d, const candidate *about)
     if (d->barriers->bound) {
         double bound[MOST_STATES], reach = 0.0;
         clear_flags();
-        d->barriers->bound(about->next, d->barriers->kept, d->barriers->k, bound);
+        for (int i = 0; i < d->cases; i++)
+            d->barriers->bound(about->next + i * d->barriers->states, d->barriers->kept, d->barriers->k,
+                               bound + i * d->barriers->states);
         if (odd_numbers())
             decline(d, "a bound of the slopes of h is not finite");
         for (int i = 0; i < states; i++)
@@ -384,33 +395,32 @@ static tangent_plane *linearize(decision *d, const candidate *about)
     return t;
 }
 
-/* The rows p'g from the slopes (rows, states) of these rows. */
-static void chain_rule(const decision *d, tangent_plane *t, const int *rows, int count, const double *slopes)
+/* The row p'g from the slopes (states,) of one row, at its own case. */
+static void chain_rule(const decision *d, tangent_plane *t, int row, const double *slopes)
 {
     const int states = d->barriers->states, actions = d->set->actions;
-    for (int i = 0; i < count; i++)
-        for (int column = 0; column < actions; column++) {
-            double total = 0.0;
-            for (int s = 0; s < states; s++)
-                total += slopes[i * states + s] * t->g[s * actions + column];
-            t->row[rows[i] * actions + column] = total;
-        }
+    const double *g = t->g + row / d->barriers->rows * states * actions;
+    for (int column = 0; column < actions; column++) {
+        double total = 0.0;
+        for (int s = 0; s < states; s++)
+            total += slopes[s] * g[s * actions + column];
+        t->row[row * actions + column] = total;
+    }
 }
 
 /* The rows of a rollout: by the chain rule along the path, or by differences over the range of each action. */
 static void rollout_rows(decision *d, tangent_plane *t, const int *unknown, int count)
 {
     const rollout_functions *r = d->barriers->rollout;
-    const int states = d->barriers->states, actions = d->set->actions, rows = d->barriers->rows;
+    const int states = d->states, actions = d->set->actions, rows = d->rows;
     const candidate *about = t->about;
     if (r->gradient) {
-        double *ignored = ARRAY(d, double, rows), *slopes = ARRAY(d, double, count * states);
+        double *ignored = ARRAY(d, double, rows);
         const int length = roll_out(d, about->next, ignored);
         if (r->gradient(r->call, 1, length) < 0)
             decline(d, "no slopes along the path");
         for (int i = 0; i < count; i++)
-            memcpy(slopes + i * states, r->call->out + unknown[i] * states, sizeof(double) * (size_t)states);
-        chain_rule(d, t, unknown, count, slopes);
+            chain_rule(d, t, unknown[i], r->call->out + unknown[i] * states);
         return;
     }
     memcpy(r->call->origin, d->state, sizeof(double) * (size_t)states);
@@ -439,11 +449,20 @@ static void compute_rows(decision *d, tangent_plane *t, const int *unknown, int 
         rollout_rows(d, t, unknown, count);
     else {
         double *slopes = ARRAY(d, double, count * b->states);
+        int *own = ARRAY(d, int, count);
         clear_flags();
-        b->slopes(t->about->next, b->kept, b->k, b->items, b->counts, unknown, count, slopes);
+        /* the unknown rows are in order: those of one case follow each other */
+        for (int i = 0, end; i < count; i = end) {
+            const int one = unknown[i] / b->rows;
+            for (end = i; end < count && unknown[end] / b->rows == one; end++)
+                own[end] = unknown[end] % b->rows;
+            b->slopes(t->about->next + one * b->states, b->kept, b->k, b->items, b->counts, own + i, end - i,
+                      slopes + i * b->states);
+        }
         if (odd_numbers())
             decline(d, "a slope of h is not finite");
-        chain_rule(d, t, unknown, count, slopes);
+        for (int i = 0; i < count; i++)
+            chain_rule(d, t, unknown[i], slopes + i * b->states);
     }
     for (int i = 0; i < count; i++) {
         const int row = unknown[i];
@@ -461,8 +480,8 @@ static void compute_rows(decision *d, tangent_plane *t, const int *unknown, int 
 
 static void all_rows(decision *d, tangent_plane *t)
 {
-    int *unknown = ARRAY(d, int, d->barriers->rows), count = 0;
-    for (int row = 0; row < d->barriers->rows; row++)
+    int *unknown = ARRAY(d, int, d->rows), count = 0;
+    for (int row = 0; row < d->rows; row++)
         if (!t->known[row])
             unknown[count++] = row;
     compute_rows(d, t, unknown, count);
@@ -532,7 +551,7 @@ static solver_status solve_program(
 static solver_status solve_linearized(
     decision *d, tangent_plane *t, const candidate *about, double overshoot, const double *nominal, double *action)
 {
-    const int actions = d->set->actions, rows = d->barriers->rows;
+    const int actions = d->set->actions, rows = d->rows;
     int *near = ARRAY(d, int, rows), *unknown = ARRAY(d, int, rows), count = 0, missing = 0;
     double *A = ARRAY(d, double, rows * actions), *b = ARRAY(d, double, rows), found[MOST_ACTIONS];
     for (int row = 0; row < rows; row++)
@@ -623,7 +642,7 @@ static candidate *iterate(
 static double feasible_share(const decision *d, const candidate *feasible, const candidate *infeasible)
 {
     double share = 1.0;
-    for (int row = 0; row < d->barriers->rows; row++) {
+    for (int row = 0; row < d->rows; row++) {
         const double here = feasible->residual[row], there = infeasible->residual[row];
         if (there < 0.0) {
             const double room = here > 0.0 ? here / (here - there) : 0.0;

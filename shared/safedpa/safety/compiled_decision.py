@@ -1,7 +1,7 @@
 """A decision by the compiled search: the same as by ``decision`` and ``solver``, in one call.
 
 ``CompiledDecisions`` belongs to one filter. It declines, and Python decides, wherever C has no answer: for three or
-more actions, delays, budgets, barriers that are no equations, and numbers that are not finite.
+more actions, actuators with memory, budgets, barriers that are no equations, and numbers that are not finite.
 """
 
 from __future__ import annotations
@@ -186,29 +186,31 @@ class CompiledDecisions:
         barriers: AbstractBarrierSet,
         nominal: tuple[float, ...],
         latent: tuple[float, ...] | None,
-        state: tuple[float, ...],
+        states: int,
+        start: tuple[float, ...],
         epsilon: Sequence[float],
         least: float = nan,
     ) -> Found | None:
         """The nominal action, or the nearest feasible one; None: Python has to decide.
 
-        ``least`` is the smallest h at the measured state, if ``state`` is another one, where an action takes effect.
+        ``start`` (cases * states,) is where an action takes effect, one state for each delay. ``least`` is the smallest
+        h at the measured state, if that is another one.
         """
         if not self._possible:
             return None
         self._scene = None
-        rows = self._rows_of(barriers, len(state))
+        rows = self._rows_of(barriers, states)
         if rows is None and isnan(least):
-            rows = self._rollout_of(barriers, state)
+            rows = self._rollout_of(barriers, start)
         prediction = self._prediction
-        motion = prediction.affine_motion(state, latent) if prediction.affine else None
+        motion = prediction.affine_motion(start, latent) if prediction.affine else None
         known, period, trained = (None, 0.0, 0.0) if motion is None else motion.entries
-        step = prediction.compiled_step(len(state), len(nominal)) if motion is None else None
+        step = prediction.compiled_step(states, len(nominal)) if motion is None else None
         if rows is None or (motion is None and step is None) or not self._ready(step, rows):
             return None
         free = prediction.nominal_latent if latent is None else latent
         found = self._search.decide(
-            rows, state, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained, least
+            rows, start, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained, least
         )
         return None if found is None else Found(*found)
 

@@ -187,7 +187,7 @@ class Decision:
         epsilon, self._margin = tools.margins.resolve(barriers, self._request.epsilon)
         self._names = barriers.names
         start = self._where_it_acts(state, epsilon)
-        found = None if start is None else compiled.decide(barriers, nominal, self._latent, *start)
+        found = None if start is None else compiled.decide(barriers, nominal, self._latent, len(state), *start)
         if found is None:
             return None
         if found.kind in (OPEN, BELOW):
@@ -210,7 +210,7 @@ class Decision:
             return None
         if result.candidate is None:
             return self._found(Status.corrected, result.found, _HOW[result.how])
-        notice = _uncontrollable_notice([self._names[row] for row in result.uncontrollable])
+        notice = _uncontrollable_notice([self._names[row % len(self._names)] for row in result.uncontrollable])
         if found.kind == OPEN:
             held_solution.store(result.candidate, self._seconds, notice)
             return self._found(Status.relaxed, result.found, f"{self._names_of(result.violated)}{notice}")
@@ -219,9 +219,9 @@ class Decision:
         return self._found(Status.violated, result.found, f"Below 0: {below}.{notice}")
 
     def _where_it_acts(self, state: Action, epsilon: Sequence[float]) -> tuple[Action, Sequence[float], float] | None:
-        """State and margins (rows,) of the constraints, and the smallest h at the measured state if it is another.
+        """States and margins (rows,) of the constraints, and the smallest h at the measured state if it is another.
 
-        None: there are several such states, or the action acts late.
+        None: the action acts late.
         """
         memory, prediction = self._request.memory, self._tools.prediction
         if not memory or prediction.effect_start(state, self._latent, memory) is None:
@@ -233,7 +233,7 @@ class Decision:
     def _found(self, status: Status, found: Found, reason: str, action: Action | None = None) -> Verdict:
         names = self._names
         # Several rows may belong to one barrier; dict.fromkeys removes repeated names and keeps the order.
-        active = tuple(dict.fromkeys([names[row] for row in found.active])) if found.active else ()
+        active = tuple(dict.fromkeys([names[row % len(names)] for row in found.active])) if found.active else ()
         taken = found.action if action is None else action
         status, reason, h_next = self._with_in_flight(status, reason, found.h_next)
         return self._answer(status, taken, reason, found.solver, found.slack, active, h_next, found.h_now)
@@ -250,7 +250,8 @@ class Decision:
         return status, reason, min_h_next
 
     def _names_of(self, rows: Sequence[int]) -> str:
-        return _not_satisfied(tuple(dict.fromkeys([self._names[row] for row in rows])))
+        names = self._names
+        return _not_satisfied(tuple(dict.fromkeys([names[row % len(names)] for row in rows])))
 
     def _decide(self, constraints: Constraints) -> Verdict:
         """The verdict of a search without a limit of its own."""

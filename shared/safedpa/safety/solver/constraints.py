@@ -144,9 +144,11 @@ class Constraints:
 
     @property
     def start(self) -> tuple[float, ...] | None:
-        """(states,) the only state at which the constraints start; None: there are several, or the action acts late."""
-        one = self._effect is None and len(self.h_at_effect) == len(self.h_now)
-        return self._state if one else None
+        """(cases * states,) where the constraints start, one state for each delay; None: the action acts late."""
+        if self._effect is None:
+            return self._state
+        late = any(case.waiting_periods > 0 or case.steps != 1 for case in self._effect.cases)
+        return None if late or self._prediction.has_actuator_memory else self._state
 
     def _margins_of_cases(self, cases: Sequence[EffectStart], epsilon: Plain, eta: float) -> list[float]:
         """(rows,) epsilon_i + eta min(n epsilon_i, travel_i), where n periods of commands act before the constraint.
