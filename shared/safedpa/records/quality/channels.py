@@ -12,7 +12,7 @@ from safedpa.records.quality.response import Response, response_of
 from safedpa.records.run import Finding, RawRows, Stretch
 from safedpa.systems import System
 
-__all__ = ["dead_rows", "frozen_rows", "jump_rows", "quantised_findings"]
+__all__ = ["dead_rows", "frozen_rows", "jump_rows", "quantised_findings", "spike_rows"]
 
 Found = tuple[BoolArray, list[Finding]]
 
@@ -20,6 +20,10 @@ _FROZEN_SECONDS = 2.0
 """A frozen sensor does not change at all for at least so many seconds,"""
 _FROZEN_ROWS = 20
 """and so many rows."""
+_NOTHING = 1e-300
+"""Smaller numbers are zeros over a part of a number."""
+_FEWEST_ZEROS = 3
+"""Rows of zeros, of a sensor that is lost for a moment or in a file without checksums."""
 _MAX_REPEATS = 0.3
 """Largest share of repeated values elsewhere; a channel that often repeats values is slow, not frozen."""
 _MIN_MOTION = 0.1
@@ -51,6 +55,7 @@ def frozen_rows(rows: RawRows, stretches: list[Stretch], system: System, measure
             continue
         values = rows.states[:, index]
         spans = _unchanged_spans(rows.t, values, stretches, _FROZEN_SECONDS)
+        spans += [span for span in _zero_spans(values) if span not in spans]
         others = np.concatenate([np.delete(rows.states, index, axis=1), rows.actions], axis=1)
         spans = [span for span in spans if _others_move(others, span)]
         if not spans or not _usually_changes(values, spans):
@@ -85,6 +90,7 @@ def dead_rows(rows: RawRows, stretches: list[Stretch], system: System) -> Found:
     for index, variable in enumerate(system.action):
         shortest = max(_DEAD_SECONDS, _DEAD_SHARE * total_time)
         spans = _unchanged_spans(rows.t, rows.actions[:, index], stretches, shortest)
+        spans += [span for span in _zero_spans(rows.actions[:, index]) if span not in spans]
         spans = [
             span
             for span in spans
@@ -120,6 +126,47 @@ def _unchanged_spans(t: FloatArray, values: FloatArray, stretches: list[Stretch]
             if t[high - 1] - t[low] >= seconds:
                 spans.append(slice(low, high))
     return spans
+
+
+def _zero_spans(values: FloatArray) -> list[slice]:
+    """Spans of zeros between steps that the channel never makes otherwise: lost, or overwritten in a file."""
+    largest = _largest_step(values)
+    zero = np.concatenate([[False], np.abs(values) < _NOTHING, [False]]).astype(np.int8)
+    found = []
+    for low, high in np.flatnonzero(np.diff(zero)).reshape(-1, 2).tolist():
+        inside = low > 0 and high < len(values) and high - low >= _FEWEST_ZEROS
+        edges = sorted((abs(values[low - 1]), abs(values[high]))) if inside else (0.0, 0.0)
+        if edges[0] > largest / _STEPS_AFTER and edges[1] > largest:
+            found.append(slice(low, high))
+    return found
+
+
+def _largest_step(values: FloatArray) -> float:
+    """Step that a channel never makes but by a fault; infinite if it hardly ever changes."""
+    steps = np.abs(np.diff(values))
+    moving = steps[(steps > 0.0) & np.isfinite(steps)]
+    return _STEPS_AFTER * float(np.quantile(moving, 0.99)) if len(moving) >= _FROZEN_ROWS else np.inf
+
+
+def spike_rows(rows: RawRows, known: BoolArray, system: System, measured: list[bool]) -> Found:
+    """Single rows in which a measured state is far from both neighbours, to the same side; without those ``known``."""
+    bad = np.zeros(len(rows.t), dtype=bool)
+    found = []
+    for index, variable in enumerate(system.state):
+        values = rows.states[:, index]
+        steps = np.diff(values)
+        largest = _largest_step(values)
+        if not measured[index] or not np.isfinite(largest):
+            continue
+        small = np.minimum(np.abs(steps[:-1]), np.abs(steps[1:]))
+        at = np.flatnonzero((steps[:-1] * steps[1:] < 0.0) & (small > largest)) + 1
+        at = at[~known[at]]
+        if len(at):
+            bad[at] = True
+            text = f"{variable.name} has {count_text(len(at), 'value', 'values')} that neither neighbour explains"
+            done = 'cut out; if it is real, set keep = ["jump"] in a column map'
+            found.append(finding("jump", text, len(at), rows.t[at[0]], done))
+    return bad, found
 
 
 def _others_move(others: NDArray[np.float64], span: slice) -> bool:

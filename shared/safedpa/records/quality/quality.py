@@ -18,7 +18,7 @@ from safedpa.errors import RunError
 from safedpa.limits import readable
 from safedpa.records.column_map.apply import derive_states, resample_rows
 from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
-from safedpa.records.quality.channels import dead_rows, frozen_rows, jump_rows, quantised_findings
+from safedpa.records.quality.channels import dead_rows, frozen_rows, jump_rows, quantised_findings, spike_rows
 from safedpa.records.quality.clock import (
     gap_rows,
     held_findings,
@@ -68,6 +68,8 @@ def _check_rows(rows: RawRows, mapping: ColumnMap, system: System) -> tuple[RawR
         findings += found
     findings += [*sampling_finding(rows.t), *rates_finding(rows.t)]
     rows = replace(rows, states=_unwrap(rows.states, bad, system, mapping))
+    mask, found = spike_rows(rows, bad, system, measured)
+    bad, findings = _cut(bad, findings, "jump", mask, found, mapping)
     stretches = _stretches(bad, breaks)
     mask, found = jump_rows(rows, stretches, system, measured)
     breaks |= mask

@@ -105,6 +105,8 @@ def constant_findings(rows: RawRows, stretches: list[Stretch], system: System) -
 
 _PERIODS = (2e-4, 0.5)
 """Plausible range of the time between rows, s."""
+_FASTEST, _DAY = 2e-5, 86_400.0
+"""s; no robot is recorded in shorter steps."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _EPOCH = (1e9, 4e9)
 """s since 1970: the years 2001 to 2096."""
@@ -130,6 +132,9 @@ def _time_unit(rows: RawRows, system: System) -> list[Finding]:
     if len(steps) < _MIN_ROWS:
         return []
     period, last = float(np.median(steps)), float(np.nanmax(np.abs(rows.t)))
+    if period < _FASTEST and _PERIODS[0] <= _DAY * period <= _PERIODS[1]:
+        text = f"t steps by {period:.4g}: it looks like days, as spreadsheets count, not seconds, so every row was cut"
+        return [finding("unit_mistake", text, len(rows.t), None, "multiply it by 86400, or write dates")]
     for unit, factor in _UNITS:
         if not _PERIODS[0] <= factor * period <= _PERIODS[1]:
             continue

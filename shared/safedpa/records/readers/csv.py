@@ -39,6 +39,8 @@ __all__ = ["read_csv_table"]
 _READ_BYTES = 1 << 16
 _NEIGHBOURS = 20
 """Lines above the last one whose cells are compared with it."""
+_WORDS = 0.01
+"""Share of the rows that may have a word in place of a number."""
 _NULL = f"^({'|'.join(map(re.escape, NULLS))})$"
 
 
@@ -194,8 +196,8 @@ class _Reader:
         line = self.line_in_file(min(self.malformed)[0])
         lines = "line was" if len(self.malformed) == 1 else "lines were"
         text = (
-            f"{len(self.malformed)} {lines} cut off or had another number of cells than the header's "
-            f"{len(self.layout.header)}, first line {line}; dropped"
+            f"{len(self.malformed)} {lines} cut off, had another number of cells than the header's "
+            f"{len(self.layout.header)}, or words for numbers, first line {line}; dropped"
         )
         return (Finding("malformed_line", text, len(self.malformed)),)
 
@@ -256,13 +258,16 @@ def _numbers_from_text(
             columns, findings = with_commas, (*findings, decimal_comma_finding())
             reader.layout = replace(reader.layout, point=",")
     dropped = _lines_of_text(reader, texts, columns)
+    other = _other_table(reader, texts, names, dropped)
+    findings = (*findings, *other[1])
+    dropped |= other[0] | _words(texts, columns, dropped)
     bad = min(((row, name) for name, found in columns.items() for row in found.bad if row not in dropped), default=None)
     if bad is not None:
         row, name = bad
         if row < texts.num_rows - 1 or _ends_with_newline(reader.file):
             raise reader.bad_cell(name, row, str(texts.column(name)[row].as_py()))
         dropped.add(row)
-    lines = [reader.line_of(row) for row in sorted(dropped)]
+    lines = [reader.line_of(row) for row in sorted(dropped - other[0])]
     reader.malformed += [(line, -1) for line in lines]
     kept = np.delete(np.arange(texts.num_rows), sorted(dropped))
     markers: dict[str, Counter[str]] = {name: found.markers for name, found in columns.items()}
@@ -297,6 +302,33 @@ def _lines_of_text(reader: _Reader, texts: pyarrow.Table, columns: dict[str, Cel
         row for name, found in columns.items() for row in found.bad if "\0" in str(texts.column(name)[row].as_py())
     }
     return (common if len(common) < texts.num_rows / 2 else set()) | holes
+
+
+def _other_table(
+    reader: _Reader, texts: pyarrow.Table, names: Sequence[str], dropped: set[int]
+) -> tuple[set[int], tuple[Finding, ...]]:
+    """Rows below a second header whose columns are in another order, up to the next header in this order."""
+    found: set[int] = set()
+    begin = None
+    for row in [*sorted(dropped), texts.num_rows]:
+        if begin is not None:
+            found |= set(range(begin, row))
+        cells = [(texts.column(name)[row].as_py() or "").strip() for name in names] if row < texts.num_rows else []
+        begin = row + 1 if cells != list(names) and sum(cell in reader.layout.header for cell in cells) > 1 else None
+    if not found:
+        return found, ()
+    line = reader.line_in_file(reader.line_of(min(found) - 1))
+    text = f"line {line} is a header with other columns: the {len(found)} rows below it are of another table; left out"
+    return found, (Finding("malformed_line", text, len(found)),)
+
+
+def _words(texts: pyarrow.Table, columns: dict[str, Cells], dropped: set[int]) -> set[int]:
+    """Rows with a word in place of a number, such as "Total" or "ERR", if they are few."""
+    rows = {row: name for name, found in columns.items() for row in found.bad if row not in dropped}
+    if len(rows) > _WORDS * texts.num_rows:
+        return set()
+    cells = [str(texts.column(name)[row].as_py()) for row, name in rows.items()]
+    return set() if any(sign.isdigit() for cell in cells for sign in cell) else set(rows)
 
 
 def _check_quotes(reader: _Reader, read: int) -> None:

@@ -38,6 +38,7 @@ _FIRST_LETTERS = 4
 """Letters at the beginning of a text in UTF-16 that have to be ASCII: binary data may begin like one."""
 _MIN_FITTING = 0.5
 """Share of the rows that must have as many cells as the header, if both are split at blanks."""
+_UNPACKED_BYTES = 1 << 20
 _MAX_UNIT = 16
 """Letters of the name of a unit."""
 _NUMBER = re.compile(r"[-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?")
@@ -54,8 +55,10 @@ class CsvFile:
             raise too_much("table_bytes", f"{size} bytes", str(path))
         with path.open("rb") as file:
             start = file.read(256)
+        self.findings: tuple[Finding, ...] = ()
+        """Of the file as a whole: a packed one may be cut off."""
         if start.startswith(GZIP):
-            self._text = _unpacked(path, size)
+            self._text, self.findings = _unpacked(path, size)
             start = self._text[:256]
         encoding = _wide_encoding(start)
         if b"\r" in start and b"\n" not in start and not encoding:
@@ -107,17 +110,26 @@ class CsvFile:
         return [text for line in found if (text := decoded(line))]
 
 
-def _unpacked(path: Path, size: int) -> bytes:
+def _unpacked(path: Path, size: int) -> tuple[bytes, tuple[Finding, ...]]:
+    """The text of a file packed by gzip, up to its damage, without the line that is damaged."""
     most = max(limit("expansion_free_bytes"), size * limit("expansion"))
-    try:
-        with gzip.open(path) as packed:
-            data = packed.read(most + 1)
-            allow_for(len(data))
-    except (EOFError, OSError, zlib.error) as error:
-        raise RunError(f"{path}: cannot be unpacked by gzip ({error}); it may be cut off: copy it again") from error
+    data, reason = bytearray(), ""
+    with gzip.open(path) as packed:
+        try:
+            while len(data) <= most and (piece := packed.read1(_UNPACKED_BYTES)):
+                data += piece
+                allow_for(len(piece))
+        except (EOFError, OSError, zlib.error) as error:
+            reason = str(error)
     if len(data) > most:
         raise too_much("expansion", "more", str(path))
-    return data
+    if not reason:
+        return bytes(data), ()
+    end = data.rfind(b"\n") + 1
+    if not end:
+        raise RunError(f"{path}: cannot be unpacked by gzip ({reason}); it may be cut off: copy it again")
+    text = f"the packed file is cut off or damaged ({reason}); it was read up to there"
+    return bytes(data[:end]), (Finding("cut_off", text),)
 
 
 def _wide_encoding(start: bytes) -> str:
@@ -180,7 +192,7 @@ def find_layout(file: CsvFile, wanted: Sequence[str]) -> Layout:
         raise RunError(f"{path}: the first line is not text; wanted a CSV file in UTF-8 with a header line")
     if not any(best.header):
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
-    if not _matched(best.header, wanted) and all(_NUMBER.fullmatch(cell) for cell in best.header):
+    if not _matched(best.header, wanted) and all(_NUMBER.fullmatch(cell) or DATE.match(cell) for cell in best.header):
         raise RunError(
             f"{path}: has no header: line {best.line + 1} holds numbers; write a first line with the columns' names"
         )
@@ -203,7 +215,7 @@ def find_layout(file: CsvFile, wanted: Sequence[str]) -> Layout:
             "separated by commas; save it with decimal points, or with semicolons between the cells"
         )
     delimiter = "\t" if best.delimiter == _BLANKS else best.delimiter
-    return Layout(best.line, header, delimiter, point, tuple(findings), int(skipped))
+    return Layout(best.line, header, delimiter, point, (*file.findings, *findings), int(skipped))
 
 
 def decimal_comma_finding() -> Finding:

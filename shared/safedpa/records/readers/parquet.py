@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from safedpa.errors import RunError
 from safedpa.limits import limit, too_much
-from safedpa.records.readers.cells import Cells, element_of, missing_value_findings, numbers_of_column
+from safedpa.records.readers.cells import Cells, element_of, floats_of, missing_value_findings, numbers_of_column
 from safedpa.records.readers.own_process import allow_for
 from safedpa.records.readers.table import Table, require_columns, require_file
+from safedpa.records.run import Finding
 
 if TYPE_CHECKING:
     import pyarrow
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["dataset_files", "is_dataset", "open_parquet", "read_dataset", "read_parquet_table"]
 
 _NUMBER_BYTES = 8
+_AROUND = 16
+"""Rows before and after damaged values that are ignored as well."""
 _EPISODE = "episode_index"
 """Column of a LeRobot dataset with the number of the episode."""
 _MAX_FILES = 10_000
@@ -45,6 +48,7 @@ def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
             read = list(dict.fromkeys(own[source] for source in sources.values()))
             _check_size(path, file, len(wanted))
             table = file.read(columns=read)
+            beyond = _beyond_statistics(file, table, own, sources)
         columns = {name: table.column(own[source]) for name, source in sources.items()}
         for name, (_, place) in elements.items():
             columns[name] = _element(path, name, columns[name], place)
@@ -54,7 +58,45 @@ def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
         raise RunError(f"{path}: cannot be read as Parquet ({reason}); it may be cut off or another format") from error
     timed = frozenset(name for name, found in cells.items() if found.is_time)
     markers = missing_value_findings({name: found.markers for name, found in cells.items()})
-    return Table({name: found.values for name, found in cells.items()}, tuple(markers), timed=timed)
+    for name, rows in beyond.items():
+        cells[name].values[rows] = np.nan
+    damage = [_damaged(name, rows) for name, rows in beyond.items()]
+    return Table({name: found.values for name, found in cells.items()}, (*markers, *damage), timed=timed)
+
+
+def _beyond_statistics(
+    file: ParquetFile, table: pyarrow.Table, own: Mapping[str, str], sources: Mapping[str, str]
+) -> dict[str, slice]:
+    """Rows with values beyond the least and largest that their writer noted: pages often have no checksum.
+
+    Of each column, the rows from the first to the last of them, and those around, which were overwritten as well.
+    """
+    from pyarrow import types
+
+    about, found = file.metadata, {}
+    places = {about.schema.column(k).path: k for k in range(about.num_columns)}
+    for name, source in sources.items():
+        column = table.column(own[source])
+        place = places.get(own[source])
+        if place is None or not types.is_floating(column.type):
+            continue
+        values, at = floats_of(column), 0
+        bad = np.zeros(len(values), dtype=bool)
+        for group in range(about.num_row_groups):
+            count, noted = about.row_group(group).num_rows, about.row_group(group).column(place).statistics
+            if noted is not None and noted.has_min_max and isinstance(noted.min, float):
+                part = values[at : at + count]
+                bad[at : at + count] = (part < noted.min) | (part > noted.max)
+            at += count
+        rows = np.flatnonzero(bad)
+        if len(rows):
+            found[name] = slice(max(0, int(rows[0]) - _AROUND), int(rows[-1]) + 1 + _AROUND)
+    return found
+
+
+def _damaged(name: str, rows: slice) -> Finding:
+    text = f"{name}: rows {rows.start + 1} to {rows.stop} hold values beyond those that the file notes: it is damaged "
+    return Finding("damaged", f"{text}there; they were ignored, copy the file again", rows.stop - rows.start)
 
 
 def is_dataset(path: Path) -> bool:

@@ -116,7 +116,9 @@ def _judged_stamps(series: Series, parts: NDArray[np.intp], agree: BoolArray | N
     assert series.stamp is not None
     stamp, receipt = series.stamp, series.receipt
     near = np.abs(receipt - stamp) * 1e-9 < MAX_LATE if agree is None else agree
-    wrong = _zero(series) | _stuck(series)
+    wrong = _zero(series)
+    for rows in (np.flatnonzero(near), np.flatnonzero(~near)):  # of each of two publishers, whose messages alternate
+        wrong[rows] |= _stuck(series, rows)
     cuts = []
     for number in np.unique(parts):
         rows = np.flatnonzero((parts == number) & ~wrong)
@@ -144,13 +146,13 @@ def _zero(series: Series) -> BoolArray:
     return np.asarray(zero & (np.abs(delay - delay[after]) > MAX_LATE * 1e9))
 
 
-def _stuck(series: Series) -> BoolArray:
-    """Messages that repeat a stamp, but neither its values nor its time of receipt, three times or more in a row."""
+def _stuck(series: Series, rows: NDArray[np.intp]) -> BoolArray:
+    """Which of ``rows`` repeat a stamp, but not its values and time of receipt, three times or more in a row."""
     assert series.stamp is not None
-    other = np.zeros(len(series.receipt) - 1, dtype=bool)
+    again = np.zeros(len(rows), dtype=bool)
     for values in series.values.values():
-        other |= np.diff(values) != 0.0
-    again = np.append(False, (np.abs(np.diff(series.stamp)) <= _SAME) & (np.diff(series.receipt) > 0) & other)
+        again[1:] |= np.diff(values[rows]) != 0.0
+    again[1:] &= (np.abs(np.diff(series.stamp[rows])) <= _SAME) & (np.diff(series.receipt[rows]) > 0)
     if not again.any():
         return again
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
