@@ -137,7 +137,7 @@ def alternative_formula(search: SearchState, names: LibraryMatcher | None = None
     min_decrease = _MIN_DECREASE if len(selected.terms) == most else _MIN_DECREASE_IF_SIMPLER
     if trial.loss > found.loss - min_decrease or block_gain(found, trial, shooting) < _LEAD:
         return None
-    if _same_shape(found, trial, null):
+    if all(term.text == f"sign({state})" for state, term in selected.terms) and _same_shape(found, trial, null):
         return None
     if names is not None and names.of_formula(trial):
         return None
@@ -151,7 +151,7 @@ def alternative_formula(search: SearchState, names: LibraryMatcher | None = None
 
 
 def _same_shape(found: EffectTrial, formula: EffectTrial, null: EffectTrial) -> bool:
-    """Returns whether a formula explains what the effects found explain: sign(speed) is dry friction, say."""
+    """Returns whether a formula explains what the effects found explain; sign(speed) is dry friction."""
     again = explained_by(found.fit, null)
     size = float(np.sqrt((again**2).sum() * (formula.explained**2).sum()))
     return size > 0.0 and float((again * formula.explained).sum()) > SAME_SHAPE * size
