@@ -36,7 +36,9 @@ def test_it_prints_its_address_and_ends_at_once_without_a_viewer(tmp_path):
         with urllib.request.urlopen(address, timeout=PATIENCE) as page:
             assert page.status == 200
             assert "rerun%2Bhttp://localhost" in page.url
-            assert b'memory_limit: "250MB"' in page.read(), "the viewer keeps what it is sent within a limit"
+            text = page.read()
+            assert b'memory_limit: "250MB"' in text, "the viewer keeps what it is sent within a limit"
+            assert b"location.reload()" in text, "and what it has not drawn, too"
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
         rest, complaint = process.communicate(timeout=PATIENCE)

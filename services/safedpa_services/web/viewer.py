@@ -17,6 +17,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -65,7 +66,7 @@ class Viewer:
         with self._lock:
             if not self._files:
                 self._files = _fetched()
-                self._files[""] = self._files[""].replace(_OPTIONS, _MEMORY_LIMIT)
+                self._files[""] = _watched(self._files[""].replace(_OPTIONS, _MEMORY_LIMIT))
         return self._files[wanted], _FILES[wanted]
 
 
@@ -91,6 +92,11 @@ async def viewer_file(viewer: Viewer, name: str, more: str = "") -> Response:
 async def _parts(content: bytes) -> AsyncIterator[bytes]:
     for start in range(0, len(content), _PART_BYTES):
         yield content[start : start + _PART_BYTES]
+
+
+def _watched(page: bytes) -> bytes:
+    script = (files("safedpa_services.web") / "viewer_watch.js").read_bytes()
+    return page.replace(b"<head>", b"<head><script>" + script + b"</script>", 1)
 
 
 def _fetched() -> dict[str, bytes]:

@@ -157,6 +157,7 @@ ELSEWHERE: Final = {
     "log-faults": "reads spoiled logs; tests require its counts",
     "full-disk": "mounts file systems; exit code 1 where a run fails",
     "long-logs": "times one size of logs; docs/evidence/speed.md has the sizes",
+    "silences": "hangs processes in real time; exit code 1 where a place reports it too late",
     "soak": "an hour in real time; exit code 1 where a limit is exceeded",
 }
 """Experiments whose results no page quotes, and why."""

@@ -1,7 +1,7 @@
 """Operation over a long time and on a full disk, measured on the real processes of ``safedpa up``.
 
 Read ``soak.py`` first: memory, page and disk of a fleet with its dashboard open in a browser. ``full_disk.py`` fills
-the disk of a run in each phase.
+the disk of a run in each phase, ``silences.py`` hangs its processes.
 """
 
 from __future__ import annotations
@@ -43,5 +43,18 @@ EXPERIMENTS = (
         verdict=f"{__name__}.full_disk:verdict",
         extras=("sim",),
         small=("--seconds", "4"),
+    ),
+    Experiment(
+        name="silences",
+        help="""Hang each process of a run, and measure when status, terminal, headline and metrics report it.
+
+    Exit code 1 if one of them takes more than 2 s, is right only for a time, or does not recover. Alerts follow the
+    metrics after the delay that their rule states. The supervisor restarts a service that hangs for 10 s.""",
+        run=f"{__name__}.silences:run",
+        parameters=(number("--seconds", 8.0, "for which each process hangs", positive=True), FILE_OUT),
+        report=f"{__name__}.silences:report",
+        verdict=f"{__name__}.silences:verdict",
+        extras=("sim", "metrics"),
+        small=("--seconds", "3"),
     ),
 )
