@@ -256,3 +256,26 @@ def test_with_commands_in_flight_under_several_delays_verdicts_are_those_of_pyth
         assert fields(found) == fields(PYTHON.decide(state, [2.0, 0.1], CAR.latent, memory=memory))
         seen.add(found.status.value)
     assert {"passed", "corrected", "violated"} <= seen
+
+
+FORKS = """
+import os, sys
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.safety import FilterSettings
+from safedpa.safety.barriers.stack import make_barrier_set
+barriers = make_barrier_set(car_barriers(FilterSettings.for_robot("car"), (0.1, 0.4, 0.1), [[1.0, 1.0, 0.2]]))
+barriers.scalar_rows(4)
+child = os.fork()
+barriers.prepare(4)
+status = 0 if child == 0 else os.waitpid(child, 0)[1]
+print("done", status, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.long
+def test_a_process_that_forks_while_a_thread_compiles_does_not_hang(tmp_path: Path) -> None:
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", FORKS]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, timeout=100)
+    assert done.stdout == "done 0\ndone 0\n"

@@ -53,7 +53,9 @@ _MODULE: Final = "safedpa_kernel"
 _PARTS: Final = ("programs.c", "search.c", "least_violation.c", "module.c")
 _PACKAGED: Final = Path(__file__).with_name("built")
 """Kernels of what ships, compiled when a wheel is built; as private as the package itself."""
-_LOADING: Final = Lock()
+_LOADING = Lock()
+_PENDING: Final[list[Callable[[], None]]] = []
+"""Tasks of ``later`` that are not done."""
 _FAILED: Final[dict[tuple[object, ...], str]] = {}
 """Why a compiler failed, by key, folder and command."""
 _SECONDS: Final = 60.0
@@ -95,6 +97,7 @@ def is_compiled(source: str) -> bool:
 
 def later(task: Callable[[], None]) -> None:
     """Runs a task in a thread of its own, after those given before; the end of the process does not wait for it."""
+    _PENDING.append(task)
     _tasks().put(task)
 
 
@@ -104,10 +107,27 @@ def _tasks() -> Queue[Callable[[], None]]:
 
     def work() -> None:
         while True:
-            tasks.get()()
+            task = tasks.get()
+            task()
+            _PENDING.remove(task)
 
     Thread(target=work, name="safedpa-compiler", daemon=True).start()
     return tasks
+
+
+def _after_fork() -> None:
+    """In a forked process there is no other thread: no lock is held, and pending tasks begin again."""
+    global _LOADING  # noqa: PLW0603
+    _LOADING = Lock()
+    _tasks.cache_clear()
+    pending = _PENDING.copy()
+    _PENDING.clear()
+    for task in pending:
+        later(task)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 @cache
