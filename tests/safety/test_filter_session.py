@@ -1,6 +1,7 @@
 """What a session remembers: it believes plausible states, predicts lost ones, and reports why a robot stays."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,63 @@ def test_a_unicycle_with_a_plain_distance_is_reported_within_two_seconds() -> No
             assert "boxed in" in verdict.reason
         x = following
     assert 0.0 <= reported - slow <= 2.0
+
+
+def test_a_repeated_message_is_predicted_through_and_a_state_that_stays_so_is_frozen() -> None:
+    session, held = session_of_the_mass(), np.array([0.5, 1.0])
+    session.decide([0.45, 1.0], [0.0])
+    session.decide(held, [0.0])
+    assert "repeats the one before" in session.decide(held, [0.0]).reason
+    assert session.decide([0.6, 1.0], [0.0]).status.value == "passed", "the source goes on"
+    for _ in range(3):
+        session.decide([0.6, 1.0], [0.0])
+    assert "its own rates say that it moves" in session.latched
+
+
+def test_a_state_that_says_that_it_has_become_older_is_no_frozen_one() -> None:
+    session = session_of_the_mass()
+    for age in (0.0, 0.05, 0.1, 0.15):
+        session.decide([0.5, 1.0], [0.0], until_action=age)
+    assert session.latched == ""
+
+
+def test_rates_that_commands_should_have_caused_find_a_frozen_state_before_the_position_does() -> None:
+    found = []
+    for rates in ({}, {"m/s": 0.2}):
+        session = session_of_the_mass(replace(LIMITS, unanswered={"m": 0.05, **rates}))
+        found.append([x[0] for _, x, _ in drive(session.decide, lambda *_: np.zeros(2)) if not session.latched][-1])
+    assert found[1] < 0.75 * found[0]
+
+
+@pytest.mark.parametrize("overbraking", [0.0, 0.2])
+def test_a_robot_that_brakes_harder_than_its_model_is_not_driven_backwards_without_a_state(overbraking: float) -> None:
+    """The true brake is three times as strong."""
+    session = session_of_the_mass(replace(LIMITS, overbraking={"m/s": overbraking}))
+    x, slowest = np.zeros(2), 0.0
+    for tick in range(80):
+        verdict = session.decide(x if tick < 20 else None, [2.0 if tick < 24 else 0.0])
+        x = A @ x + B @ (verdict.action * (3.0 if verdict.action[0] < 0.0 else 1.0))
+        slowest = min(slowest, x[1])
+    assert bool(slowest > -0.5) is (overbraking > 0.0)
+
+
+def test_after_a_pause_a_resting_robot_has_the_same_heading() -> None:
+    car = System(
+        "own",
+        (Variable("x", "m", -9.0, 9.0), Variable("yaw", "rad", -4.0, 4.0), Variable("v", "m/s", -2.0, 2.0)),
+        (Variable("a", "m/s2", -2.0, 2.0),),
+    )
+    safe = SafetyFilter(
+        lambda x: (x.copy(), np.array([[0.0], [0.0], [PERIOD]])),
+        [FunctionBarrier(lambda x: 3.0 - x[0], kind="wall")],
+        FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon={"wall": 0.0}),
+    )
+    limits = StateLimits(jump={"m": 0.1, "rad": 0.1, "m/s": 0.3})
+    for speed, turned in ((0.0, True), (1.0, False)):
+        session = FilterSession(safe, period=PERIOD, system=car, limits=limits)
+        session.decide([0.0, 0.0, speed], [0.0], time=0.0)
+        session.decide([0.0, 1.0, speed], [0.0], time=1.0)
+        assert ("it moved by 1 rad" in session.latched) is turned
 
 
 # clocks

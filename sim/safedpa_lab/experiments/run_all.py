@@ -90,6 +90,7 @@ PARTS: Final = (
     Part("safety-pays", 15),
     Part("controllers", 10),
     Part("implausible-states", 90),
+    Part("false-stops", 60),
     Part("differential-drive", 10, "differential-drive --first-seed 100"),
     Part("sensing", 40, f"sensing --seeds 5 --first-seed 3500 --seconds 20 --no-peers {_LOADS}"),
     Part(

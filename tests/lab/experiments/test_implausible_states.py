@@ -5,7 +5,7 @@ import pytest
 
 from safedpa_lab.experiments.driving.implausible_states import StateDrive, run_state_drive
 from safedpa_lab.experiments.driving.state_faults import FAULTS, ROBOTS, FaultyState, StateFault
-from safedpa_lab.experiments.driving.state_limits import HealthyDrive, measured_evidence
+from safedpa_lab.experiments.driving.state_limits import measured_evidence
 
 CAR = ROBOTS["car"]
 
@@ -40,6 +40,6 @@ def test_a_drive_with_a_fault_is_stopped_for_the_right_reason(fault: StateFault)
 
 @pytest.mark.long
 def test_a_healthy_drive_shows_small_errors_of_every_unit() -> None:
-    rows = measured_evidence(HealthyDrive("car", "none", 5, 1.5))
+    rows = measured_evidence(StateDrive("car", "none", 5, 1.5, StateFault("none")))
     assert set(rows[-1].jump) == {"m", "rad", "m/s"}
     assert max(row.jump["m"] for row in rows) < 0.1

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import ceil, hypot, isfinite, isnan
+from math import ceil, isfinite, isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -45,8 +45,16 @@ _SAME_AGE: Final = 1e-6
 """Share of a period by which the ages of two states may differ by rounding."""
 _LONGEST_SHARE: Final = 3.0
 """Periods between two measurements that are predicted by one step."""
+_UNKNOWN_GROWTH: Final = 3
+"""Lost states that a period counts as in which it is not even known what the robot applied."""
 _LONGEST_JUMP: Final = 4.0
 """Largest jumps that are added to the motion during a pause."""
+_REPEATED_SHARE: Final = 0.2
+"""Share of the limit of a jump that a repeated state should have moved by its own rates before it counts as lost."""
+_FROZEN_SHARE: Final = 0.5
+"""The same before it counts as frozen."""
+_FROZEN_COUNT: Final = 2
+"""Repetitions before a state counts as frozen: one message may be sent twice."""
 _AT_REST: Final = 0.01
 """Share of the fastest motion since the state was lost below which the robot counts as stationary."""
 
@@ -94,6 +102,14 @@ class GuardedSession(SessionMemory[StateT]):
         self._commands: deque[Plain] = deque(maxlen=_MOST_COMMANDS)
         """The actions that were applied, newest first."""
         self._fastest = 0.0
+        self._same_seconds, self._same_count = 0.0, 0
+        """Time [s] and states since the measured values last changed."""
+        self._overbraked: dict[str, float] = {}
+        """By how much the predicted rates may be too high, by unit: the robot may brake harder than its model."""
+        self._gap = 0
+        """Periods between the two newest states for which there is none."""
+        self._behind = ""
+        """Why the newest state is older than it says; empty if it is not."""
         self._accepted: StateT | None = None
         self._former_latent: FloatArray | None = None
         """(latents,) of the last decision of the session that this one continues."""
@@ -114,13 +130,16 @@ class GuardedSession(SessionMemory[StateT]):
         # Without a state to predict from, the filter itself refuses this one.
         if self._believed is None:
             return ""
-        if self.problem and (self.lost * self.model.period > GRACE or self.problem != _LOST):
+        if self._behind:
+            return f"the state is implausible, {self._behind}"
+        if self.problem and (self.lost * self.model.period > GRACE or self.problem not in (_LOST, _REPEATS)):
             return f"{self.problem}; predicted for {self.lost * self.model.period:.2g} s"
         return self.delayed
 
     def confirm(self) -> None:
         """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
         self.latched, self.latch_ordered, self.lost, self._believed = "", False, 0, None
+        self._same_seconds, self._same_count, self._overbraked = 0.0, 0, {}
         self._monitor.restart()
 
     @property
@@ -133,11 +152,14 @@ class GuardedSession(SessionMemory[StateT]):
         self._believed, self._clock = former._believed, former._clock
         self._commands, self._trusted, self._measured = former._commands, former._trusted, former._measured
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
+        self._same_seconds, self._same_count = former._same_seconds, former._same_count
+        self._overbraked, self._behind = former._overbraked, former._behind
         if same_model:
             # Without the actuators and the latent, the next state would be compared with another prediction.
             self.memory, self.until_action = former.memory, former.until_action
             self._former_latent = former._last_latent
             self._monitor, self._free_memory, self._fastest = former._monitor, former._free_memory, former._fastest
+            self.deadlock_detector = former.deadlock_detector
             self.history.continue_from(former.history)
             self.delay.continue_from(former.delay)
 
@@ -151,22 +173,26 @@ class GuardedSession(SessionMemory[StateT]):
             return before
         raw, self._measured = self._measured, tuple(state.values)
         late = "" if arrived is None else self._clock.observe(state.robot_time, arrived)
+        self._behind = "" if arrived is None or self.limits is None or not self.can_stop else self._clock.behind
         self.problem = _problem_of(state.values, len(self.model.system.state)) or self._out_of_range(state.values)
         usable, known = not self.problem, self._believed
-        self._was_lost = self.lost > 0
+        self._was_lost, self._gap = self.lost > 0, 0
         self.evidence = None
         self._commands.appendleft(self._applied(state))
         compared = not usable or bool(self.latched) or self.limits is not None
         predicted = self._predicted(state) if known is not None and compared else None
         if usable and not self.latched and self.limits is not None:
-            self.latched = self._implausible(state, predicted, late)
+            self.latched = self._repeated(state, raw) or (
+                "" if self.problem else self._implausible(state, predicted, late)
+            )
+            usable = not self.problem
             # A frozen state was believed for some periods: the robot is where the commands took it since.
             if self.latched and self._is_unanswered():
                 predicted = self._since_moved(state) or predicted
         if usable and not self.latched:
-            if self._monitor.accept(state.values, self.evidence, self.lost):
+            if self._monitor.accept(state.values, self.evidence, self.lost + self._gap):
                 self._free_memory = None
-            self.lost, self._fastest = 0, 0.0
+            self.lost, self._fastest, self._overbraked = 0, 0.0, {}
             self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)
         elif predicted is not None and known is not None:
             # Values that do not change at all may be frozen: they would make the robot brake for ever.
@@ -176,6 +202,11 @@ class GuardedSession(SessionMemory[StateT]):
             if fresh:
                 pairs = enumerate(zip(state.values, predicted, strict=True))
                 predicted = tuple([measured if at in self._trusted else guess for at, (measured, guess) in pairs])
+                self._overbraked = {}
+            elif self.limits is not None:
+                for unit in self._monitor.falling(known.values, predicted):
+                    more = self.limits.overbraking.get(unit, 0.0)
+                    self._overbraked[unit] = self._overbraked.get(unit, 0.0) + more
             self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
             # The fields of a state message are checked; only its values change.
             state = replace(state, values=predicted)  # type: ignore[type-var]
@@ -198,16 +229,46 @@ class GuardedSession(SessionMemory[StateT]):
     def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
         """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""
         verdict = self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
-        if self.can_stop and self.lost and self._is_at_rest(state, verdict.action, latent):
+        stationary = self.lost and (
+            self._is_at_rest(state, verdict.action, latent) or self._may_be_at_rest(state.values)
+        )
+        if self.can_stop and stationary:
             verdict = replace(verdict, action=self.filter.settings.resting_action)
         return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
+
+    def _may_be_at_rest(self, values: Plain) -> bool:
+        """Whether a robot that brakes as hard as any healthy one would be at rest: it must not be driven backwards."""
+        speeds = self._monitor.rates(values)
+        known = [unit for unit, size in self._overbraked.items() if size > 0.0]
+        return bool(known) and all(speeds[unit] <= self._overbraked[unit] for unit in known)
+
+    def _repeated(self, state: StateT, raw: Plain) -> str:
+        """Why a state that is exactly the one before contradicts its own rates; empty if it does not.
+
+        At first it may be an old message: then it is ``problem``, and the state is predicted as if it were lost.
+        """
+        known = self._believed
+        if known is None or tuple(state.values) != raw:
+            self._same_seconds, self._same_count = 0.0, 0
+            return ""
+        ticks = max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+        # A measurement that says that it has become older is no new one.
+        self._same_seconds += max(0.0, ticks * self.model.period + known.until_action - state.until_action)
+        self._same_count += 1
+        share = max(self._monitor.claimed_motion(state.values, self._same_seconds).values(), default=0.0)
+        if share > _REPEATED_SHARE:
+            self.problem = _REPEATS
+        if not (share > _FROZEN_SHARE and self._same_count >= _FROZEN_COUNT):
+            return ""
+        self._trusted = frozenset()
+        return f"it does not change for {self._same_seconds:.2g} s, although its own rates say that it moves"
 
     def _implausible(self, state: StateT, predicted: Plain | None, late: str) -> str:
         """Why the state contradicts the ones before, or its clock (``late``); empty if it does not, or without any."""
         known = self._believed
         if predicted is None or known is None or len(predicted) != len(state.values):
             return ""
-        gap = max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
+        gap = self._gap = max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
         # A robot without a safe standstill cannot wait for a confirmation: a source that pauses begins again.
         if gap and not self.can_stop:
             self._monitor.restart()
@@ -223,9 +284,9 @@ class GuardedSession(SessionMemory[StateT]):
 
     def _contradiction(self, state: StateT, known: _Believed, predicted: Plain, gap: int) -> Contradiction:
         """What the state contradicts under each delay of the commands that a robot may have unknown to the filter."""
-        free, lost = self._free(state), self.lost + gap
+        free, lost = self._free(state), self.lost + _UNKNOWN_GROWTH * gap
         self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
-        found = self._monitor.problem(self.evidence, lost)
+        found = self._monitor.problem(self.evidence, lost, self._unknown_motion(known, gap))
         if not found.text or lost or state.values == known.values:
             return found
         for late in range(1, self._allowed_periods + 1):
@@ -238,6 +299,19 @@ class GuardedSession(SessionMemory[StateT]):
         self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
         return found
 
+    def _unknown_motion(self, known: _Believed, gap: int) -> dict[str, float]:
+        """By how much a state may differ from its prediction, by unit, for reasons other than noise.
+
+        A robot that was not asked for ``gap`` periods may have braked or driven on, and one that brakes without a
+        measured speed may brake harder than its model does.
+        """
+        found, period = dict[str, float](), self.model.period
+        for rate, speed in self._monitor.rates(known.values).items() if gap or self._overbraked else ():
+            less = self._overbraked.get(rate, 0.0)
+            found[rate] = less + (speed if gap else 0.0)
+            found[rate.removesuffix("/s")] = period * (self.lost * less + gap * speed)
+        return found
+
     def _too_far(self, state: StateT, known: _Believed, periods: int) -> str:
         """Whether the state is further from the last one than its rates explain; empty if it is not.
 
@@ -245,14 +319,16 @@ class GuardedSession(SessionMemory[StateT]):
         it moved no further than at its last rates, plus the largest jump: a source that restarts elsewhere is seen.
         """
         self._monitor.restart()
-        names = self.model.system.state
         moved = self._monitor.observe(state.values, known.values, known.values).jump
         jumps = StateLimits() if self.limits is None else self.limits
         seconds = periods * self.model.period
+        speeds = self._monitor.rates(known.values)
+        # A heading without a measured rate turns with a robot that moves, but not with one that rests.
+        resting = all(seconds * speed <= jumps.jump.get(rate.removesuffix("/s"), 0.0) for rate, speed in speeds.items())
         for unit, size in moved.items():
-            rates = [value for each, value in zip(names, known.values, strict=True) if each.unit == f"{unit}/s"]
-            if rates and unit in jumps.jump:
-                limit = seconds * hypot(*rates) + _LONGEST_JUMP * jumps.jump[unit]
+            rate = speeds.get(f"{unit}/s", 0.0 if resting and speeds and "/s" not in unit else None)
+            if rate is not None and unit in jumps.jump:
+                limit = seconds * rate + _LONGEST_JUMP * jumps.jump[unit]
                 if not size <= limit:
                     return f"it moved by {size:.2g} {unit} within {seconds:.2g} s (at most {limit:.2g} {unit})"
         return ""
@@ -282,7 +358,10 @@ class GuardedSession(SessionMemory[StateT]):
 
     def _free(self, state: StateT) -> Plain:
         """The prediction since the position last changed, one period further; empty if there is none."""
-        free = self._monitor.free
+        free, known = self._monitor.free, self._believed
+        # The same measurement again, older by then: the robot had no time to answer.
+        if known is not None and state.until_action - known.until_action > 0.5 * self.model.period:
+            return free
         # A prediction that begins at the last state begins with its actuators.
         start = self.memory if self._free_memory is None else self._free_memory
         following = self._advanced(free, state, start, self._allowed_periods) if free else None
@@ -351,6 +430,7 @@ class GuardedSession(SessionMemory[StateT]):
 
 
 _LOST: Final = "the state is lost"
+_REPEATS: Final = "the state repeats the one before although it moves"
 
 
 def _problem_of(values: Sequence[float], states: int) -> str:

@@ -5,7 +5,9 @@ e = x - x^ (angles wrapped), four things are checked for the entries of each uni
 
     jump:        |e| over one period; after lost states it may be up to eight times as large
     drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates
-    unanswered:  the motion that the commands should have caused since the position last changed, within a second
+    unanswered:  the motion and the rate that the commands should have caused since the position last changed, within a
+                 second
+    repeats:     the state is exactly the one before, although its own rates say that the position changes
     clock:       the stamps advance at another rate than the states arrive
 
 The thresholds are ``StateLimits``. For the first two the level of noise that the state usually has counts as well.
@@ -14,8 +16,9 @@ The thresholds are ``StateLimits``. For the first two the level of noise that th
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot, inf, pi
+from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
 from safedpa.safety.session.state_limits import Evidence, StateLimits
@@ -29,6 +32,9 @@ _DRIFT_SECONDS: Final = 2.0
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
+_EXACT_SHARE: Final = 0.5
+"""Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
+noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low."""
 _WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
 _LOST_GROWTH: Final = 1.0
 _MOST_GROWTH: Final = 8.0
@@ -37,6 +43,9 @@ _NOISE_FACTOR: Final = 6.5
 """Medians of |e| that count as noise: one state in 10 million of a normal distribution in the plane is beyond it."""
 _MOST_NOISE: Final = 5.0
 """Factor by which noise may raise a limit: a state that keeps jumping must not become usual."""
+_GAPS_FACTOR: Final = 2.0
+"""Factor on the limit of a drift after lost states: the noise of consecutive errors then no longer cancels in their
+sum."""
 _NOISE_STEP: Final = 0.02
 """Share by which the estimated median changes per state."""
 
@@ -65,6 +74,8 @@ class StateMonitor:
             unit: tuple(index for index, each in enumerate(system.state) if each.unit == unit) for unit in units
         }
         self._positions = [unit for unit in units if "/s" not in unit]
+        self._rates = {f"{unit}/s": unit for unit in self._positions if f"{unit}/s" in units}
+        """Units of the rates of positions, with those of the positions."""
         self._noise = {unit: limits.jump.get(unit, 0.0) / _NOISE_FACTOR for unit in units}
         """Running median of |e| by unit."""
         self.restart()
@@ -73,6 +84,8 @@ class StateMonitor:
         """Forgets the motion so far; the noise is still known."""
         self._errors: deque[Plain] = deque(maxlen=max(2, round(_DRIFT_SECONDS / self._period)))
         self._ways: deque[dict[str, float]] = deque(maxlen=self._errors.maxlen)
+        self._gaps: deque[bool] = deque(maxlen=self._errors.maxlen)
+        """Whether a state was lost before each of the last ones."""
         self._unchanged = False
         """Whether no entry of the newest state differs from the one before."""
         self._anchor: Plain = ()
@@ -105,7 +118,24 @@ class StateMonitor:
             drift[unit] = hypot(*total), _norm(way, own) + sum(ways[unit] for ways in self._ways)
         self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
         self._free = free
-        return Evidence(jump, drift, self._unanswered(values))
+        return Evidence(jump, drift, self._unanswered(values), self._overbraking(values, before, predicted))
+
+    def rates(self, values: Plain) -> dict[str, float]:
+        """The size of each rate of the positions, by unit."""
+        return {unit: _norm(values, self._groups[unit]) for unit in self._rates}
+
+    def falling(self, before: Plain, predicted: Plain) -> list[str]:
+        """Units of the rates that are predicted to become smaller."""
+        now = self.rates(before)
+        return [unit for unit, size in self.rates(predicted).items() if size < now[unit]]
+
+    def claimed_motion(self, values: Plain, seconds: float) -> dict[str, float]:
+        """By how much of its ``jump`` limit each position must have changed in ``seconds`` [s] by its own rates."""
+        found = {}
+        for rate, unit in self._rates.items():
+            limit = self._limits.jump.get(unit, 0.0)
+            found[unit] = seconds * _norm(values, self._groups[rate]) / limit if limit else 0.0
+        return found
 
     def accept(self, values: Plain, evidence: Evidence | None, lost: int = 0) -> bool:
         """Takes in a believed state and what ``observe`` returned for it; None for the first one.
@@ -117,6 +147,7 @@ class StateMonitor:
             error, ways = self._newest
             self._errors.append(tuple(0.0 for _ in error) if lost else error)
             self._ways.append(ways)
+            self._gaps.append(lost > 0)
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
@@ -133,19 +164,26 @@ class StateMonitor:
             self._anchored = 0
         return again
 
-    def problem(self, evidence: Evidence, lost: int = 0) -> Contradiction:
-        """Why the state cannot be believed, with the numbers; empty if it can. ``lost``: states lost before it."""
+    def problem(
+        self, evidence: Evidence, lost: int = 0, unknown: Mapping[str, float] = MappingProxyType({})
+    ) -> Contradiction:
+        """Why the state cannot be believed, with the numbers; empty if it can.
+
+        ``lost``: states lost before it. ``unknown``: by how much more it may differ from its prediction, by unit.
+        """
         growth = min(1.0 + _LOST_GROWTH * lost, _MOST_GROWTH)
         for unit, size in evidence.jump.items():
             limit = self._with_noise(self._limits.jump.get(unit), unit)
-            if limit is not None and not size <= growth * limit:
+            largest = None if limit is None else growth * limit + unknown.get(unit, 0.0)
+            if largest is not None and not size <= largest:
                 if self._unchanged:
                     return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
-                text = f"it jumped by {size:.2g} {unit} against the prediction (at most {growth * limit:.2g} {unit})"
+                text = f"it jumped by {size:.2g} {unit} against the prediction (at most {largest:.2g} {unit})"
                 return Contradiction(text, self._others({unit}))
         for unit, (size, way) in () if lost else evidence.drift.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
+                limit *= _GAPS_FACTOR if any(self._gaps) else 1.0
                 limit += self._limits.drift_share.get(unit, 0.0) * way
                 if not size <= growth * limit and self._unchanged:
                     return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
@@ -157,7 +195,8 @@ class StateMonitor:
                     return Contradiction(text, self._others({unit}))
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
-            if limit is not None and size > limit:
+            exact = self._unchanged and unit in self._rates
+            if limit is not None and size > (_EXACT_SHARE if exact else 1.0) * limit:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
                 return Contradiction(text, ())
         return NO_CONTRADICTION
@@ -172,13 +211,25 @@ class StateMonitor:
 
     def _unanswered(self, values: Plain) -> dict[str, float]:
         found = {}
-        for unit in self._positions:
+        for unit in (*self._positions, *self._rates):
             own, size = self._groups[unit], 0.0
             if self._anchor and self._free:
                 commanded = _norm(self._difference(self._free, self._anchor), own)
                 moved = _norm(self._difference(values, self._anchor), own)
                 size = commanded if moved <= _ANSWERED * commanded else 0.0
             found[unit] = size
+        return found
+
+    def _overbraking(self, values: Plain, before: Plain, predicted: Plain) -> dict[str, float]:
+        found = {}
+        for unit in self._rates:
+            own = self._groups[unit]
+            speed = _norm(before, own)
+            expected, measured = (
+                sum(row[index] * before[index] for index in own) / speed if speed else 0.0
+                for row in (predicted, values)
+            )
+            found[unit] = max(0.0, expected - measured) if expected < speed else 0.0
         return found
 
     def _difference(self, one: Sequence[float], other: Sequence[float]) -> Plain:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from importlib.resources import as_file, files
 from math import inf, isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
 from safedpa.errors import InputError, did_you_mean
@@ -35,7 +36,9 @@ class Evidence(NamedTuple):
     drift: Mapping[str, tuple[float, float]]
     """|sum of (x - predicted x)| over the last seconds, and the way that was predicted meanwhile."""
     unanswered: Mapping[str, float]
-    """Motion that the commands should have caused since the position last changed."""
+    """Motion, and rate, that the commands should have caused since the position last changed."""
+    overbraking: Mapping[str, float] = MappingProxyType({})
+    """By how much more than predicted a rate fell over the period, while it was predicted to fall."""
 
 
 @final
@@ -44,8 +47,10 @@ class StateLimits:
     """The largest deviations of a measured state from the prediction that a session believes, by unit.
 
     ``jump``: |x - predicted x| over one period, in the unit. ``drift``: the same summed over two seconds, for
-    positions; ``drift_share`` adds that share of the way in those seconds. ``unanswered``: motion that commands should
-    cause within a second, while the position does not change. A unit without an entry is not checked.
+    positions; ``drift_share`` adds that share of the way in those seconds. ``unanswered``: motion, or rate, that
+    commands should cause within a second, while the position does not change. A unit without an entry is not checked.
+    ``overbraking``: by how much more than predicted a rate may fall within a period; a robot without a measured speed
+    brakes no longer than until it could be at rest, as it would reverse.
 
     Example:
 
@@ -57,6 +62,7 @@ class StateLimits:
     drift: Mapping[str, float] = field(default_factory=dict)
     drift_share: Mapping[str, float] = field(default_factory=dict)
     unanswered: Mapping[str, float] = field(default_factory=dict)
+    overbraking: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in _TABLES:
@@ -130,8 +136,14 @@ def limits_from_evidence(evidence: Iterable[Evidence], *, reserve: float = _RESE
         resting = [total for total, way in pairs if way <= still] or [min(pairs, key=lambda pair: pair[1])[0]]
         drift[unit] = reserve * max(*resting, jump[unit] / reserve)
         share[unit] = max([0.0, *((reserve * total - drift[unit]) / way for total, way in pairs if way > still)])
-    slow = ({unit: _SUMMED * value for unit, value in table.items()} for table in (drift, share, silent))
-    return StateLimits(jump, *slow)
+    drift, share, silent = [
+        {unit: _SUMMED * value for unit, value in table.items()} for table in (drift, share, silent)
+    ]
+    stronger = {
+        unit: max(row.overbraking.get(unit, 0.0) for row in rows)
+        for unit in {unit for row in rows for unit in row.overbraking}
+    }
+    return StateLimits(jump, drift, share, silent, stronger)
 
 
 def limits_named(name: str) -> StateLimits | None:

@@ -80,6 +80,25 @@ EXPERIMENTS = (
         small=("--drives", "1", "--healthy", "1", "--seconds", "2.5", "--robot", "car"),
     ),
     Experiment(
+        name="false-stops",
+        help="""Counts false stops of a plausible state in hours of healthy drives.
+
+    The conditions take turns: loads, slip, wind, noise, 30 % lost states, an unknown delay of up to 0.15 s, and pauses
+    of up to a second in which no process answers.""",
+        run=f"{__name__}.false_stops:run",
+        parameters=(
+            repeated("--robot", "robots", "only this robot; repeatable", known=f"{__name__}.state_faults:ROBOTS"),
+            number("--hours", 1.0, "simulated time per robot", positive=True),
+            integer("--first-seed", 60_000, "first of the evaluation seeds"),
+            number("--seconds", 20.0, "simulated time per drive", positive=True),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.false_stops:report",
+        extras=("sim",),
+        small=("--hours", "0.001", "--seconds", "2.5", "--robot", "car"),
+    ),
+    Experiment(
         name="state-limits",
         help="""Measures the limits of a plausible state in healthy drives, with loads, slip, wind and noise.
 

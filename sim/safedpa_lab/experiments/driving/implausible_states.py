@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 from math import hypot, inf
 from typing import Any, Final
 
+import numpy as np
+
 from safedpa.safety.session.state_limits import SHIPPED_LIMITS
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.workers import each_result
@@ -18,6 +20,7 @@ from safedpa_lab.experiments.driving.state_faults import FAULTS, ROBOTS, FaultyS
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.robot import SimulatedRobot
 
 _CONTACT_SPEED: Final = 0.05
 """m/s below which a contact does no harm."""
@@ -43,12 +46,31 @@ class StateDrive:
     checked: bool = True
     """Whether the session compares the state with its prediction."""
     noise: float = 1.0
+    late: float = 0.0
+    """Time [s] by which commands act later than the filter knows, for a robot that can be simulated so."""
+    missed: float = 0.0
+    """Mean number of pauses per second in which no node gets a state, of 1 to 20 periods each."""
+
+    def simulated(self) -> SimulatedRobot:
+        """The simulated robot."""
+        kind = ROBOTS[self.robot]
+        if self.late and kind.make_late is not None:
+            return kind.make_late(self.world, self.seed, self.late)
+        return kind.make(self.world, self.seed)
+
+    def missed_ticks(self, period: float) -> set[int]:
+        """The ticks without nodes."""
+        if not self.missed:
+            return set()
+        draw, ticks = np.random.default_rng([self.seed, 17]), round(self.seconds / period)
+        begins = np.flatnonzero(draw.uniform(size=ticks) < self.missed * period)
+        return {tick for begin in begins for tick in range(begin, begin + int(draw.integers(1, 21)))}
 
 
 def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     """Drives it; the same drive gives the same numbers."""
     kind = ROBOTS[wanted.robot]
-    truth = kind.make(wanted.world, wanted.seed)
+    truth = wanted.simulated()
     source = FaultyState(truth, kind.system, wanted.fault, wanted.seed, wanted.noise, wanted.lost_share)
     places = [index for index, each in enumerate(kind.system.state) if each.unit == "m"] or [0]
     speeds = [index for index, each in enumerate(kind.system.state) if each.unit in ("m/s", "rad/s")][: len(places)]
@@ -57,8 +79,10 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     since = 0.0
     nodes, count = kind.nodes(SHIPPED_LIMITS if wanted.checked else None), round(wanted.seconds / truth.period)
     # A bus carries no lost state, and a node waits for late inputs when the robot is not in lockstep.
-    direct = wanted.lost_share > 0.0 or wanted.fault.kind in ("lost", "clock")
-    for tick in drive_directly(source, nodes, count) if direct else drive(source, nodes, count):
+    missed = wanted.missed_ticks(truth.period)
+    direct = bool(wanted.lost_share or missed or wanted.fault.kind in ("lost", "clock"))
+    ticks = drive_directly(source, nodes, count, missed.__contains__) if direct else drive(source, nodes, count)
+    for tick in ticks:
         speed = hypot(*(before[index] for index in speeds))
         step = hypot(*(truth.values[index] - before[index] for index in places))
         way += step

@@ -40,7 +40,7 @@ from safedpa_lab.experiments.common.drives import LOADS, PERIOD
 from safedpa_sim.closed_loop import Tick
 from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.car.parameters import THROTTLE_CAR
-from safedpa_sim.robots.car.robot import CarRobot
+from safedpa_sim.robots.car.robot import CarRobot, DelayedCommands
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.pendulum.robot import PendulumRobot, task_named
 from safedpa_sim.robots.pendulum.world import wind_towards
@@ -198,6 +198,8 @@ class TrueRobot:
     settings: str
     worlds: tuple[str, ...]
     make: Callable[[str, int], SimulatedRobot]
+    make_late: Callable[[str, int, float], SimulatedRobot] | None = None
+    """The same with commands that act later by a time [s] that the filter does not know."""
     stops: bool = True
     """Whether its backup brings it to rest."""
 
@@ -224,16 +226,20 @@ def _point(world: str, seed: int) -> SimulatedRobot:
     return PointRobot(force_towards(float(world), 37.0 * seed), seed)
 
 
-def _throttle(world: str, seed: int) -> SimulatedRobot:
+def _throttle(world: str, seed: int, late: float = 0.0) -> SimulatedRobot:
     del world
-    return CarRobot(Scene.random(seed), PERIOD, parameters=THROTTLE_CAR)
+    return CarRobot(Scene.random(seed), PERIOD, parameters=THROTTLE_CAR, late=DelayedCommands(late, late))
+
+
+def _car(world: str, seed: int, late: float = 0.0) -> SimulatedRobot:
+    return CarRobot(Scene.random(seed, world), PERIOD, late=DelayedCommands(late, late))
 
 
 ROBOTS: Final[Mapping[str, TrueRobot]] = {
     each.name: each
     for each in (
-        TrueRobot("car", "car", "car", LOADS, lambda load, seed: CarRobot(Scene.random(seed, load), PERIOD)),
-        TrueRobot("car_throttle", "dart_car", "car_throttle", ("none",), _throttle),
+        TrueRobot("car", "car", "car", LOADS, _car, _car),
+        TrueRobot("car_throttle", "dart_car", "car_throttle", ("none",), _throttle, _throttle),
         TrueRobot("differential_drive", "differential_drive", "differential_drive", tuple(WORLDS), _differential_drive),
         TrueRobot("point", "point", "point", ("0", "0.01"), _point),
         TrueRobot(
@@ -248,20 +254,31 @@ ROBOTS: Final[Mapping[str, TrueRobot]] = {
 }
 
 
-def drive_directly(robot: FaultyState, nodes: Sequence[AbstractNode], ticks: int) -> Iterator[Tick]:
+def drive_directly(
+    robot: FaultyState,
+    nodes: Sequence[AbstractNode],
+    ticks: int,
+    is_missed: Callable[[int], bool] = lambda _: False,
+    hear: Callable[[LatentMessage], None] = lambda _: None,
+) -> Iterator[Tick]:
     """As ``drive``, without a bus, so that the filter's session gets lost states too (a bus carries none).
 
-    Without a state, adaptation and policy repeat their last answers.
+    Without a state, adaptation and policy repeat their last answers. In ticks that are missed no node gets the state,
+    as on a busy machine or while a process is suspended, and the robot's watchdog brakes. ``hear`` gets each latent.
     """
     adaptation, policy, filtering = nodes
     latent: LatentMessage | None = None
     nominal: NominalMessage | None = None
-    for _ in range(ticks):
+    for tick in range(ticks):
         state = robot.state_message()
+        if is_missed(tick):
+            robot.advance()
+            continue
         if not isnan(sum(state.values)):
             found = adaptation.step("r", state, {})[LATENT]
             assert isinstance(found, LatentMessage)
             latent = found
+            hear(latent)
             asked = policy.step("r", state, {LATENT: latent})[NOMINAL]
             assert isinstance(asked, NominalMessage)
             nominal = asked
