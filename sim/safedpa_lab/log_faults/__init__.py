@@ -1,4 +1,4 @@
-"""Faults of logs: forty kinds, each written into a drive whose true pairing is known, in every format it can have.
+"""Faults of logs: 41 kinds, each written into a drive whose true pairing is known, in every format it can have.
 
 ``drive`` makes the drive, ``faults`` is the matrix, ``write`` writes the files, ``judge`` compares what was read with
 the truth, ``experiment`` counts. Read ``faults`` first.
@@ -13,7 +13,7 @@ __all__ = ["EXPERIMENTS"]
 EXPERIMENTS = (
     Experiment(
         name="log-faults",
-        help="Logs with forty kinds of faults in five formats: rows paired wrongly, rows lost, and what was reported.",
+        help="Logs with 41 kinds of faults in five formats: rows paired wrongly, rows lost, and what was reported.",
         run=f"{__name__}.experiment:run",
         parameters=(
             integer("--seeds", 20, "drives per fault and format", positive=True),

@@ -1,4 +1,4 @@
-"""The matrix of faults: forty ways in which a log is unlike a table of numbers, and what each means in each format.
+"""The matrix of faults: forty-one ways in which a log is unlike a table of numbers, and what each means in each format.
 
 A fault changes an intact ``Table`` or ``Topics``; a fault of the bytes changes the file. It returns what a reader must
 report. A format that a fault does not name cannot have it.
@@ -423,6 +423,60 @@ def _hole(case: Case, path: Path) -> Expected:
     )
 
 
+_OVERWRITTEN = 40
+"""Rows of a state with zeros; of commands a fifth, which are held for as long."""
+
+
+def _overwritten(case: Case, path: Path) -> Expected:
+    """Zeros in a file without checksums: over rows of a state, or over whole messages."""
+    row = case.row()
+    if case.form == "parquet":
+        from pyarrow import parquet
+
+        parquet.write_table(parquet.read_table(path), path, compression="none", use_dictionary=False)
+        rows = range(row, row + _OVERWRITTEN)
+        contents = [case.drive.column("speed")[rows.start : rows.stop].tobytes()]
+        expected = Expected(("frozen", "damaged", "not_a_number"), "speed", (case.time(row),), frozenset(rows))
+    else:
+        rows = range(row, row + _OVERWRITTEN // 5)
+        contents = (_without_checksums(path) if case.form == "mcap" else _commands(path))[rows.start : rows.stop]
+        expected = Expected(("damaged",), COMMAND, (case.time(row),), frozenset(rows))
+    data = path.read_bytes()
+    for content in contents:
+        data = data.replace(content, bytes(len(content)), 1)
+    path.write_bytes(data)
+    return expected
+
+
+def _commands(path: Path) -> list[bytes]:
+    """Contents of the commands in a SQLite bag."""
+    query = "SELECT data FROM messages JOIN topics ON topics.id = topic_id WHERE name = ? ORDER BY messages.id"
+    with closing(sqlite3.connect(path)) as base:
+        return [data for (data,) in base.execute(query, (COMMAND,))]
+
+
+def _without_checksums(path: Path) -> list[bytes]:
+    """Writes an MCAP again without chunks and checksums; returns the contents of the commands."""
+    import io
+
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    commands, channels = [], dict[int, int]()
+    reader = make_reader(io.BytesIO(path.read_bytes()))
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False, enable_crcs=False)
+        writer.start(profile="ros2", library="log-faults")
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels and schema is not None:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+            commands += [message.data] if channel.topic == COMMAND else []
+        writer.finish()
+    return commands
+
+
 def _resubscribed(case: Case) -> Expected:
     case.topics.resubscribed = 2 * case.row()
     return Expected()
@@ -517,6 +571,14 @@ FAULTS: Final = (
         "hole",
         {"csv mcap db3 ulg": "zeros in the middle", "parquet": "zeros in the middle; pages have checksums"},
         harm=_hole,
+    ),
+    Fault(
+        "overwritten",
+        {
+            "parquet": "zeros over rows of a state, no checksums; over a command, or in its range: cannot be seen",
+            "mcap db3": "zeros over messages, no checksums; over a part of a message, in its range: cannot be seen",
+        },
+        harm=_overwritten,
     ),
     _fault("resubscribed", _resubscribed, ulg="the commands get another identifier"),
     _fault("two_types", _two_types, mcap_db3="Twist, then TwistStamped on one topic"),

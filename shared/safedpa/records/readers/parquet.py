@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["dataset_files", "is_dataset", "open_parquet", "read_dataset", "read_parquet_table"]
 
 _NUMBER_BYTES = 8
-_AROUND = 16
+_AROUND = 2
 """Rows before and after damaged values that are ignored as well."""
 _EPISODE = "episode_index"
 """Column of a LeRobot dataset with the number of the episode."""

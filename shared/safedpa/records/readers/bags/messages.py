@@ -186,6 +186,10 @@ class AbstractBag(AbstractLog):
                 f"{self.path}: topic '{topic}': none of {collector.refused} messages is a {self.declared[topic].type} "
                 "as defined; record it again with the definition that its publisher uses"
             )
+        overwritten, begin = collector.overwritten
+        if overwritten:
+            sentence = f"{topic}: {overwritten} messages are overwritten (of another byte order) and were ignored"
+            self.findings.append(Finding("damaged", sentence, overwritten, begin / 1e9))
         if collector.refused:
             sentence = f"{topic}: {collector.refused} messages could not be decoded and were ignored"
             at = None if collector.refused_at is None else collector.refused_at / 1e9
@@ -219,6 +223,8 @@ class _TopicCollector:
         self.refused = 0
         self.refused_at: int | None = None
         """Time of receipt of the first message that could not be decoded [ns]."""
+        self.overwritten = 0, 0
+        """How many messages were overwritten, and when the first of them was received [ns]."""
         self._order, self._has_order = bytearray(), declared.encoding != "ros1"
         """Byte order of each message; zeros in the place of a message are of the other one."""
         if definitions is None:
@@ -274,7 +280,7 @@ class _TopicCollector:
         if not other.any() or self._decode is None:
             return
         good = np.flatnonzero(~other)
-        self._refuse(int(other.sum()), self.receipt[int(np.flatnonzero(other)[0])])
+        self.overwritten = int(other.sum()), self.receipt[int(np.flatnonzero(other)[0])]
         stamps = [self._stamps] if self._stamped else []
         every: list[array[Any]] = [self.receipt, self._position, *stamps, *self._columns]
         for numbers in every:
