@@ -28,6 +28,7 @@ _SOON: Final = 0.3
 """s from the fault to the stop, or else"""
 _NEAR: Final = 0.1
 """m (rad for a pendulum) that the robot moves meanwhile."""
+_ROUNDING: Final = 1e-6
 _LOST_SHARE: Final = 0.3
 _SECONDS_LOST: Final = (0.25, 1.0, 5.0)
 HEALTHY: Final = StateFault("none")
@@ -151,7 +152,7 @@ def implausible_states(
 def _fault_row(robot: str, fault: StateFault, drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
     stopped = [one for one in drives if one["stopped"]]
     right = [one for one in stopped if any(part in one["stopped"] for part in fault.reasons)]
-    soon = [one for one in right if one["after_seconds"] <= _SOON or one["after_way"] <= _NEAR]
+    soon = [one for one in right if one["after_seconds"] <= _SOON + _ROUNDING or one["after_way"] <= _NEAR]
     return {
         "robot": robot,
         "fault": fault.name,
