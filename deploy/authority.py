@@ -4,8 +4,8 @@ Each service finds its own key and no one else's in a volume of its own, ``/issu
 where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who it
 is, the request does not say: the engine's name service reports which container has the sender's address, and
 ``PROJECT_robot_3`` gets a certificate for ``robot.robot-3``. Without privileges no container takes another address.
-Anyone who may start containers on this machine may also read every key; docs/guides/compose.md says what a real deployment
-does.
+Anyone who may start containers on this machine may also read every key; docs/guides/compose.md says what a real
+deployment does.
 """
 
 from __future__ import annotations

@@ -55,10 +55,10 @@ def command(file: Path, **options: Any) -> None:
 
     These are adaptation, safety filter, recorder, diagnosis, dashboard and workbench.
 
-    If the file describes a ROS 2 robot, the gateway runs too; otherwise the robot joins the bus itself (docs/reference/bus.md).
-    The nominal actions come from the robot's own policy, on the topic of [nominal], or from the policy named with
-    --policy. With [[scans]], perception runs too. With certificates, all messages go through a router with access
-    control. Ends with Ctrl-C.
+    If the file describes a ROS 2 robot, the gateway runs too; otherwise the robot joins the bus itself
+    (docs/reference/bus.md). The nominal actions come from the robot's own policy, on the topic of [nominal], or from
+    the policy named with --policy. With [[scans]], perception runs too. With certificates, all messages go through a
+    router with access control. Ends with Ctrl-C.
     """
     from safedpa.bus.security.access_control import role_of_robot
     from safedpa.bus.service.process import StopSignal

@@ -216,7 +216,8 @@ def _temporary_certificates(options: dict[str, Any]) -> AbstractContextManager[C
         )
     if options["listen"]:
         raise InputError(
-            "--listen: got it with --secure, which is for this machine only; see docs/guides/security.md for other machines"
+            "--listen: got it with --secure, which is for this machine only; for other machines see "
+            "docs/guides/security.md"
         )
     return ephemeral_certificates(options["fleet"], options["name"])
 
