@@ -117,7 +117,8 @@ def _judged_stamps(series: Series, parts: NDArray[np.intp], agree: BoolArray | N
     stamp, receipt = series.stamp, series.receipt
     near = np.abs(receipt - stamp) * 1e-9 < MAX_LATE if agree is None else agree
     wrong = _zero(series)
-    for rows in (np.flatnonzero(near), np.flatnonzero(~near)):  # of each of two publishers, whose messages alternate
+    # also of each of two publishers, whose messages alternate
+    for rows in (np.arange(len(near)), np.flatnonzero(near), np.flatnonzero(~near)):
         wrong[rows] |= _stuck(series, rows)
     cuts = []
     for number in np.unique(parts):
