@@ -46,7 +46,8 @@ from safedpa_sim.robots.car.scene import Scene
 DOCS = Path(__file__).parents[2] / "docs"
 BALL = DOCS / "examples" / "falling_ball.py"
 MODEL = DOCS / "examples" / "falling_ball.toml"
-GRASS = re.findall(r"```python\n(.*?)```", (DOCS / "reference" / "effects.md").read_text(encoding="utf-8"), flags=re.DOTALL)[0]
+EFFECTS_PAGE = (DOCS / "reference" / "effects.md").read_text(encoding="utf-8")
+GRASS = re.findall(r"```python\n(.*?)```", EFFECTS_PAGE, flags=re.DOTALL)[0]
 
 
 @pytest.fixture(scope="module")

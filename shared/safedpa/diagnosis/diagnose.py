@@ -103,8 +103,7 @@ def diagnose(
     shown = displayed_windows(usable.runs, horizon, evidence)
     # Judged before the search: with too little data, any ranking of effects would look like a finding.
     judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
-    # Rare effects are tried too, but only for what the common ones leave.
-    library = [*library_for(model), *(item for item in _effects_for(model) if item.rare)]
+    library = [*library_for(model), *(item for item in _effects_for(model) if item.rare)]  # rare ones are tried last
     if not judge.enough:
         usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
     horizons: list[float] = []
@@ -117,14 +116,12 @@ def diagnose(
     # An empty library skips the additions but still refits the free parameters, whose error the report shows.
     tried, data = library if judge.enough else [], (evidence.shooting, evidence.heldout)
     search = run_search(model, tried, *data, report_progress, other_horizons, _remaining)
-    shown = search.heldout if shown is evidence.heldout else shown.with_commands(between_rows=search.between_rows)
-    usable.quality[:0] = _base_at_bound(search)
-    usable.quality.extend([*_implausible_error(search), *_separate_areas(evidence), *_timing(search)])
+    usable.quality.extend(_findings_of_search(search, evidence))  # before effects may be withdrawn
     # Unmodelled structure comes after the search: it is what the accepted effects leave, and may withdraw them.
     unexplained, likely = found = _unmodelled(search, judge, library)
-    sizes = _sizes(search, library) if judge.enough else ()
-    remainder = _remainder(search) if judge.enough else None
-    doubtful, unsure = doubtful_effects(search), uncertain_effects(search)
+    sizes, remainder = (_sizes(search, library), _remainder(search)) if judge.enough else ((), None)
+    doubtful = doubtful_effects(search)
+    shown = search.heldout if shown is evidence.heldout else shown.with_commands(between_rows=search.between_rows)
     reported, final = stages_of(search, shown), values_of(search.current, search.shooting)
     return Report(
         robot=model.system.name,
@@ -136,7 +133,7 @@ def diagnose(
         where=_where(model, usable.runs, horizon),
         unexplained=unexplained,
         next_experiment=experiment_for(search),
-        data_quality=tuple(usable.quality),
+        data_quality=(*_base_at_bound(search), *usable.quality),
         parameters=final,
         models=tuple(reported.models),
         closest=_closest([*doubtful, *likely], search, sizes),
@@ -147,7 +144,7 @@ def diagnose(
         evidence=(usable.seconds, *horizons),
         coverage=coverage_of(usable.runs),
         tried=_tried(search),
-        uncertain=tuple(unsure),
+        uncertain=tuple(uncertain_effects(search)),
         remainder=remainder,
     )
 
@@ -211,6 +208,10 @@ def _separate_areas(evidence: HorizonData) -> list[dict[str, Any]]:
         "record them in one coordinate frame"
     )
     return [finding_row("all", Finding("different_places", message))]
+
+
+def _findings_of_search(search: SearchState, evidence: HorizonData) -> list[dict[str, Any]]:
+    return [*_implausible_error(search), *_separate_areas(evidence), *_timing(search)]
 
 
 def _base_at_bound(search: SearchState) -> list[dict[str, Any]]:
