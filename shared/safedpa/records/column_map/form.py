@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from safedpa.records.column_map.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.column_map.propose import COMMANDED, MEASURED, propose_sources
-from safedpa.records.column_map.units import UNITS
+from safedpa.records.column_map.units import UNITS, join_units
 from safedpa.systems import System
 
 __all__ = [
@@ -21,7 +21,7 @@ DERIVED = "(slope of another column)"
 _DEFAULT_WINDOW = 0.1
 """Default window for a derivative, s."""
 _COLUMN_NAMES: Mapping[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "stamp", "seconds", "secs", "clock"),
+    "t": ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock"),
     "x": ("x", "pos x", "position x", "px", "vicon x", "pose x", "pos east", "east", "easting"),
     "y": ("y", "pos y", "position y", "py", "vicon y", "pose y", "pos north", "north", "northing"),
     "yaw": ("yaw", "heading", "theta", "psi", "orientation", "vicon yaw"),
@@ -40,14 +40,15 @@ _COLUMN_NAMES: Mapping[str, tuple[str, ...]] = {
     ),
     "throttle": ("throttle", "gas", "drive", "duty", "motor"),
     "steer": ("steer", "steering", "steering angle", "delta", "steer cmd", "steering command", "servo"),
-    "angle": ("angle", "position", "theta", "q", "pos"),
-    "rate": ("rate", "velocity", "omega", "angular velocity", "qd", "vel"),
-    "torque": ("torque", "tau", "effort", "u"),
+    "angle": ("angle", "position", "theta", "q", "pos", "phi", "joint angle", "joint position"),
+    "rate": ("rate", "velocity", "omega", "angular velocity", "qd", "vel", "joint velocity"),
+    "torque": ("torque", "tau", "effort", "u", "motor torque", "joint torque", "motor effort"),
 }
 """Column names that logs use for a quantity, the most common first; compared without case and punctuation."""
 _UNIT_ENDINGS = {
     "ms": "ms", "us": "us", "ns": "ns", "mm": "mm", "cm": "cm", "deg": "deg", "degrees": "deg", "kmh": "km/h",
     "kph": "km/h", "mph": "mph", "mps": "m/s", "rpm": "rpm", "rad": "rad", "dps": "deg/s",
+    "nm": "N m", "sec": "s",
 }  # fmt: skip
 _RIGHT = {"right", "cw", "clockwise"}
 """Parts of the names of columns that count to the right."""
@@ -181,7 +182,7 @@ def _parts(name: str) -> list[str]:
     """The lower-case parts of a name: ``wheelspeed_kmh`` has ``wheel``, ``speed`` and ``kmh``."""
     split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
     split = re.sub(r"(?<=[a-z])(speed|rate|angle)\b|(?<=[a-z])(speed|rate|angle)(?=_)", r" \1\2", split.lower())
-    return re.sub(r"[^a-z0-9/]+", " ", split).split()
+    return join_units(re.sub(r"[^a-z0-9/]+", " ", split)).split()
 
 
 def _normalized(name: str) -> str:

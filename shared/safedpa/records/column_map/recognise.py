@@ -12,7 +12,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.records.column_map.form import is_time, unit_named
 from safedpa.records.column_map.propose import COMMANDED
-from safedpa.records.column_map.units import UNITS
+from safedpa.records.column_map.units import UNITS, join_units
 
 __all__ = [
     "LoggedColumn", "PlanarMotion", "changes", "is_command", "logged_column", "planar_motion", "rate_pairs",
@@ -26,7 +26,7 @@ _COMMAND_PARTS = {
 """Parts of the names of columns with commands."""
 _UNIT_PARTS: Mapping[str, str] = {
     "rad/s": "rate omega dq qd gyro wx wy wz w yawrate spin turn r",
-    "m/s": "v vx vy vz vel velocity speed surge sway heave",
+    "m/s": "v vx vy vz vel velo velocity speed surge sway heave",
     "rad": "angle theta q yaw pitch roll heading psi phi joint steer steering delta rudder",
     "m": "x y z pos position level height depth",
     "A": "current i", "V": "voltage pump", "N": "force", "N m": "torque tau effort",
@@ -60,8 +60,8 @@ class LoggedColumn:
 def logged_column(source: str, values: FloatArray, name: str = "") -> LoggedColumn:
     """The column ``source`` in SI units; without ``name`` it is named as in the log, without unit."""
     unit = unit_named(source)
-    parts = re.sub(r"[^a-z0-9]+", " ", re.sub(r"([a-z])([A-Z])", r"\1 \2", source).lower()).split()
-    ending = {"deg", "degrees", "ms", "mm", "cm", "kmh", "mps", "rpm", "dps", unit} if unit else set()
+    parts = join_units(re.sub(r"[^a-z0-9]+", " ", re.sub(r"([a-z])([A-Z])", r"\1 \2", source).lower())).split()
+    ending = {"deg", "degrees", "ms", "mm", "cm", "kmh", "mps", "rpm", "dps", "nm", unit} if unit else set()
     plain = [part for index, part in enumerate(parts) if not (index and part in ending)] or ["column"]
     own = re.sub(r"^(?=\d)", "c", name or "_".join(plain))
     bare = {re.sub(r"\d+$", "", part) for part in own.split("_")}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from safedpa.errors import ColumnMapError, did_you_mean
 
-__all__ = ["UNITS", "Unit", "factor_to_si"]
+__all__ = ["UNITS", "Unit", "factor_to_si", "join_units"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,16 @@ UNITS: dict[str, Unit] = {
     "N cm": Unit(1e-2, "N m"),
 }
 """Every unit by its name."""
+
+
+def join_units(words: str) -> str:
+    """Joins the words of compound units: ``speed m s`` and ``speed m per sec`` become ``speed m/s``.
+
+    Column names cannot contain a slash in many tools, and without the join ``v_m_s`` would be read as metres.
+    """
+    rates = re.sub(r"\b(mm|cm|m|rad|deg) (?:per )?s(?:ec)?\b", r"\1/s", words)
+    speeds = re.sub(r"\bkm (?:per )?h\b", "km/h", rates)
+    return re.sub(r"\b(torque|effort|tau|moment) n m\b", r"\1 nm", speeds)  # not pos_n_m, a position to the north
 
 
 def factor_to_si(unit: str, wanted: str, key: str) -> float:

@@ -39,7 +39,7 @@ __all__ = ["read_csv_table"]
 _READ_BYTES = 1 << 16
 _NEIGHBOURS = 20
 """Lines above the last one whose cells are compared with it."""
-_WORDS = 0.01
+_TEXT_SHARE = 0.01
 """Share of the rows that may have a word in place of a number."""
 _NULL = f"^({'|'.join(map(re.escape, NULLS))})$"
 
@@ -260,7 +260,7 @@ def _numbers_from_text(
     dropped = _lines_of_text(reader, texts, columns)
     other = _other_table(reader, texts, names, dropped)
     findings = (*findings, *other[1])
-    dropped |= other[0] | _words(texts, columns, dropped)
+    dropped |= other[0] | _rows_of_text(texts, columns, dropped)
     bad = min(((row, name) for name, found in columns.items() for row in found.bad if row not in dropped), default=None)
     if bad is not None:
         row, name = bad
@@ -322,10 +322,10 @@ def _other_table(
     return found, (Finding("malformed_line", text, len(found)),)
 
 
-def _words(texts: pyarrow.Table, columns: dict[str, Cells], dropped: set[int]) -> set[int]:
+def _rows_of_text(texts: pyarrow.Table, columns: dict[str, Cells], dropped: set[int]) -> set[int]:
     """Rows with a word in place of a number, such as "Total" or "ERR", if they are few."""
     rows = {row: name for name, found in columns.items() for row in found.bad if row not in dropped}
-    if len(rows) > _WORDS * texts.num_rows:
+    if len(rows) > _TEXT_SHARE * texts.num_rows:
         return set()
     cells = [str(texts.column(name)[row].as_py()) for row, name in rows.items()]
     return set() if any(sign.isdigit() for cell in cells for sign in cell) else set(rows)
