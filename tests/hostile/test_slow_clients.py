@@ -19,7 +19,7 @@ from starlette.responses import PlainTextResponse
 from safedpa.bus.transport.ports import free_port
 from safedpa_services.dashboard.pages import DataProxy, ViewerServer
 from safedpa_services.web.guard import Guard
-from safedpa_services.web.page_options import PageServerOptions, kept_token
+from safedpa_services.web.page_options import PageServerOptions, keep_token, kept_token
 from safedpa_services.web.server import PageServer, server_options
 
 PASSWORD, TOKEN = "correct horse battery", "a-token-of-the-tests-of-pages"
@@ -147,15 +147,18 @@ def test_wrong_passwords_do_not_delay_the_right_one_for_long(ports: dict[str, in
 
 
 def test_the_token_of_a_session_is_kept_for_its_user_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
+    folder, other = tmp_path / "out", tmp_path / "other"
     token = kept_token(folder)
-    assert (folder / "page-token").stat().st_mode & 0o777 == 0o600
-    assert kept_token(folder) == token
-    assert kept_token(tmp_path / "other") != token
-    os.chmod(folder / "page-token", 0o644)
-    replaced = kept_token(folder)
-    assert replaced != token
-    assert (folder / "page-token").stat().st_mode & 0o777 == 0o600
-    (folder / "page-token").unlink()
-    (folder / "page-token").symlink_to(tmp_path / "other" / "page-token")
-    assert kept_token(folder) not in (replaced, kept_token(tmp_path / "other"))
+    assert not folder.exists(), "a command that is refused writes nothing"
+    keep_token(folder, token)
+    keep_token(other, kept_token(other))
+    path = folder / "page-token"
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert kept_token(folder) == token != kept_token(other)
+    os.chmod(path, 0o644)
+    assert kept_token(folder) != token
+    keep_token(folder, token)
+    assert path.stat().st_mode & 0o777 == 0o600
+    path.unlink()
+    path.symlink_to(other / "page-token")
+    assert kept_token(folder) not in (token, kept_token(other))

@@ -31,10 +31,9 @@ _DEFAULT_PORT = 8080
 
 
 def kept_token(folder: Path) -> str:
-    """Returns the token of a session's folder, so that tabs that are open go on after a restart.
+    """Returns the token that ``keep_token`` has stored in a session's folder, else a new one.
 
-    A file that another user could have read or written is replaced by a new token. Without a file that can be written,
-    the token is of this start alone.
+    Open tabs thereby go on after a restart. A file that another user could have read or written does not count.
     """
     path = folder / TOKEN_FILE
     with contextlib.suppress(OSError), open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)) as file:
@@ -42,14 +41,19 @@ def kept_token(folder: Path) -> str:
         private = stat.S_ISREG(status.st_mode) and not status.st_mode & 0o077 and status.st_uid == os.geteuid()
         if private and _TOKEN.fullmatch(token := file.read(_LONGEST_TOKEN)):
             return token
-    token = secrets.token_urlsafe(24)
+    return secrets.token_urlsafe(24)
+
+
+def keep_token(folder: Path, token: str) -> None:
+    """Stores the token for this user alone; without a folder that can be written, it is of this start alone."""
+    if kept_token(folder) == token:
+        return
     with contextlib.suppress(OSError):
         folder.mkdir(0o700, parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=TOKEN_FILE, dir=folder)  # created with mode 0600
         with os.fdopen(handle, "w", encoding="ascii") as written:
             written.write(token)
-        os.replace(name, path)
-    return token
+        os.replace(name, folder / TOKEN_FILE)
 
 
 @dataclass(frozen=True)

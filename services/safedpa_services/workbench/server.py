@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import threading
 import time
 import traceback
@@ -23,7 +24,7 @@ from safedpa.limits import limit, readable
 from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
-from safedpa_services.web.page_options import PageServerOptions
+from safedpa_services.web.page_options import TOKEN_VARIABLE, PageServerOptions, keep_token
 from safedpa_services.web.server import server_options
 from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.live.links import AbstractLink, LiveLink, ReplayLink
@@ -65,6 +66,8 @@ def serve(
     own_model = [choice.model] if Path(choice.model).is_file() else []
     upload_store = FileStore.of((*choice.runs, *own_model), serving.folders)
     app.add_middleware(Guard, options=serving)
+    if not os.environ.get(TOKEN_VARIABLE):
+        keep_token(controller.out, serving.token)
 
     page = partial(WorkbenchPage, controller, viewer_server, upload_store, live=link is not None)
     _add_page("/", WorkbenchPage.title, style, page)
