@@ -42,7 +42,7 @@ def test_rows_below_a_header_of_another_order_are_left_out(tmp_path: Path) -> No
 
 def test_a_few_texts_among_numbers_lose_their_lines_and_many_are_refused(tmp_path: Path) -> None:
     texts = ["Total,400,,,,,", "20.0,ERR,0,0,1,1,0"]
-    run = load_run(csv(tmp_path / "a.csv", ",".join(NAMES), *LINES, *words), CAR)
+    run = load_run(csv(tmp_path / "a.csv", ",".join(NAMES), *LINES, *texts), CAR)
     assert (len(run.t), kinds(run)) == (400, ["malformed_line"])
     with pytest.raises(RunError, match="column 'x': got 'ERR', wanted a number"):
         load_run(csv(tmp_path / "b.csv", ",".join(NAMES), *LINES, *[texts[1]] * 20), CAR)
