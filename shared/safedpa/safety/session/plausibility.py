@@ -35,7 +35,7 @@ _ANSWERED: Final = 0.1
 _EXACT_SHARE: Final = 0.5
 """Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
 noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low."""
-_STUCK_FACTOR: Final = 2.0
+_RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
 _WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
@@ -198,7 +198,7 @@ class StateMonitor:
                     return Contradiction(text, self._others({unit}))
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
-            factor = _STUCK_FACTOR if f"{unit}/s" in self._rates else 1.0
+            factor = _RATED_FACTOR if f"{unit}/s" in self._rates else 1.0
             factor = _EXACT_SHARE if self._unchanged and unit in self._rates else factor
             if limit is not None and size > factor * limit:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
