@@ -54,7 +54,7 @@ def test_each_limit_fails_the_soak(rates: dict[str, float], text: str) -> None:
 )
 def test_each_fault_of_a_run_on_a_full_disk_is_one_trouble(changes: dict[str, Any]) -> None:
     good = {"ended": True, "robot_starts": 1, "filled": True, "reported": True, "readable": True}
-    good |= {"phase": "drive", "free_bytes": 40_000}
+    good |= {"phase": "drive", "free_bytes": 40_000, "code": 1}
     full_disk.verdict({"runs": [good]})
     assert len(full_disk.trouble_of({**good, **changes})) == 1
     with pytest.raises(SafedpaError, match="drive, 40000 bytes"):

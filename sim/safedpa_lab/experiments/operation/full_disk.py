@@ -37,10 +37,10 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
 
 
 def trouble_of(one: dict[str, Any]) -> list[str]:
-    """Returns what one run did not do as it should."""
+    """Returns what one run did not do as it should; a run that was complete before the disk was full reports nothing."""
     found = [] if one["ended"] else ["did not end in time"]
     found += [f"robot started {one['robot_starts']} times"] if one["robot_starts"] > 1 else []
-    found += ["the disk is not reported"] if one["filled"] and not one["reported"] else []
+    found += ["the disk is not reported"] if one["filled"] and one["code"] != 0 and not one["reported"] else []
     return found + ([] if one["readable"] else ["the recording is unreadable"])
 
 
@@ -119,7 +119,7 @@ def _await_recording(disk: Path, running: subprocess.Popen[bytes]) -> None:
 
 def _fill(filler: Path, free: int) -> None:
     with filler.open("ab") as file:
-        os.posix_fallocate(file.fileno(), 0, max(_free(filler.parent) - free, 1))
+        os.posix_fallocate(file.fileno(), file.tell(), max(_free(filler.parent) - free, 1))
 
 
 def _take_rest(filler: Path, free: int, running: subprocess.Popen[bytes], until: float) -> None:
