@@ -37,7 +37,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
 
 
 def trouble_of(one: dict[str, Any]) -> list[str]:
-    """Returns what one run did not do as it should; a run that was complete before the disk was full reports nothing."""
+    """Returns what one run did not do as it should; one that was complete before has nothing to report."""
     found = [] if one["ended"] else ["did not end in time"]
     found += [f"robot started {one['robot_starts']} times"] if one["robot_starts"] > 1 else []
     found += ["the disk is not reported"] if one["filled"] and one["code"] != 0 and not one["reported"] else []
