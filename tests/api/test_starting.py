@@ -112,3 +112,14 @@ def test_a_proposal_that_cannot_be_made_says_what_is_wanted(
     with pytest.raises(InputError, match=message):
         safedpa.init(tmp_path / "log.csv", tmp_path / "out", **options)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_named_state_that_no_command_moves_is_refused(tmp_path: Path) -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    left, right = (np.repeat(np.random.default_rng(seed).uniform(-1.0, 1.0, 40), 10) for seed in (4, 5))
+    rows = np.column_stack([t, 0.05 * np.cumsum(left + right), np.sin(2.0 * t), left, right])
+    np.savetxt(tmp_path / "log.csv", rows, "%.6g", ",", header="t,moved,alone,left,right", comments="")
+    roles = {"states": {"moved": "moved", "alone": "alone"}, "actions": {"left": "left", "right": "right"}}
+    with pytest.raises(InputError, match="no base moves alone by left, right"):
+        safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles)
+    assert not (tmp_path / "out").exists()

@@ -30,6 +30,10 @@ from safedpa_lab.log_faults.write import topic_map, write_topics
         (CAR, ["cmd_speed", "vehicleSpeed [m/s]"], {
             "speed": ("vehicleSpeed [m/s]", "m/s", False), "target_speed": ("cmd_speed", None, False),
         }),
+        (PENDULUM, ["sec", "phi_deg", "omega_deg_s", "motor_torque_Nm"], {
+            "t": ("sec", None, False), "angle": ("phi_deg", "deg", False), "rate": ("omega_deg_s", "deg/s", False),
+            "torque": ("motor_torque_Nm", "N m", False),
+        }),
         (DIFFERENTIAL_DRIVE, ["gyro_z_dps", "cmd_turn_rate"], {
             "turn_rate": ("gyro_z_dps", "deg/s", False), "target_turn_rate": ("cmd_turn_rate", None, False),
         }),

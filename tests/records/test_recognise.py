@@ -1,6 +1,7 @@
 """Columns of a body on a plane are recognised by their values."""
 
 import numpy as np
+import pytest
 
 from safedpa.records.column_map.recognise import PlanarMotion, logged_column, planar_motion
 
@@ -18,3 +19,19 @@ def test_positions_on_the_floor_follow_from_velocities_of_the_body_and_its_headi
     logged = [logged_column(name, values) for name, values in columns.items()]
     assert planar_motion(t, logged) == PlanarMotion("x", "y", "heading", "vel", "side_vel")
     assert planar_motion(t, [item for item in logged if item.name != "heading"]) is None
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "unit", "si"),
+    [
+        ("velo_m_s", "velo", "m/s", "m/s"),
+        ("speedKmH", "speed", "km/h", "m/s"),
+        ("gyro_z_rad_s", "gyro_z", "rad/s", "rad/s"),
+        ("joint_torque_N_m", "joint_torque", "N m", "N m"),
+        ("pos_n_m", "pos_n", "m", "m"),
+        ("v_m_per_s", "v", "m/s", "m/s"),
+    ],
+)
+def test_units_of_more_than_one_word_end_a_name(source: str, name: str, unit: str, si: str) -> None:
+    column = logged_column(source, np.ones(3))
+    assert (column.name, column.unit, column.si) == (name, unit, si)

@@ -54,7 +54,8 @@ class RecognisedColumns:
         measured = [item for item in columns if item.source not in taken and (not states or item.source in own)]
         if not commands or not measured:
             what, option = ("command", "--action") if not commands else ("state", "--state")
-            raise InputError(f"{log}: no column looks like a {what}; name one with {option} NAME=COLUMN")
+            seen = ", ".join(name for name in preview.names[:20] if name != time)
+            raise InputError(f"{log}: no column looks like a {what} among {seen}; name one with {option} NAME=COLUMN")
         unit = clock.unit if clock.si == "s" else ""
         t = clock.values - clock.values[0]
         return cls(preview.names, time, unit, t, tuple(measured), tuple(commands))

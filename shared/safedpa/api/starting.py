@@ -155,7 +155,8 @@ def init(
     or is constant between jumps. The base is the one with the smallest error on the last part of each log among those
     that the columns allow, or that of the kind ``base``. ``robot`` is the name of the robot, by default that of the
     folder; ``horizon`` [s] how far ahead the error is. The proposal has to be checked. Raises InputError for unknown
-    columns or kinds and if no state or no command is found, RunError for an unusable log.
+    columns or kinds, for named states that no base moves by the actions, and if no state or no command is found,
+    RunError for an unusable log.
 
     Example:
 
@@ -183,8 +184,13 @@ def init(
         report_progress(0, 1)
         found = started.chosen(base)
         report_progress(1, 1)
-    require_writable_folder(folder, create=True)
     system = found.model.system
+    if lost := [given for given in states or {} if given not in system.state_names]:
+        raise InputError(
+            f"state: no base moves {', '.join(lost)} by {', '.join(actions or [item.name for item in system.action])}; "
+            "leave them out, or name what moves them as an action"
+        )
+    require_writable_folder(folder, create=True)
     for file, text in zip(files, (found.source, write_model(found.model), started.map_text(system)), strict=True):
         file.write_text(text, encoding="utf-8")
     used = {
@@ -319,7 +325,8 @@ class _Proposal:
             return []
         position, values = self._variable(name), self.quantities[name].values
         given = [self.quantities[item.name] for item in commands]
-        copied = [item.name for item in given if COMMANDED.search(item.source) or follows(values, item.values)]
+        alike = [item for item in given if item.si in ("1", position.unit) or position.unit == "1"]
+        copied = [item.name for item in alike if COMMANDED.search(item.source) or follows(values, item.values)]
         for command in copied[:1]:
             self.quantities[command] = self.quantities[command].with_si(position.unit)
         self.actions = tuple(self._variable(item.name, command=True) for item in self.columns.actions)
