@@ -38,11 +38,11 @@ def measured(pages: list[Path]) -> tuple[int, int, int, float, float]:
     texts = [page.read_text(encoding="utf-8") for page in pages]
     lengths = [len(sentence.split()) for text in texts for sentence in sentences(text)]
     count = max(len(lengths), 1)
-    length, generated = (sum(map(_words, parts)) for parts in (texts, map(_generated, texts)))
+    length, generated = (sum(map(_length_of, parts)) for parts in (texts, map(_generated, texts)))
     return length, generated, len(lengths), sum(lengths) / count, 100 * sum(one > LONG for one in lengths) / count
 
 
-def _words(text: str) -> int:
+def _length_of(text: str) -> int:
     """Words and numbers, without the bars of tables, list marks and comments."""
     return len(re.findall(r"\S*\w\S*", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)))
 
