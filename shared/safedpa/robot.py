@@ -147,4 +147,6 @@ class AbstractRobot(Robot):
 
         Raises InputError for unknown options, and for a robot without a simulation.
         """
-        raise InputError(f"robot '{self.name}': it has no simulated stand-in; run your own robot (docs/reference/bus.md)")
+        raise InputError(
+            f"robot '{self.name}': it has no simulated stand-in; run your own robot (docs/reference/bus.md)"
+        )
