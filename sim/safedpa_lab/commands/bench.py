@@ -176,7 +176,8 @@ def all_rows(file: Path | None, markdown: Path | None, pictures: Path | None, **
     if options["quick"] and options["full"]:
         raise InputError("--quick: got --full too; choose one")
     if options["data"] is not None and not options["data"].is_dir():
-        raise InputError(f"--data {options['data']}: no such folder; see docs/evidence/diagnosis.md for where the drives are")
+        where = "docs/evidence/diagnosis.md says where the drives are"
+        raise InputError(f"--data {options['data']}: no such folder; {where}")
     effort = Effort(options["quick"], options["full"], options["peers"], options["data"])
     names = chosen_rows(options["only"], effort)
     document = run_rows(names, effort, file, _show_row, resume=options["resume"])

@@ -52,12 +52,12 @@ UNITS: dict[str, Unit] = {
 """Every unit by its name."""
 
 
-def join_units(words: str) -> str:
-    """Joins the words of compound units: ``speed m s`` and ``speed m per sec`` become ``speed m/s``.
+def join_units(name: str) -> str:
+    """Joins the parts of compound units: ``speed m s`` and ``speed m per sec`` become ``speed m/s``.
 
     Column names cannot contain a slash in many tools, and without the join ``v_m_s`` would be read as metres.
     """
-    rates = re.sub(r"\b(mm|cm|m|rad|deg) (?:per )?s(?:ec)?\b", r"\1/s", words)
+    rates = re.sub(r"\b(mm|cm|m|rad|deg) (?:per )?s(?:ec)?\b", r"\1/s", name)
     speeds = re.sub(r"\bkm (?:per )?h\b", "km/h", rates)
     return re.sub(r"\b(torque|effort|tau|moment) n m\b", r"\1 nm", speeds)  # not pos_n_m, a position to the north
 

@@ -156,7 +156,9 @@ def _found(folder: Path) -> list[Path]:
 
     paths = paths_of(folder, CAR)
     if len(paths) != _DRIVES:
-        raise InputError(f"--data {folder}: got {len(paths)} files {CAR}, wanted {_DRIVES}; see docs/evidence/diagnosis.md")
+        raise InputError(
+            f"--data {folder}: got {len(paths)} files {CAR}, wanted {_DRIVES}; see docs/evidence/diagnosis.md"
+        )
     return paths
 
 

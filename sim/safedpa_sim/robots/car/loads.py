@@ -58,7 +58,8 @@ def load_named(name: str) -> Load | None:
 
 _BEGINS, _ENDS = 0.2, 0.8
 """Shares of the reach. If the car reverses by less than the first, a load does not leave the footprint; by more than
-the second, it may be anywhere around the hitch. Measured with random forward and backward drives: docs/reference/robot.md."""
+the second, it may be anywhere around the hitch. Measured with random forward and backward drives
+(docs/reference/robot.md)."""
 
 
 def footprint(load: Load | None, parameters: CarParameters = CAR_PARAMETERS) -> tuple[float, float, float]:

@@ -98,8 +98,8 @@ class ReversalBraking:
         T(v) = l min(|v|, s) / s + clip(|v| - s, 0, c - s) / q + max(|v| - c, 0) / b    until |v| <= s
         D(v) = sign(v) (l |v| + min(|v|, c)^2 / (2 q) + (max(|v|, c)^2 - c^2) / (2 b))  until v = 0
 
-    Neither increases under this braking, and D'(v) >= |v| T'(v); docs/reference/robot.md has measurements. Raises InputError
-    unless b and k are positive and u is not negative.
+    Neither increases under this braking, and D'(v) >= |v| T'(v); docs/reference/robot.md has measurements. Raises
+    InputError unless b and k are positive and u is not negative.
     """
 
     deceleration: float
