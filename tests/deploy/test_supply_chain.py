@@ -74,13 +74,14 @@ def test_every_package_that_a_tool_or_the_build_names_is_pinned_exactly() -> Non
 
 
 def test_another_file_than_the_listed_one_is_reported() -> None:
-    def report(version: str, digest: str) -> dict[str, Any]:
-        download = {"archive_info": {"hashes": {"sha256": digest}}}
+    def report(version: str, digest: str, url: str = "https://index.example/an_example.whl") -> dict[str, Any]:
+        download = {"archive_info": {"hashes": {"sha256": digest}}, "url": url}
         return {"install": [{"download_info": download, "metadata": {"name": "An_Example", "version": version}}]}
 
     allowed = check_hashes.listed([f"an-example==1.0 \\\n    --hash=sha256:{'a' * 64}\n"])
     assert check_hashes.problems(report("1.0", "a" * 64), allowed) == []
     assert "is not listed" in check_hashes.problems(report("1.0", "b" * 64), allowed)[0]
     assert "not listed; wanted" in check_hashes.problems(report("1.1", "a" * 64), allowed)[0]
+    assert check_hashes.problems(report("1.1", "b" * 64, "file:///wheels/an_example.whl"), allowed) == []
     editable = {"install": [{"download_info": {"dir_info": {}}, "metadata": {"name": "safedpa", "version": "0"}}]}
     assert check_hashes.problems(editable, allowed) == []
