@@ -17,7 +17,7 @@ from safedpa.bus import StateMessage
 from safedpa.drawing import Discs, Lines, Rings
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.effects import effects_of
-from safedpa.errors import InputError, SafedpaError
+from safedpa.errors import InputError, SafedpaError, described
 from safedpa.networks.frame import Frame
 from safedpa.policy.controller import controller_for
 from safedpa.runtime.scene import AbstractScene, scene_of
@@ -80,7 +80,7 @@ def _tried(part: str, function: Callable[[], Any]) -> Any:
     except SafedpaError as error:
         raise _EndError(PartFinding(part, "wrong", str(error))) from error
     except Exception as error:  # a user's code may raise anything; reporting it is the purpose of the check
-        raise _EndError(PartFinding(part, "wrong", f"raised {type(error).__name__}: {error}")) from error
+        raise _EndError(PartFinding(part, "wrong", f"raised {described(error)}")) from error
 
 
 def _parts(robot: Robot, seed: int) -> Iterator[PartFinding]:
@@ -261,6 +261,7 @@ def _nothing_perceived(drive: _Drive) -> PartFinding:
 def _probed(robot: Robot, drive: _Drive) -> Iterator[PartFinding]:
     latent = drive.model.latent if drive.model.latent_names else None
     notice: dict[str, str] = {}
+    remarks: dict[str, None] = {}
     for message in drive.states[:: max(1, len(drive.states) // _PROBED)]:
         barriers = drive.scene.of(message)
         if isinstance(barriers, str) or not barriers.names:
@@ -275,8 +276,11 @@ def _probed(robot: Robot, drive: _Drive) -> Iterator[PartFinding]:
         )
         for issue in report:
             notice.setdefault(issue.subject, str(issue))
+        remarks.update(dict.fromkeys(report.notes))
     for sentence in notice.values():
         yield PartFinding("filter", "wrong", sentence)
+    for remark in remarks:
+        yield PartFinding("filter", "note", remark.removeprefix("Note "))
 
 
 def _nominal_part(model: PhysicsModel, drive: _Drive) -> PartFinding:

@@ -17,6 +17,7 @@ Every message says what was received, what was expected, and what to do.
 from __future__ import annotations
 
 import difflib
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -32,6 +33,7 @@ __all__ = [
     "RecordingError",
     "RunError",
     "SafedpaError",
+    "described",
     "did_you_mean",
     "escaped",
     "near_files",
@@ -100,6 +102,21 @@ class JoinError(BusError):
 
 class RecordingError(SafedpaError):
     """A recording could not be written."""
+
+
+def described(error: BaseException) -> str:
+    """Returns type and message of an error, and the line of the user's code that raised it.
+
+    Frames of this package and of installed libraries are not the user's.
+    """
+    own = str(Path(__file__).parent)
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(own) and "site-packages" not in frame.filename
+    ]
+    place = "".join(f" ({Path(frame.filename).name}, line {frame.lineno}, in {frame.name})" for frame in frames[-1:])
+    return f"{type(error).__name__}: {escaped(str(error))}{place}"
 
 
 def escaped(text: str) -> str:

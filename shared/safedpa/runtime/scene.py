@@ -14,7 +14,7 @@ from typing import Any, Final, final
 from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics
-from safedpa.errors import InputError
+from safedpa.errors import InputError, described
 from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.compatibility import check_margins, check_reads, check_settings
@@ -97,7 +97,7 @@ class DeclaredScene(AbstractScene):
             return f"scene ({error})"
         except Exception as error:  # noqa: BLE001
             # A robot's own code may raise anything. The sentence goes into the verdict, and the backup acts.
-            return f"scene (barriers of robot '{self._robot.name}': {type(error).__name__}: {error})"
+            return f"scene (barriers of robot '{self._robot.name}': {described(error)})"
         return CachingBarrierSet(make_barrier_set(parts))
 
     def _backup(self, state: FloatArray | None) -> Any:

@@ -22,7 +22,7 @@ from typing import Any, final
 import numpy as np
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
-from safedpa.errors import InputError
+from safedpa.errors import InputError, described
 from safedpa.result import one_line
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.stack import BarrierSetCache
@@ -341,7 +341,7 @@ def _decided(decision: Decision) -> Verdict:
     except DecisionError as failure:
         return decision.fallback(str(failure), failure.solver)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
-        return decision.fallback(f"{type(error).__name__}: {error}", "not run")
+        return decision.fallback(described(error), "not run")
 
 
 def _names_of_states(prediction: Prediction, state_range: Plausible | None) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from safedpa.arrays import FloatArray
-from safedpa.errors import InputError
+from safedpa.errors import InputError, described
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.barriers.stack import make_barrier_set
@@ -125,7 +125,7 @@ def _report(
         issues += wrong or ([] if predicts else lost_state_issues(checked, probes, can_stop=can_stop))
         issues += [] if period is None else time_issues(checked, probes, period)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is checked
-        notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
+        notice = f"got {described(error)}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), notice)], len(rows))
     return FilterReport(issues, len(probes), _not_compiled(checked.barriers.parts))
 
