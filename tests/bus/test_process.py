@@ -204,7 +204,7 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
     [
         (("--listen", "garbage"), "wanted endpoints such as", 2),
         (("--listen", "tcp/127.0.0.1:99999"), "check the endpoints", 2),
-        (("--fault", "input"), "scene: got none, wanted one", 2),
+        (("--fault", "input"), "scene: got none,\\x0awanted one", 2),
         (("--fault", "router"), "no router", 75),
     ],
 )

@@ -182,16 +182,18 @@ def test_rates_that_commands_should_have_caused_find_a_frozen_state_before_the_p
     assert found[1] < 0.75 * found[0]
 
 
-@pytest.mark.parametrize("overbraking", [0.0, 0.2])
-def test_a_robot_that_brakes_harder_than_its_model_is_not_driven_backwards_without_a_state(overbraking: float) -> None:
-    """The true brake is three times as strong."""
-    session = session_of_the_mass(replace(LIMITS, overbraking={"m/s": overbraking}))
-    x, slowest = np.zeros(2), 0.0
-    for tick in range(80):
-        verdict = session.decide(x if tick < 20 else None, [2.0 if tick < 24 else 0.0])
-        x = A @ x + B @ (verdict.action * (3.0 if verdict.action[0] < 0.0 else 1.0))
-        slowest = min(slowest, x[1])
-    assert bool(slowest > -0.5) is (overbraking > 0.0)
+def test_a_robot_that_brakes_harder_than_its_model_is_believed_again_after_lost_states() -> None:
+    """The true brake is twice as strong: without the limit, the next measured state contradicts the prediction."""
+    latched = []
+    for overbraking in (0.0, 0.2):
+        limits = replace(LIMITS, jump={"m": 0.02, "m/s": 0.05}, overbraking={"m/s": overbraking})
+        session = session_of_the_mass(limits)
+        x = np.zeros(2)
+        for tick in range(40):
+            verdict = session.decide(None if 20 <= tick < 30 else x, [2.0 if tick < 20 else 0.0])
+            x = A @ x + B @ (verdict.action * (2.0 if verdict.action[0] < 0.0 else 1.0))
+        latched.append(bool(session.latched))
+    assert latched == [True, False]
 
 
 def test_after_a_pause_a_resting_robot_has_the_same_heading() -> None:

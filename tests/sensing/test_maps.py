@@ -173,14 +173,14 @@ def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
         read_map(path)
 
 
-@pytest.mark.parametrize("image", ["none.pgm", ".", "a\0b"])
-def test_a_picture_that_cannot_be_read_is_named(tmp_path: Path, image: str) -> None:
+@pytest.mark.parametrize(("image", "shown"), [("none.pgm", "none.pgm"), (".", "."), ("a\0b", r"a\x00b")])
+def test_a_picture_that_cannot_be_read_is_named(tmp_path: Path, image: str, shown: str) -> None:
     path = written(tmp_path, np.array([[0]]))
     path.write_text(path.read_text(encoding="utf-8").replace("room.pgm", image), encoding="utf-8")
     (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
     with pytest.raises(InputError) as raised:
         load_perception(tmp_path / "perception.toml")
-    assert f"room.yaml: its image '{image}' cannot be read" in str(raised.value)
+    assert f"room.yaml: its image '{shown}' cannot be read" in str(raised.value)
 
 
 def test_a_missing_map_is_named(tmp_path: Path) -> None:

@@ -289,7 +289,9 @@ def demonstrated(monkeypatch, tmp_path):
             if not started:
                 return {**SUMMARY, "changed": 0.0}
             played = Drive(takes=takes)
-            robot = SimpleNamespace(name="robot", restarts=0, given_up=False, log=tmp_path / "robot.log")
+            robot = SimpleNamespace(
+                name="robot", restarts=0, given_up=False, log=tmp_path / "robot.log", rotate_log=lambda: None
+            )
             with shown_by(played.watch, [robot]) as turn:
                 for t in range(seconds):
                     if stop():

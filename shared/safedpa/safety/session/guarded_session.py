@@ -229,18 +229,9 @@ class GuardedSession(SessionMemory[StateT]):
     def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
         """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""
         verdict = self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
-        stationary = self.lost and (
-            self._is_at_rest(state, verdict.action, latent) or self._may_be_at_rest(state.values)
-        )
-        if self.can_stop and stationary:
+        if self.can_stop and self.lost and self._is_at_rest(state, verdict.action, latent):
             verdict = replace(verdict, action=self.filter.settings.resting_action)
         return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
-
-    def _may_be_at_rest(self, values: Plain) -> bool:
-        """Whether a robot that brakes as hard as any healthy one would be at rest: it must not be driven backwards."""
-        speeds = self._monitor.rates(values)
-        known = [unit for unit, size in self._overbraked.items() if size > 0.0]
-        return bool(known) and all(speeds[unit] <= self._overbraked[unit] for unit in known)
 
     def _repeated(self, state: StateT, raw: Plain) -> str:
         """Why a state that is exactly the one before contradicts its own rates; empty if it does not.

@@ -32,9 +32,10 @@ _DRIFT_SECONDS: Final = 2.0
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
-_EXACT_SHARE: Final = 0.5
+_EXACT_SHARE: Final = 0.75
 """Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
-noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low."""
+noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low; one whose
+commands act 0.2 s late has answered by then."""
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""

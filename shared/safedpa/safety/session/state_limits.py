@@ -49,8 +49,8 @@ class StateLimits:
     ``jump``: |x - predicted x| over one period, in the unit. ``drift``: the same summed over two seconds, for
     positions; ``drift_share`` adds that share of the way in those seconds. ``unanswered``: motion, or rate, that
     commands should cause within a second, while the position does not change. A unit without an entry is not checked.
-    ``overbraking``: by how much more than predicted a rate may fall within a period; a robot without a measured speed
-    brakes no longer than until it could be at rest, as it would reverse.
+    ``overbraking``: by how much more than predicted a rate may fall within a period; a robot that braked without a
+    measured state may be that much slower than predicted when it has one again.
 
     Example:
 
