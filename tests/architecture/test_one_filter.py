@@ -16,6 +16,7 @@ FOLDERS = ("shared", "services", "sim")
 
 DECIDERS = {
     "safedpa.safety.filter": "SafetyFilter",
+    "safedpa.safety.compiled_decision": "its search in C",
     "safedpa.safety.batch.filter": "its batch",
     "safedpa.safety.session.filter_session": "a filter and what it remembers",
     "safedpa_lab.benchmarks.peers.filters": "peers, to compare with",

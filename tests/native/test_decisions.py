@@ -171,7 +171,8 @@ SAYS = "from safedpa.native.library import why_not_compiled; print(why_not_compi
 
 def says(cache: Path, **more: str) -> str:
     """Whether a new process with this cache decides by compiled code, or why not."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache), **more}
+    # An installed copy on the path has kernels of its own, which need neither compiler nor cache.
+    environment = {**os.environ, "PYTHONPATH": "", "XDG_CACHE_HOME": str(cache), **more}
     done = subprocess.run([sys.executable, "-c", SAYS], capture_output=True, text=True, check=True, env=environment)
     return done.stdout.strip()
 

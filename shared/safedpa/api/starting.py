@@ -185,11 +185,7 @@ def init(
         found = started.chosen(base)
         report_progress(1, 1)
     system = found.model.system
-    if lost := [given for given in states or {} if given not in system.state_names]:
-        raise InputError(
-            f"state: no base moves {', '.join(lost)} by {', '.join(actions or [item.name for item in system.action])}; "
-            "leave them out, or name what moves them as an action"
-        )
+    _require_states(system, states or {}, actions or {})
     require_writable_folder(folder, create=True)
     for file, text in zip(files, (found.source, write_model(found.model), started.map_text(system)), strict=True):
         file.write_text(text, encoding="utf-8")
@@ -200,6 +196,15 @@ def init(
     }
     unused = tuple(column for column in table.names if column not in used | {table.time})
     return StartedModel(folder, tuple(paths), system, found.kinds, found.error, found.naive, started.horizon, unused)
+
+
+def _require_states(system: System, states: Mapping[str, str], actions: Mapping[str, str]) -> None:
+    """Refuses to leave out a state that the user named."""
+    if lost := [given for given in states if given not in system.state_names]:
+        raise InputError(
+            f"state: no base moves {', '.join(lost)} by {', '.join(actions or system.action_names)}; "
+            "leave them out, or name what moves them as an action"
+        )
 
 
 def _identifier(name: str) -> str:

@@ -39,6 +39,7 @@ __all__ = [
     "later",
     "load",
     "load_module",
+    "module_source",
     "remark",
     "why_not_compiled",
 ]
