@@ -35,10 +35,12 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--no-audit",
         "--no-fund",
         "--ignore-scripts",
+        "--fetch-retries=1",
+        "--fetch-timeout=10000",
         *PACKAGES,
     ]
     try:
-        done = subprocess.run(phrase, capture_output=True, text=True, check=False, timeout=90)
+        done = subprocess.run(phrase, capture_output=True, text=True, check=False, timeout=40)
     except subprocess.TimeoutExpired:
         pytest.skip("npm reaches no registry")
     if done.returncode:
