@@ -374,7 +374,8 @@ def test_whatever_a_declared_robot_raises_or_however_many_obstacles_it_has_a_sen
     def broken(*_: Any) -> Any:
         raise KeyError("towed")
 
-    assert declared(broken).of(state()) == "scene (barriers of robot 'toy': KeyError: 'towed')"
+    place = f"test_towed_reach.py, line {broken.__code__.co_firstlineno + 1}, in broken"
+    assert declared(broken).of(state()) == f"scene (barriers of robot 'toy': KeyError: 'towed' ({place}))"
 
 
 def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
