@@ -31,6 +31,8 @@ def check_scan(scan: ScanMessage) -> None:
         raise MessageError(f"scan of {scan.source}: got a mount of {len(scan.mount)} numbers, wanted x, y, yaw")
     if not 2 <= rays <= _MAX_RAYS:
         raise MessageError(f"scan of {scan.source}: got {rays} rays, wanted 2 to {_MAX_RAYS}; send fewer of them")
+    if len(scan.free) not in (0, rays):
+        raise MessageError(f"scan of {scan.source}: got {len(scan.free)} free lengths, wanted {rays}, as many as rays")
     if not 1e-4 <= abs(scan.angle_step) * rays <= 2.0 * pi + 1e-6:
         raise MessageError(f"scan of {scan.source}: got rays {scan.angle_step:g} rad apart, wanted one turn at most")
     if not 0.0 <= scan.nearest < scan.farthest:
@@ -54,17 +56,19 @@ class _Bearings(NamedTuple):
 class ScanRays:
     """The rays of one scan from a sensor at (``x``, ``y``) [m].
 
-    With ``open_air``, a ray without a return has seen free space up to the range of the sensor; otherwise it has seen
-    nothing. A ray that ends on the robot itself (see ``within_body``) sees nothing there or behind it. A ray that ends
-    in an ``ignored`` zone hits nothing, and sees only up to the point where it enters the zone.
+    With ``open_air``, a ray without a return has seen free space up to the range of the sensor; otherwise up to its
+    ``free`` length. A ray that ends on the robot itself (see ``within_body``) sees nothing there or behind it. A ray
+    that ends in an ``ignored`` zone hits nothing, and sees only up to the point where it enters the zone.
     """
 
     def __init__(
         self, scan: ScanMessage, pose: Pose, state: StateMessage, *, open_air: bool, ignored: tuple[Zone, ...] = ()
     ) -> None:
         ranges = np.array(scan.ranges)
+        free_space = np.array(scan.free) if scan.free else np.zeros(len(ranges))
         first, step = scan.first_angle, scan.angle_step
         if step < 0.0:  # order the rays counterclockwise
+            free_space = free_space[::-1]
             ranges, first, step = ranges[::-1], first + step * (len(ranges) - 1), -step
         x, y, yaw = pose
         ahead, aside, turned = scan.mount
@@ -81,7 +85,8 @@ class ScanRays:
         """Hit points (points, 2) [m] that are not on the robot itself."""
         empty = ranges >= scan.farthest
         free = np.minimum(ranges, np.where(into > 0.0, into + BEHIND, 0.0))
-        self._sight = np.where(returned & ~own, free, np.where(empty & open_air, scan.farthest, 0.0))
+        unmet = np.full(len(ranges), scan.farthest) if open_air else np.clip(free_space, 0.0, scan.farthest)
+        self._sight = np.where(returned & ~own, free, np.where(empty, unmet, 0.0))
         self.measured_share = float((returned | empty).mean())
         """Share of the rays with a valid measurement."""
         self._around = 2.0 * pi - step * len(ranges) < 0.5 * step

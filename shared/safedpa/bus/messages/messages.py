@@ -118,6 +118,8 @@ class ScanMessage(Message):
     """Maximum range in m; more distant objects are not detected."""
     number: Count
     """Sequence number of the sensor's scans since the robot started."""
+    free: Vector = ()
+    """(rays,) in m. Distance up to which a ray without a return saw free space, such as the ground; empty: none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
