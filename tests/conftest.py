@@ -2,10 +2,12 @@
 
 import gc
 import os
+import re
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,9 @@ LIGHT = ("adaptation", "bus", "bus_security", "dynamics", "effects", "fleet_proc
 LIGHT += ("policy", "replay", "robots", "safety", "sensing")
 """Folders that load little: where trainings are over, their process is given these before what loads readers and
 viewers; everybody else ends with them, since they are short."""
+WAITING = ("pytest.mark.processes", "pytest.mark.browser")
+"""Marks in files of tests that mostly wait, for processes that drive in real time or for a browser: one process has
+these, so that the cores are busy with the tests of the others meanwhile."""
 
 settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("search", deadline=None, max_examples=500, suppress_health_check=[HealthCheck.too_slow])
@@ -57,26 +62,51 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """File by file; one process gets the files that load torch, so that the others stay small."""
+    """File by file; one process gets the files that load torch, so that the others stay small; one those that wait."""
     if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
     class ByLibraries(LoadFileScheduling):
         def _assign_work_unit(self, node: Any) -> None:
-            order = ("training", "light", "") if node is self.nodes[0] else ("", "light", "training")
+            order = ("", "light", "waiting", "training")
+            if node is self.nodes[0]:
+                order = ("training", "light", "", "waiting")
+            elif node is self.nodes[-1] and len(self.nodes) > 2:
+                order = ("waiting", "", "light", "training")
             self.workqueue.move_to_end(min(self.workqueue, key=lambda file: order.index(kind_of(file))), last=False)
             super()._assign_work_unit(node)
 
     return ByLibraries(config, log)
 
 
+@cache
 def kind_of(file: str) -> str:
-    """``training``, ``light`` or neither: of a file of tests, from the root."""
+    """``training``, ``waiting``, ``light`` or none of these: of a file of tests, from the root."""
     inside = file.removeprefix("tests/")
     if inside.startswith(tuple(name if name.endswith(".py") else f"{name}/" for name in TRAINING)):
         return "training"
+    if any(mark in _text_of(_REPOSITORY / file) for mark in WAITING):
+        return "waiting"
     return "light" if inside.startswith(tuple(f"{name}/" for name in LIGHT)) else ""
+
+
+def _text_of(file: Path) -> str:
+    return file.read_text(encoding="utf-8") if file.is_file() else ""
+
+
+LONG = "pytest.mark.long"
+_ALL_LONG = re.compile(r"^pytestmark = .*pytest\.mark\.long", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files of which ``make test`` or ``make test-long`` runs no test are not imported: every process collects."""
+    asked = config.option.markexpr
+    if asked not in ("long", "not long") or not collection_path.match("test_*.py"):
+        return None
+    text = _text_of(collection_path)
+    foreign = LONG not in text if asked == "long" else bool(_ALL_LONG.search(text))
+    return foreign or None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,9 +1,10 @@
-"""Which process of several runs which file of tests: what loads torch goes to one of them, as long as it has any."""
+"""Which process of several runs which file of tests, and which files are not imported where no test of them runs."""
 
 import re
 import runpy
 from collections import OrderedDict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -60,3 +61,45 @@ def test_one_process_has_the_trainings_and_the_others_take_them_last(pytestconfi
     scheduler.workqueue = OrderedDict([("tests/training/test_c.py", {items[2]: False})])
     scheduler._assign_work_unit(second)
     assert files[second.reported[-1]] == "tests/training/test_c.py", "before it has nothing to do"
+
+
+def test_of_three_processes_one_has_the_files_that_wait(pytestconfig: pytest.Config) -> None:
+    waiting, quick = "tests/hostile/test_secrets.py", ["tests/records/test_b.py", "tests/records/test_c.py"]
+    files = [*quick, waiting, "tests/training/test_c.py", "tests/bus/test_a.py"]
+
+    class Config:
+        option = pytestconfig.option
+
+        @staticmethod
+        def getvalue(name: str) -> Any:
+            return {"dist": "loadfile", "tx": ["popen"] * 3}[name]
+
+    scheduler = CONFTEST["pytest_xdist_make_scheduler"](Config, None)
+    processes = [Process() for _ in range(3)]
+    for process in processes:
+        scheduler.assigned_work[process], scheduler.registered_collections[process] = {}, files
+    scheduler.workqueue = OrderedDict((file, {file: False}) for file in files)
+    for process in (*processes, processes[1], processes[2]):
+        scheduler._assign_work_unit(process)
+    reported = [[files[index] for index in process.reported] for process in processes]
+    assert reported == [["tests/training/test_c.py"], quick, [waiting, "tests/bus/test_a.py"]]
+
+
+@pytest.mark.parametrize(
+    ("asked", "text", "ignored"),
+    [
+        ("long", "def test_a(): ...", True), ("long", "@pytest.mark.long\ndef test_a(): ...", None),
+        ("long", "pytest.param(1, marks=pytest.mark.long)", None), ("not long", "def test_a(): ...", None),
+        ("not long", "pytestmark = [pytest.mark.long, pytest.mark.slow]", True),
+        ("not long", "@pytest.mark.long\ndef test_a(): ...", None),
+        ("", "def test_a(): ...", None), ("processes", "pytestmark = pytest.mark.long", None),
+    ],
+)  # fmt: skip
+def test_a_file_is_not_imported_if_none_of_its_tests_is_asked_for(asked, text, ignored, tmp_path: Path) -> None:
+    file = tmp_path / "test_x.py"
+    file.write_text(text)
+    config = SimpleNamespace(option=SimpleNamespace(markexpr=asked))
+    assert CONFTEST["pytest_ignore_collect"](file, config) is ignored
+    helper = tmp_path / "conftest.py"
+    helper.write_text(text)
+    assert CONFTEST["pytest_ignore_collect"](helper, config) is None
