@@ -26,7 +26,7 @@ def settings_named(source: str) -> FilterSettings:
     """
     # A user's robots may be declared in files that the environment names; without them their names are unknown.
     load_user_files()
-    declared = source in robots() and not Path(source).exists() and source not in _shipped("named_settings")
+    declared = source in robots() and not Path(source).is_file() and source not in _shipped("named_settings")
     return robot_named(source).settings() if declared else load_settings(_path(source, "named_settings"))
 
 
@@ -50,10 +50,11 @@ def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | Non
 
 def _path(source: str, kind: str) -> Path:
     path = Path(source)
-    # A file in the working directory takes precedence over a shipped name, as for all other file arguments.
-    if path.exists():
-        return path
     shipped = _shipped(kind)
+    # A file in the working directory takes precedence over a shipped name, as for all other file arguments; a folder
+    # does not: the output of `--out pendulum` may lie there.
+    if path.exists() and not (path.is_dir() and source in shipped):
+        return path
     if path.stem not in shipped or path.parent != Path():
         raise InputError(
             f"{source}: no such file, nor one that ships under that name; {did_you_mean(path.stem, shipped)}"

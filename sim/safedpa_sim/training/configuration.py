@@ -256,7 +256,7 @@ def configurations() -> dict[str, Path]:
 def load_configuration(source: str | Path = "car") -> Configuration:
     """Loads a configuration from a file, or a shipped one by name. Raises InputError naming the file and the key."""
     path = Path(source)
-    if not path.exists() and path.parent == Path():
+    if not path.is_file() and path.parent == Path():
         path = configurations().get(path.stem, path)
     try:
         text = text_of_file(path, "toml_bytes")
