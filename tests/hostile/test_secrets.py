@@ -4,6 +4,7 @@ import base64
 import http.cookiejar
 import os
 import re
+import signal
 import subprocess
 import sys
 import urllib.parse
@@ -46,7 +47,7 @@ class Run:
         environment = {**os.environ, "TMPDIR": str(private), "SAFEDPA_PAGE_PASSWORD": PASSWORD, "SAFEDPA_LOG": "json"}
         environment.pop("PYTEST_CURRENT_TEST", None)  # the page's framework would not serve
         self._printed, self._errors = folder / "stdout", folder / "stderr"
-        command = [sys.executable, "-m", "safedpa_services", "up", "--secure", "--seconds", "40"]
+        command = [sys.executable, "-m", "safedpa_services", "up", "--secure"]
         with self._printed.open("wb") as printed, self._errors.open("wb") as errors:
             self.process = subprocess.Popen(
                 [*command, "--out", str(self._place)], stdout=printed, stderr=errors, env=environment
@@ -101,7 +102,8 @@ class Run:
         return name != "metrics" or b"safedpa_" in self.outputs[name]
 
     def end(self) -> None:
-        """Waits for the end, and collects all files of the run with the contents of the recordings."""
+        """Ends the run, and collects all its files with the contents of the recordings."""
+        self.process.send_signal(signal.SIGINT)
         assert self.process.wait(180.0) == 0, self._text()
         self.outputs |= {"terminal": self._printed.read_bytes(), "errors": self._errors.read_bytes()}
         for path in (path for path in self._place.rglob("*") if path.is_file()):
@@ -118,6 +120,7 @@ class Run:
 
 
 @pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.processes
 def test_no_output_of_a_secured_run_holds_a_secret(tmp_path: Path) -> None:
     run = Run(tmp_path)

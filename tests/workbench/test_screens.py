@@ -85,8 +85,9 @@ def axe(tmp_path_factory):
     if npm is None:
         return None
     folder = tmp_path_factory.mktemp("axe")
+    phrase = [npm, "pack", AXE, "--silent", "--fetch-retries=1", "--fetch-timeout=10000"]
     try:
-        done = subprocess.run([npm, "pack", AXE, "--silent"], cwd=folder, capture_output=True, timeout=240, check=False)
+        done = subprocess.run(phrase, cwd=folder, capture_output=True, timeout=40, check=False)
     except subprocess.TimeoutExpired:
         return None
     packed = next(folder.glob("axe-core-*.tgz"), None)
