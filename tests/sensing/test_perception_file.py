@@ -1,11 +1,12 @@
 """The file of perception: its keys, its refusals, the orders that change it, and which are kept."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, SurroundingsMessage
+from safedpa.bus import SURROUNDINGS, Answer, Bus, MemoryBroker, MemoryTransport, Request, SurroundingsMessage
 from safedpa.bus.messages.requests import SENSE
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings, Zone, load_perception
@@ -389,3 +390,20 @@ def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
     assert "cannot be written (No such file or directory)" in notice
     assert found.in_force("r1", ("laser",), 1).off == {"laser"}, "it holds all the same"
     assert switches(tmp_path / "senses.json").lost != "", "a folder is no file of orders"
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_source_that_may_repeat_its_scans_is_never_frozen(repeats: bool) -> None:
+    robot = CarRobot(Scene.random(3), sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), ()))
+    node = PerceptionNode(PerceptionSettings(sources={"laser": SourceSettings(repeats=repeats)}))
+    first, problems = None, set()
+    for _ in range(20):
+        state = robot.state_message()
+        for scan in robot.scans():
+            first = first or scan
+            node.hear("r", replace(scan, ranges=first.ranges))
+        message = node.step("r", state, {})[SURROUNDINGS]
+        assert isinstance(message, SurroundingsMessage)
+        problems |= {one for one in message.problems if "frozen" in one}
+        robot.advance()
+    assert bool(problems) is not repeats

@@ -35,6 +35,9 @@ class SourceSettings:
     time_out: float | None = None
     """Silence after which the source has failed, s."""
     min_points: int | None = None
+    repeats: bool = False
+    """Whether identical scans in a row are normal, as of a range sensor, a costmap or a simulated laser without noise;
+    otherwise four of them count as a frozen sensor."""
 
     def __post_init__(self) -> None:
         if self.time_out is not None:
@@ -111,6 +114,11 @@ class PerceptionSettings:
         """Silence after which a source has failed, s."""
         own = self.sources.get(source)
         return self.time_out if own is None or own.time_out is None else own.time_out
+
+    def repeats(self, source: str) -> bool:
+        """Whether a source may send identical scans."""
+        own = self.sources.get(source)
+        return own is not None and own.repeats
 
     def min_points_of(self, source: str) -> int:
         """Rays of a source that must end near each other to count as an object."""

@@ -63,7 +63,8 @@ class Sources:
             or (source.heard is not None and scan.robot_time <= source.heard)
         ):
             return False
-        source.same = source.same + 1 if scan.ranges == source.ranges else 0
+        again = scan.ranges == source.ranges and not self._settings.repeats(scan.source)
+        source.same = source.same + 1 if again else 0
         source.heard, source.number, source.ranges, source.early = scan.robot_time, scan.number, scan.ranges, 0.0
         return source.same < _FROZEN_SCANS
 
