@@ -16,6 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SYNTAX = re.compile(r"[A-Z]{2,}(\.\.\.)?|\.\.\.|\[|\|")
 """A line that says what a command takes, no command to type: MODEL, RUN..., [--json]."""
+CLAIMED = tomllib.loads((ROOT / "docs" / "evidence" / "claims.toml").read_text(encoding="utf-8"))
+"""By page, below ``docs``: headings with the commands and tests of what they claim."""
 FAST = ("safedpa effects --robot car", "safedpa --version", "safedpa up --help")
 
 
@@ -40,7 +42,7 @@ def _commands() -> Iterator[tuple[str, str]]:
                 yield name, whole.removeprefix("/opt/safedpa/bin/")
         for found in re.findall(r"`(safedpa [a-z][^`]*)`", text):
             yield name, found
-    for page, claims in tomllib.loads((ROOT / "docs" / "evidence" / "claims.toml").read_text(encoding="utf-8")).items():
+    for page, claims in CLAIMED.items():
         yield from ((page, item) for all_of in claims.values() for item in all_of if item.startswith("safedpa "))
 
 
@@ -64,8 +66,11 @@ def test_each_page_can_be_read_in_one_go() -> None:
 FOUND = sorted(set(_commands()))
 
 
-def _parsed(phrase: list[str]) -> None:
-    """Parses as the command line would, and runs nothing. Raises click's error for what it does not understand."""
+def _parsed(phrase: list[str], *, is_whole: bool) -> None:
+    """Parses as the command line would, and runs nothing. Raises click's error for what it does not understand.
+
+    A name alone, ``safedpa calibrate`` in a sentence, is a command to type only if it ``is_whole``.
+    """
     group: click.Command = safedpa
     context = click.Context(safedpa, info_name="safedpa")
     while isinstance(group, click.Group) and phrase and not phrase[0].startswith("-"):
@@ -75,9 +80,13 @@ def _parsed(phrase: list[str]) -> None:
         context = click.Context(command, info_name=command.name, parent=context)
     if phrase[:1] == ["--version"]:
         return
-    given, _, _ = group.make_parser(context).parse_args([word for word in phrase if word not in ("-h", "--help")])
+    plain = [word for word in phrase if word not in ("-h", "--help", "...")]
+    given, _, _ = group.make_parser(context).parse_args(list(plain))
+    is_whole = plain == phrase and (bool(phrase) or is_whole) and not any(map(SYNTAX.search, phrase))
     for item in group.params:
         value = given.get(item.name or "")
+        if is_whole and item.required and value in (None, ()):
+            raise click.UsageError(f"{item.name} is missing")
         if isinstance(item.type, click.Choice) and isinstance(value, str) and not SYNTAX.search(value):
             item.type.convert(value, item, context)
 
@@ -93,9 +102,9 @@ def test_every_command_of_every_page_is_understood() -> None:
     for page, command in FOUND:
         plainly = re.sub(r"\$\([^)]*\)", "FILE", command)
         phrase = shlex.split(re.split(r" (?:\||>|&&|;|&) ?", plainly)[0].replace("\\", ""))[1:]
-        plain = [word.strip("[]") for word in phrase if word not in ("...", "\u2026")]
+        plain = [word if word == "..." else word.strip("[]") for word in phrase if word != "\u2026"]
         try:
-            _parsed(plain)
+            _parsed(plain, is_whole=page in CLAIMED)
         except click.ClickException as error:
             wrong.append(f"{page}: {command}: {error.format_message()}")
     assert wrong == []
