@@ -53,8 +53,8 @@ class Link:
     def __init__(self, form: str = "bridge", *others: Any) -> None:
         self.form, self.others = form, list(others)
 
-    def watched(self, *_: Any) -> list[Any]:
-        return self.others
+    def watched(self, topic: str, *_: Any) -> list[Any]:
+        return [one for one in self.others if one.topic == topic]
 
 
 class Publisher:
@@ -72,7 +72,7 @@ class Publisher:
 class Sense:
     """Numbers with an age [s]."""
 
-    refused, why, clock, lag = 0, "", "", 0.0
+    refused, why, clock, lag, type = 0, "", "", 0.0, ""
 
     def __init__(self, numbers: tuple[float, ...], age: float = 0.0) -> None:
         self.numbers, self.age = numbers, age

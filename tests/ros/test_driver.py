@@ -50,7 +50,7 @@ class Link:
     def watched(self, *_: Any) -> list[Any]:
         return []
 
-    def hear(self, *_: Any) -> None:
+    def hear(self, *_: Any, late: bool = False) -> None:
         """Receives nothing."""
 
     overhear = hear

@@ -9,11 +9,14 @@ from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from tests.ros.gateway_rig import ASKED, Link, Rig, Sense, rig_of
+from tests.ros.gateway_rig import ASKED, DRIVE, Link, Rig, Sense, rig_of
 
 from safedpa.bus import HealthMessage, NominalMessage, ScanMessage, StateMessage, logging
+from safedpa.perception import Rays
 from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
+from safedpa_services.ros_gateway.sources import SourceReading
 
 BRAKE = (0.0, 0.0)
 LATE = "no action of the filter arrived in time"
@@ -189,12 +192,11 @@ def test_a_received_goal_replaces_the_one_of_the_file(of_file, heard, goal):
 )
 def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(arrived, delay, tick, measured):
     """Measured at 1 s of robot time, after 20 ticks of 0.05 s."""
-    turn = SimpleNamespace(
-        arrived=100.0 + arrived, first_angle=0.0, angle_step=0.1, ranges=(1.0, 2.0), nearest=0.1, farthest=9.0
-    )
+    rays = Rays((0.0, 0.0, 0.0), 0.0, 0.1, (1.0, 2.0), 0.1, 9.0)
+    turn = SourceReading(100.0 + arrived, rays, np.empty((0, 2)))
     scanner = SimpleNamespace(take_all=lambda: [turn], refused=0, why="")
     asked = replace(ASKED, scans=(ScanTopic("/scan", delay=delay),))
-    with rig_of(asked=asked, scanners=(scanner,)) as rig:
+    with rig_of(asked=asked, sources=(scanner,)) as rig:
         rig.gateway.tick = 20
         rig.turns()
         heard = [message for message in rig.messages() if isinstance(message, ScanMessage)]
@@ -208,7 +210,7 @@ def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(arrived, dela
 @pytest.mark.parametrize("echo_monitor", [True, False])
 def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced: bool, echo_monitor: bool) -> None:
     """Announced publishers are named. A bridge does not announce publishers; they are detected by their messages."""
-    link = Link(form, *[SimpleNamespace(node="/joystick")] * announced)
+    link = Link(form, *[SimpleNamespace(node="/joystick", topic="/drive", type=DRIVE)] * announced)
     named = announced and form == "rmw_zenoh"
     with rig_of(link=link) as rig:
         rig.act(0.5, 0.1)

@@ -1,6 +1,8 @@
 """Further inputs of the gateway: scans, goals, localisation, and other publishers."""
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -27,18 +29,23 @@ from safedpa_services.ros_gateway.robot_file import (
     load_robot_file,
 )
 from safedpa_services.ros_gateway.sensor_inputs import (
-    SCAN_TYPE,
     TRANSFORMS,
     LatestMessage,
     PoseAndTwist,
-    Scanner,
     SensorInputs,
     TransformListener,
     goal_paths,
     pose_paths,
 )
+from safedpa_services.ros_gateway.sensor_tables import LASER, FrameTopics, SourceTopic
+from safedpa_services.ros_gateway.sources import BodyFrames, SourceReader, SourceReceiver
 
 INFINITE, NONE = math.inf, math.nan
+
+
+def scanner_of(frame: str = "", clock: Callable[[], float] = time.monotonic, ahead: float = 0.0) -> SourceReceiver:
+    topic = SourceTopic("/scan", frame=frame, mount=(ahead, 0.0, 0.0))
+    return SourceReceiver(SourceReader(topic, (), BodyFrames(FrameTopics(), 0.0, lambda _: None, clock)), clock)
 
 
 def scan_of(ranges: list[float], **changes: Any) -> bytes:
@@ -47,15 +54,15 @@ def scan_of(ranges: list[float], **changes: Any) -> bytes:
         "angle_min": -1.5, "angle_max": 1.5, "angle_increment": 0.5, "range_min": 0.1, "range_max": 12.0,
         "ranges": ranges,
     }  # fmt: skip
-    return encode(SCAN_TYPE, {**fields, **changes})
+    return encode(LASER, {**fields, **changes})
 
 
 def test_rays_of_a_scan_are_taken_as_measured_and_missing_ones_stay_missing() -> None:
-    scanner = Scanner("laser", clock=lambda: 7.0)
+    scanner = scanner_of("laser", clock=lambda: 7.0)
     scanner.take(scan_of([2.0, INFINITE, -INFINITE, NONE, 0.0, 0.05, 13.0]))
     (turn,) = scanner.take_all()
-    assert turn.ranges == (2.0, 12.0, pytest.approx(0.1), -1.0, -1.0, -1.0, 12.0)
-    assert (turn.arrived, turn.first_angle, turn.angle_step, turn.farthest) == (7.0, -1.5, 0.5, 12.0)
+    assert turn.rays.ranges == (2.0, 12.0, pytest.approx(0.1), -1.0, -1.0, -1.0, 12.0)
+    assert (turn.arrived, turn.rays.first_angle, turn.rays.angle_step, turn.rays.farthest) == (7.0, -1.5, 0.5, 12.0)
     assert scanner.take_all() == []
     scanner.take(scan_of([2.0] * 7))
     assert scanner.take_all() == [], "the same stamp again is no news"
@@ -69,7 +76,7 @@ def test_rays_of_a_scan_are_taken_as_measured_and_missing_ones_stay_missing() ->
     ],
 )  # fmt: skip
 def test_an_invalid_scan_is_refused_and_counted(changes: dict[str, Any]) -> None:
-    scanner = Scanner("laser")
+    scanner = scanner_of("laser")
     scanner.take(scan_of([1.0] * 7, **changes) if "ranges" not in changes else scan_of(**changes))
     assert scanner.take_all() == []
     assert scanner.refused == 1
@@ -81,7 +88,7 @@ def test_an_invalid_scan_is_refused_and_counted(changes: dict[str, Any]) -> None
 def test_mutated_messages_raise_nothing(data: some.DataObject) -> None:
     head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
     whole = {
-        SCAN_TYPE: scan_of([1.0] * 7),
+        LASER: scan_of([1.0] * 7),
         TRANSFORMS: encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", 1.0, 2.0, 0.3)]}),
     }
     name = data.draw(some.sampled_from(sorted(whole)))
@@ -89,11 +96,11 @@ def test_mutated_messages_raise_nothing(data: some.DataObject) -> None:
     for _ in range(data.draw(some.integers(1, 6))):
         message[data.draw(some.integers(0, len(message) - 1))] = data.draw(some.integers(0, 255))
     cut = data.draw(some.integers(0, len(message)))
-    scanner, localised = Scanner(), TransformListener("map", "odom")
+    scanner, localised = scanner_of(), TransformListener("map", "odom")
     for sense in (scanner, localised):
         sense.take(bytes(message[:cut]) if data.draw(some.booleans()) else bytes(message))
     for turn in scanner.take_all():
-        assert all(-1.0 <= one <= turn.farthest for one in turn.ranges)
+        assert all(-1.0 <= one <= turn.rays.farthest for one in turn.rays.ranges)
     assert all(map(math.isfinite, localised.read()[0]))
 
 
@@ -164,7 +171,7 @@ def test_messages_of_two_publishers_are_refused_even_if_one_has_no_attachment() 
     now = [5.0]
     clock = lambda: now[0]  # noqa: E731
     odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
-    localised, scanner = TransformListener("map", "odom", clock), Scanner("laser", clock)
+    localised, scanner = TransformListener("map", "odom", clock), scanner_of("laser", clock)
     for turn, alongside in enumerate((signed(b"a"), None, signed(b"a"), None)):
         odometry.take(odometry_at(float(turn), turn), alongside)
         now[0] += 0.02
@@ -176,7 +183,7 @@ def test_messages_of_two_publishers_are_refused_even_if_one_has_no_attachment() 
     assert localised.read()[1] == INFINITE
     assert "two publishers" in localised.why
     assert "two publishers" in scanner.why
-    assert [turn.ranges[0] for turn in scanner.take_all()] == [1.0]
+    assert [turn.rays.ranges[0] for turn in scanner.take_all()] == [1.0]
     now[0] += 1.01
     odometry.take(odometry_at(7.0, 9), signed(b"a"))
     localised.take(transform_at(7.0, 9), signed(b"a"))
@@ -204,11 +211,11 @@ def test_a_number_that_the_bus_would_refuse_is_refused_on_arrival() -> None:
     odometry.take(odometry_at(1e13, 1))
     goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "")
     goal.take(encode("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"x": 1e300}}}))
-    localised, scanner = TransformListener("map", "odom"), Scanner("laser")
+    localised, scanner = TransformListener("map", "odom"), scanner_of("laser")
     localised.take(transform_at(-1e15, 1))
     scanner.take(scan_of([1.0] * 7, angle_min=1e30))
     assert [one.refused for one in (odometry, goal, localised, scanner)] == [1, 1, 1, 1]
-    sensor_inputs = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, (scanner,))
+    sensor_inputs = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, sources=(scanner,))
     assert sorted(sensor_inputs.refusals(["laser"])) == ["goal_refused", "laser_refused"]
 
 
@@ -267,10 +274,10 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
     clock = lambda: now[0]  # noqa: E731
     odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
     goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
-    localised, scanner, diagnostics = TransformListener("map", "odom", clock), Scanner("", clock), Diagnostics()
+    localised, scanner, diagnostics = TransformListener("map", "odom", clock), scanner_of("", clock, 0.2), Diagnostics()
     shown: Any = diagnostics
     health_publisher = HealthPublisher("r1", file.frame, CarFace(), shown, None, clock)
-    sensor_inputs = {"goal": goal, "localised": localised, "scanners": (scanner,)}
+    sensor_inputs = {"goal": goal, "localised": localised, "sources": (scanner,)}
     with rig_of(asked=file, health_publisher=health_publisher, now=now, odometry=odometry, **sensor_inputs) as rig:
 
         def turn(nanoseconds: int) -> None:
@@ -299,15 +306,15 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
 
 @pytest.mark.parametrize(("sent", "retained"), [(1, 1), (8, 8), (9, 8), (40, 8)])
 def test_of_the_scans_between_two_periods_the_newest_eight_are_kept(sent: int, retained: int) -> None:
-    scanner = Scanner("laser")
+    scanner = scanner_of("laser")
     for number in range(sent):
         scanner.take(scan_of([1.0 + number / 100.0] * 7, header=_head(number + 1)))
     newest = [1.0 + number / 100.0 for number in range(sent)][-retained:]
-    assert [turn.ranges[0] for turn in scanner.take_all()] == pytest.approx(newest)
+    assert [turn.rays.ranges[0] for turn in scanner.take_all()] == pytest.approx(newest)
 
 
 def test_scans_without_a_stamp_are_all_new() -> None:
-    scanner = Scanner("laser")
+    scanner = scanner_of("laser")
     for _ in range(3):
         scanner.take(scan_of([1.0] * 7, header={"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "laser"}))
     assert len(scanner.take_all()) == 3
@@ -332,7 +339,7 @@ def test_scans_without_a_stamp_are_all_new() -> None:
     ],
 )
 def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most(rays, changes, believed):
-    scanner = Scanner("laser")
+    scanner = scanner_of("laser")
     scanner.take(scan_of([1.0] * rays, **changes))
     assert (len(scanner.take_all()), scanner.refused) == (believed, not believed)
 

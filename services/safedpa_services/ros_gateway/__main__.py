@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,22 +29,26 @@ from safedpa.ros.encoding import hash_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
+from safedpa.ros.sensor_messages import CAMERA_INFO, POLYGON
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
-from safedpa_services.ros_gateway.gateway import Gateway, HealthPublisher, Limits
+from safedpa_services.ros_gateway.gateway import TWIST, Gateway, HealthPublisher, Limits
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
-from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
+from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file, uses_transforms
 from safedpa_services.ros_gateway.sensor_inputs import (
-    SCAN_TYPE,
     TRANSFORMS,
+    FootprintInput,
     LatestMessage,
-    Scanner,
+    NominalInput,
     SensorInputs,
     TransformListener,
     goal_paths,
     pose_paths,
 )
+from safedpa_services.ros_gateway.simulated_clock import CLOCK, SimulatedClock
+from safedpa_services.ros_gateway.sources import BodyFrames, SourceReader, SourceReceiver, body_frames
+from safedpa_services.ros_gateway.speed_zones import BOOL, SpeedZones, ToggleInput, ZonePolygon
 
 _POLICY = "policy"
 """Role whose certificate is used to publish nominal actions; its files are in the same folder as the robot's."""
@@ -115,6 +119,8 @@ def load_ros_interface(robot_file: RobotFile) -> tuple[AbstractFace, Limits, flo
     for key, kind in (("command", robot_file.command.type), ("nominal", robot_file.nominal.type)):
         if kind and kind not in face.commands:
             raise InputError(f"{key}.type: got '{kind}', wanted one of {', '.join(face.commands)}")
+    if robot_file.zones and TWIST not in face.commands:
+        raise InputError(f"zones: got some, but the commands of a {robot_file.robot} have no velocity ({TWIST})")
     settings = settings_named(robot_file.settings or declared.settings_name)
     limits = (tuple(settings.action_low), tuple(settings.action_high), tuple(settings.resting_action))
     return face, limits, 1.0 / (robot_file.rate or declared.rate)
@@ -137,37 +143,103 @@ def make_gateway(robot_file: RobotFile, bus: Bus, policy_bus: Bus | None = None)
             for topic, kind in (
                 (wire.diagnostics, "diagnostic_msgs/msg/DiagnosticArray"),
                 (wire.markers, "visualization_msgs/msg/MarkerArray"),
+                (robot_file.monitor.state, "nav2_msgs/msg/CollisionMonitorState"),
             )
         ]
         health_publisher = HealthPublisher(robot_file.name, robot_file.frame, face, publishers[0], publishers[1])
-        sensor_inputs = _sensor_inputs(link, robot_file, face, robot_file.nominal.type or command_type)
+        simulated = None
+        if robot_file.clock.topic:
+            simulated = SimulatedClock(robot_file.clock.largest_gap)
+            link.hear(robot_file.clock.topic, CLOCK, simulated.take)
+        nominal_type = robot_file.nominal.type or command_type
+        sensor_inputs = _sensor_inputs(link, robot_file, face, nominal_type, simulated)
         command = link.publisher(robot_file.command.topic, command_type, type_hash)
         link.watched(robot_file.command.topic, PUBLISHER)  # subscribes to graph events now; later calls do not block
         yield Gateway(
-            bus, link, robot_file, face, limits, sensor_inputs, command, health_publisher, period, policy_bus=policy_bus
-        )
+            bus, link, robot_file, face, limits, sensor_inputs, command, health_publisher, period,
+            clock=simulated or time.monotonic, policy_bus=policy_bus, zone_state=publishers[2],
+        )  # fmt: skip
 
 
-def _sensor_inputs(link: RosLink, robot_file: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
+def _sensor_inputs(
+    link: RosLink, robot_file: RobotFile, face: AbstractFace, nominal_type: str, simulated: SimulatedClock | None
+) -> SensorInputs:
     """Subscribes to all topics that the file names."""
-    odometry = LatestMessage(robot_file.odometry.type, pose_paths(), robot_file.wire.frame)
+    clock = simulated or time.monotonic
+    odometry = LatestMessage(robot_file.odometry.type, pose_paths(), robot_file.wire.frame, clock)
     driver = CommandEchoMonitor(robot_file.command.topic)
     link.hear(robot_file.odometry.topic, robot_file.odometry.type, odometry.take)
     link.overhear(robot_file.command.topic, driver.take)
     nominal = goal = localised = None
     if robot_file.nominal.topic:
-        nominal = LatestMessage(nominal_type, face.paths(nominal_type))
-        link.hear(robot_file.nominal.topic, nominal_type, nominal.take)
+        # Over a bridge the type is not part of the key, so that only the expected type can be decoded.
+        kinds = face.commands if link.form == "rmw_zenoh" else ()
+        types = dict.fromkeys((nominal_type, *kinds))
+        nominal = NominalInput({kind: face.paths(kind) for kind in types}, clock)
+        for kind, one in nominal.inputs.items():
+            link.hear(robot_file.nominal.topic, kind, one.take)
     if robot_file.goal.topic:
-        goal = LatestMessage(_GOAL, goal_paths(), robot_file.frame)
+        goal = LatestMessage(_GOAL, goal_paths(), robot_file.frame, clock)
         link.hear(robot_file.goal.topic, _GOAL, goal.take)
     if robot_file.localisation.topic:
-        localised = TransformListener(robot_file.localisation.frame, robot_file.wire.frame)
+        localised = TransformListener(robot_file.localisation.frame, robot_file.wire.frame, clock)
         link.hear(robot_file.localisation.topic, TRANSFORMS, localised.take)
-    scanners = tuple(Scanner(scan.frame) for scan in robot_file.scans)
-    for scan, scanner in zip(robot_file.scans, scanners, strict=True):
-        link.hear(scan.topic, SCAN_TYPE, scanner.take)
-    return SensorInputs(odometry, driver, nominal, goal, localised, scanners)
+    frames = body_frames(robot_file, odometry, localised, clock)
+    if uses_transforms(robot_file):
+        link.hear(robot_file.frames.fixed, TRANSFORMS, frames.take_fixed, late=True)
+        link.hear(robot_file.frames.moving, TRANSFORMS, frames.take_moving)
+    return SensorInputs(
+        odometry, driver, nominal, goal, localised, simulated=simulated,
+        sources=_sources(link, robot_file, frames, clock), footprint=_footprint(link, robot_file, frames, clock),
+        zones=_zones(link, robot_file, frames), counted=_counted(link, robot_file),
+    )  # fmt: skip
+
+
+def _sources(
+    link: RosLink, robot_file: RobotFile, frames: BodyFrames, clock: Callable[[], float]
+) -> tuple[SourceReceiver, ...]:
+    found = []
+    for topic in robot_file.sensors:
+        reader = SourceReader(topic, robot_file.exclusions, frames, robot_file.wire.frame)
+        found.append(SourceReceiver(reader, clock))
+        link.hear(topic.topic, topic.type, found[-1].take)
+        if topic.info:
+            link.hear(topic.info, CAMERA_INFO, found[-1].take_info)
+    return tuple(found)
+
+
+def _footprint(
+    link: RosLink, robot_file: RobotFile, frames: BodyFrames, clock: Callable[[], float]
+) -> FootprintInput | None:
+    topic = robot_file.footprint
+    if not topic.topic:
+        return None
+    found = FootprintInput(lambda frame: frames.of(frame, clock()), topic.hold, clock)
+    link.hear(topic.topic, POLYGON, found.take)
+    return found
+
+
+def _zones(link: RosLink, robot_file: RobotFile, frames: BodyFrames) -> SpeedZones | None:
+    if not robot_file.zones:
+        return None
+    polygons, switches = {}, {}
+    for zone in robot_file.zones:
+        switches[zone.name] = _switch(link, zone.enable, on=zone.enabled)
+        if zone.topic:
+            polygons[zone.name] = ZonePolygon(lambda frame: frames.of(frame, time.monotonic()))
+            link.hear(zone.topic, POLYGON, polygons[zone.name].take)
+    return SpeedZones(robot_file.zones, polygons, switches, _switch(link, robot_file.monitor.enable, on=True))
+
+
+def _counted(link: RosLink, robot_file: RobotFile) -> dict[str, ToggleInput]:
+    return {one.name: _switch(link, one.enable, on=one.enabled) for one in robot_file.sources}
+
+
+def _switch(link: RosLink, topic: str, *, on: bool) -> ToggleInput:
+    found = ToggleInput(on)
+    if topic:
+        link.hear(topic, BOOL, found.take)
+    return found
 
 
 def _driver_type_hash(link: RosLink, robot_file: RobotFile, command_type: str) -> str:

@@ -21,11 +21,11 @@ from safedpa.bus.messages.messages import (
     ActionMessage,
     HealthMessage,
     NominalMessage,
-    ScanMessage,
     StateMessage,
     VerdictMessage,
 )
 from safedpa.bus.messages.service_info import software_version
+from safedpa.ros.definitions import plain_type
 from safedpa.ros.encoding import stamp_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
@@ -33,7 +33,9 @@ from safedpa.ros.link import RosLink, RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 from safedpa_services.ros_gateway.robot_file import RobotFile
 from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist, SensorInputs
+from safedpa_services.ros_gateway.speed_zones import Limit, scaled, velocity_of
 
+TWIST = "geometry_msgs/msg/Twist"
 _MARKER_SECONDS = 0.1
 """Shortest time between two markers [s]."""
 
@@ -106,8 +108,12 @@ class Gateway:
         period: float,
         clock: Callable[[], float] = time.monotonic,
         policy_bus: Bus | None = None,
+        zone_state: RosPublisher | None = None,
     ) -> None:
-        self._policy_bus = policy_bus or bus
+        self._policy_bus, self._zone_state, self._limit = policy_bus or bus, zone_state, Limit()
+        self._wall = time.monotonic if sensor_inputs.simulated is not None else clock
+        """Clock of heartbeats, which must not stop with simulated time."""
+        self._restarts, self._notes = 0, set[str]()
         self._bus, self._link, self._robot_file, self._face, self._clock = bus, link, robot_file, face, clock
         self._low, self._high, self._brake = limits
         self._sensor_inputs, self._command, self._health_publisher = sensor_inputs, command, health_publisher
@@ -126,7 +132,7 @@ class Gateway:
         self.why = "no odometry has arrived yet"
         """Why the gateway brakes; empty while the filter drives."""
         self._intruder = ""
-        self._next_heartbeat = clock()
+        self._next_heartbeat = self._wall()
         # At once after a command of another publisher, so that it acts for a moment only.
         sensor_inputs.driver.answer = lambda: self._send(None)
 
@@ -147,6 +153,8 @@ class Gateway:
         """Runs one period that starts at ``begin``; returns the start of the next one."""
         self._listen(begin)
         self._check_intruder()
+        self._check_types()
+        self._check_restart()
         published = self._clock()
         numbers, age, stamp = self._sensor_inputs.odometry.read()
         why = self._refusal(age)
@@ -170,6 +178,20 @@ class Gateway:
     def _refusal(self, age: float) -> str:
         if self._intruder:
             return self._intruder
+        simulated = self._sensor_inputs.simulated
+        if simulated is not None and simulated.why:
+            return simulated.why
+        return self._odometry_refusal(age) or self._footprint_refusal()
+
+    def _footprint_refusal(self) -> str:
+        footprint = self._sensor_inputs.footprint
+        old = 0.0 if footprint is None else footprint.read()[1]
+        if footprint is None or old <= self._robot_file.footprint.largest_age:
+            return ""
+        state = f"{old:.2f} s old" if math.isfinite(old) else "missing"
+        return f"the footprint is {state}{f'; {footprint.why}' if footprint.why else ''}"
+
+    def _odometry_refusal(self, age: float) -> str:
         if age > self._robot_file.odometry.largest_age:
             state = f"{age:.2f} s old" if math.isfinite(age) else "missing"
             because = f"; {self._sensor_inputs.odometry.why}" if self._sensor_inputs.odometry.why else ""
@@ -186,7 +208,8 @@ class Gateway:
 
     def _publish(self, pose: PoseAndTwist, age: float) -> None:
         robot_file, around = self._robot_file, self._robot_file.surroundings
-        self._values = self._face.state(pose.x, pose.y, pose.yaw, pose.speed, pose.yaw_rate)
+        self._values = self._face.state_moving_aside(pose.x, pose.y, pose.yaw, pose.speed, pose.aside, pose.yaw_rate)
+        footprint = self._sensor_inputs.footprint
         stamp: dict[str, Any] = {
             "epoch": self.epoch,
             "tick": self.tick,
@@ -204,43 +227,64 @@ class Gateway:
             goal=goal or around.goal,
             obstacles=around.obstacles,
             field=around.field,
-            footprint=around.footprint,
+            footprint=around.footprint if footprint is None else footprint.read()[0],
             until_action=age + self._sensor_inputs.odometry.lag + self._delay,
-            sources=tuple(scan.name for scan in robot_file.scans),
+            sources=tuple(sensor.name for sensor in robot_file.sensors),
         )
         self._publish_scans(age)
         self._bus.publish(STATE, self._name, state)
         if self._sensor_inputs.nominal is None:
             return
+        kind = self._sensor_inputs.nominal.type or self._nominal_type
         numbers, nominal_age, _ = self._sensor_inputs.nominal.read()
         if nominal_age <= robot_file.nominal.largest_age:
-            nominal = self._face.action(self._nominal_type, numbers, self._values)
+            numbers = self._limited(kind, numbers)
+            nominal = self._face.action(kind, numbers, self._values)
             self._policy_bus.publish(NOMINAL, self._name, NominalMessage(**stamp, values=nominal, controller="ros"))
+
+    def _limited(self, kind: str, numbers: tuple[float, ...]) -> tuple[float, ...]:
+        """Returns the fields of the nominal command after the speed zones, and reports a change of the acting zone."""
+        zones = self._sensor_inputs.zones
+        if zones is None:
+            return numbers
+        counted = self._sensor_inputs.counted
+        pose = PoseAndTwist.of(self._sensor_inputs.odometry.read()[0], self._robot_file.odometry.ahead)
+        here, points, silent = (pose.x, pose.y, pose.yaw), {}, ""
+        for topic, sensor in zip(self._robot_file.sensors, self._sensor_inputs.sources, strict=True):
+            if topic.name in counted and not counted[topic.name].on:
+                continue
+            newest, age = sensor.newest()
+            if newest is None or age > topic.time_out:
+                silent = silent or topic.name
+            else:
+                points[topic.name] = newest.points_at(here)
+        twist = self._face.message(TWIST, self._face.action(kind, numbers, self._values), self._values)
+        limit = zones.limit(velocity_of(twist), points)
+        if silent:
+            limit = Limit(0.0, "stop", "invalid source")
+        if (limit.action, limit.zone) != (self._limit.action, self._limit.zone):
+            log_event(
+                "robot.zone",
+                f"zone {limit.zone}: {limit.action} ({limit.share:.2f} of the nominal velocity)" if limit.zone
+                else "no speed zone acts",
+                robot=self._name, tick=self.tick, service="robot",
+            )  # fmt: skip
+            if self._zone_state is not None:
+                self._zone_state.put({"action_type": limit.number, "polygon_name": limit.zone})
+        self._limit = limit
+        return scaled(numbers, self._face.paths(kind), limit.share)
 
     def _publish_scans(self, age: float) -> None:
         """Publishes the scans since the last state, stamped with their time of measurement in robot time."""
         now = self._clock()
-        for topic, scanner in zip(self._robot_file.scans, self._sensor_inputs.scanners, strict=True):
-            for scan in scanner.take_all():
-                measured = self.tick * self.period + min(0.0, scan.arrived - topic.delay - (now - age))
+        for topic, sensor in zip(self._robot_file.sensors, self._sensor_inputs.sources, strict=True):
+            for reading in sensor.take_all():
+                measured = self.tick * self.period + min(0.0, reading.arrived - topic.delay - (now - age))
                 if measured < 0.0:
                     continue  # measured before the first state, at an unknown pose
                 self._scans += 1
-                message = ScanMessage(
-                    epoch=self.epoch,
-                    tick=int(measured / self.period),
-                    robot_time=measured,
-                    publish_time=time.time(),
-                    source=topic.name,
-                    mount=topic.mount,
-                    first_angle=scan.first_angle,
-                    angle_step=scan.angle_step,
-                    ranges=scan.ranges,
-                    nearest=scan.nearest,
-                    farthest=scan.farthest,
-                    number=self._scans,
-                )
-                self._bus.publish(SCAN, self._name, message)
+                at = (self._scans, self.epoch, int(measured / self.period), measured)
+                self._bus.publish(SCAN, self._name, reading.rays.message(topic.name, *at))
 
     def _await_action(self, published: float, deadline: float) -> tuple[float, ...] | None:
         while (left := deadline - self._clock()) > 0.0:
@@ -288,7 +332,8 @@ class Gateway:
         """Sends an action (None: the braking command); returns the stamp of the command [ns]."""
         fields = self._braking()[1] if action is None else self._face.message(self._command.type, action, self._values)
         values = dict(fields)
-        now = time.time_ns()
+        simulated = self._sensor_inputs.simulated
+        now = time.time_ns() if simulated is None else simulated.nanoseconds
         if self._command.type.endswith("Stamped"):
             values["header"] = self._health_publisher.head(now)
         self._command.put(values)
@@ -302,7 +347,8 @@ class Gateway:
             "sense_to_act": f"{age + seconds:.6f}",
             "command_stamp": str(sent),
             "periods_braked": str(self.watchdog_ticks),
-            **self._sensor_inputs.refusals([scan.name for scan in self._robot_file.scans]),
+            **({"zone": f"{self._limit.action} {self._limit.zone}".strip()} if self._sensor_inputs.zones else {}),
+            **self._sensor_inputs.refusals([sensor.name for sensor in self._robot_file.sensors]),
         }
         self._health_publisher.gateway(self.why, facts)
 
@@ -313,6 +359,36 @@ class Gateway:
         named = f"{others[0].node} publishes on {topic}, too; remap it to another topic" if others else ""
         self._intruder = named or self._sensor_inputs.driver.why
 
+    def _check_types(self) -> None:
+        """Reports publishers of the nominal action or odometry with another type than the file says, each once."""
+        nominal, link = self._robot_file.nominal, self._link
+        if link.form != "rmw_zenoh":
+            return
+        wanted = [(self._robot_file.odometry.topic, (self._robot_file.odometry.type,))]
+        if nominal.topic:
+            wanted.append((nominal.topic, (self._nominal_type,)))
+        wanted += [(one.topic, (one.type,)) for one in self._robot_file.sensors]
+        for topic, types in wanted:
+            for other in link.watched(topic, PUBLISHER):
+                kind = plain_type(other.type)
+                if kind in map(plain_type, types) or f"{other.node} {kind}" in self._notes:
+                    continue
+                self._notes.add(f"{other.node} {kind}")
+                served = topic == nominal.topic and kind in self._face.commands
+                what = "it is used" if served else "it is not used"
+                sentence = f"{other.node} publishes {kind} on {topic}, the file says {types[0]}: {what}"
+                log_event(
+                    "robot.other_type", sentence, level="warning", robot=self._name, tick=self.tick, service="robot"
+                )
+
+    def _check_restart(self) -> None:
+        """Begins a new epoch if simulated time jumped: the simulation was reset, and the robot is elsewhere."""
+        simulated = self._sensor_inputs.simulated
+        if simulated is not None and simulated.restarts != self._restarts:
+            self._restarts = simulated.restarts
+            self.epoch, self.tick = secrets.randbits(53), 0
+            self._applied, self._applied_by = self._brake, "none"
+
     def _listen(self, until: float) -> None:
         """Forwards verdicts to ROS and sends heartbeats to the bus, until a time."""
         while True:
@@ -320,8 +396,8 @@ class Gateway:
             for item in self._verdicts.take(max(0.0, left)):
                 if isinstance(item, ReceivedMessage) and isinstance(item.message, VerdictMessage):
                     self._health_publisher.verdict(item.message)
-            if self._clock() >= self._next_heartbeat:
-                self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
+            if self._wall() >= self._next_heartbeat:
+                self._next_heartbeat = self._wall() + _HEARTBEAT_SECONDS
                 self._report_health("running")
             if self._clock() >= until:
                 return

@@ -19,6 +19,17 @@ from safedpa.ros.graph import NO_HASH
 from safedpa.ros.link import FORMS
 from safedpa.runtime.scene import MOST_OBSTACLES
 from safedpa.systems.robots import robot_named
+from safedpa_services.ros_gateway.sensor_tables import (
+    LASER,
+    ClockTopic,
+    ExclusionArea,
+    FootprintTopic,
+    FrameTopics,
+    MonitorTopics,
+    SourceTopic,
+    SpeedZone,
+    check_sensor_tables,
+)
 
 FORMAT = 2
 
@@ -142,12 +153,25 @@ class RobotFile(ServedRobot):
     goal: GoalTopic = field(default_factory=GoalTopic)
     localisation: LocalisationTopic = field(default_factory=LocalisationTopic)
     scans: tuple[ScanTopic, ...] = ()
+    sources: tuple[SourceTopic, ...] = ()
+    exclusions: tuple[ExclusionArea, ...] = ()
+    zones: tuple[SpeedZone, ...] = ()
+    monitor: MonitorTopics = field(default_factory=MonitorTopics)
+    frames: FrameTopics = field(default_factory=FrameTopics)
+    footprint: FootprintTopic = field(default_factory=FootprintTopic)
+    clock: ClockTopic = field(default_factory=ClockTopic)
     wire: RosConnection = field(default_factory=RosConnection)
 
     @property
     def frame(self) -> str:
         """Frame of pose, goal and surroundings."""
         return self.localisation.frame if self.localisation.topic else self.wire.frame
+
+    @property
+    def sensors(self) -> tuple[SourceTopic, ...]:
+        """All sources: those of ``[[scans]]``, then those of ``[[sources]]``."""
+        scans = (SourceTopic(one.topic, LASER, one.name, one.frame, one.mount, one.delay) for one in self.scans)
+        return (*scans, *self.sources)
 
 
 def load_robot_file(path: Path) -> RobotFile:
@@ -164,6 +188,16 @@ def load_served_robot(path: Path) -> ServedRobot:
     """
     own = {item.name for item in fields(RobotFile)} - {item.name for item in fields(ServedRobot)}
     return _loaded(path, lambda table: RobotFile if own & table.keys() else ServedRobot)
+
+
+def uses_transforms(robot_file: RobotFile) -> bool:
+    """Whether a source, exclusion, zone or footprint may need the pose of a frame from tf."""
+    return bool(
+        any(not one.mount for one in robot_file.sensors)
+        or any(one.frame for one in robot_file.exclusions)
+        or any(one.topic for one in robot_file.zones)
+        or robot_file.footprint.topic
+    )
 
 
 def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]]) -> ServedRobot:
@@ -206,11 +240,16 @@ def _value(kind: Any, value: Any, key: str) -> Any:
         if not isinstance(value, str):
             raise InputError(f"{key}: got {value!r}, wanted a string")
         return value
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise InputError(f"{key}: got {value!r}, wanted true or false")
+        return value
     if kind in (float, int):
         return finite_number(key, value) if kind is float else whole_number(key, value)
     inner = get_args(kind)[0]
     if not isinstance(value, list):
-        wanted = f"tables [[{key}]]" if hasattr(inner, "__dataclass_fields__") else "a list of numbers"
+        kinds = "texts" if inner is str else "numbers"
+        wanted = f"tables [[{key}]]" if hasattr(inner, "__dataclass_fields__") else f"a list of {kinds}"
         raise InputError(f"{key}: got {value!r}, wanted {wanted}")
     return tuple(_value(inner, one, key) for one in value)
 
@@ -246,10 +285,20 @@ def check_robot_file(found: RobotFile) -> None:
     names = [scan.name for scan in found.scans]
     if len({*names}) < len(names):
         raise InputError(f"scans.name: got {', '.join(names)}, wanted a different name for each scanner")
-    if found.scans and found.surroundings.obstacles:
+    ages = [("footprint.largest_age", found.footprint.largest_age), ("footprint.hold", found.footprint.hold)]
+    ages.append(("clock.largest_gap", found.clock.largest_gap))
+    check_sensor_tables(found.sensors, found.exclusions, found.zones, found.frames, ages)
+    if found.sensors and found.surroundings.obstacles:
+        table = "[[scans]]" if found.scans else "[[sources]]"
         raise InputError(
-            "surroundings.obstacles: got some together with [[scans]], wanted none: perception detects obstacles"
+            f"surroundings.obstacles: got some together with {table}, wanted none: perception detects obstacles"
         )
+    if found.zones and not found.nominal.topic:
+        raise InputError(
+            "zones: got some without [nominal], wanted the topic of the robot's own policy: they limit its actions"
+        )
+    if found.zones and not found.sensors:
+        raise InputError("zones: got some without [[sources]], wanted the sensors whose points they count")
 
 
 def _check_surroundings(around: ObstaclesTopic) -> None:
@@ -307,10 +356,15 @@ def _check_topics(found: RobotFile) -> None:
         "goal": found.goal.topic,
         "localisation": found.localisation.topic,
     }
-    published = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
+    published = {
+        "wire.diagnostics": found.wire.diagnostics,
+        "wire.markers": found.wire.markers,
+        "monitor.state": found.monitor.state,
+    }
     received = [*topics.items(), *(("scans", scan.topic) for scan in found.scans)]
-    for key, topic in [*((f"{key}.topic", topic) for key, topic in received), *published.items()]:
-        if not _TOPIC.fullmatch(topic) and (topic or key in ("odometry.topic", "command.topic", "scans.topic")):
+    required = ("odometry.topic", "command.topic", "scans.topic", "sources.topic")
+    for key, topic in [*((f"{key}.topic", topic) for key, topic in received), *_more_topics(found), *published.items()]:
+        if not _TOPIC.fullmatch(topic) and (topic or key in required):
             raise InputError(f"{key}: got '{topic}', wanted a topic such as /odom: letters, digits, '_' and '/'")
     for key, topic in published.items():  # over a bridge, the driver would interpret such a message as a command
         if topic.strip("/") == found.command.topic.strip("/"):
@@ -329,6 +383,22 @@ def _check_topics(found: RobotFile) -> None:
         )
     if found.command.hash and not _HASH.fullmatch(found.command.hash):
         raise InputError(f"command.hash: got '{found.command.hash}', wanted RIHS01_ and 64 hex digits, or {NO_HASH}")
+
+
+def _more_topics(found: RobotFile) -> list[tuple[str, str]]:
+    """Key and name of the topics of sources, zones, frames, footprint and clock."""
+    return [
+        *(("sources.topic", one.topic) for one in found.sources),
+        *(("sources.info", one.info) for one in found.sources),
+        *(("sources.enable", one.enable) for one in found.sources),
+        *(("zones.topic", one.topic) for one in found.zones),
+        *(("zones.enable", one.enable) for one in found.zones),
+        ("monitor.enable", found.monitor.enable),
+        ("frames.fixed", found.frames.fixed),
+        ("frames.moving", found.frames.moving),
+        ("footprint.topic", found.footprint.topic),
+        ("clock.topic", found.clock.topic),
+    ]
 
 
 def _check_scan(scan: ScanTopic) -> None:

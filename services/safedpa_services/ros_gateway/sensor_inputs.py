@@ -1,4 +1,4 @@
-"""The inputs of the gateway from ROS: numbers of the newest messages, transforms and laser scans.
+"""The inputs of the gateway from ROS: numbers of the newest messages, transforms and footprints.
 
 Times are by this machine's clock. Stamps of messages are not trusted as times, because they may jump. The age counts
 from the arrival of a message whose stamp differs from the one before: a repeated message is not newer data.
@@ -10,32 +10,31 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
-
+from safedpa.arrays import FloatArray
 from safedpa.bus.messages.messages import LARGEST_NUMBER
 from safedpa.records.readers.bags.messages import yaw_of
 from safedpa.ros.decoding import Decoder, DecodingError
 from safedpa.ros.definitions import Definitions, numeric_fields
 from safedpa.ros.encoding import decode
 from safedpa.ros.graph import Attachment
+from safedpa.ros.sensor_messages import POLYGON, corners_of, covering_capsule
 from safedpa.safety.session.plausibility import ClockMonitor
 from safedpa_services.ros_gateway.publisher_monitor import TWO_PUBLISHERS, CommandEchoMonitor, PublisherMonitor
 
-SCAN_TYPE = "sensor_msgs/msg/LaserScan"
+if TYPE_CHECKING:
+    from safedpa_services.ros_gateway.simulated_clock import SimulatedClock
+    from safedpa_services.ros_gateway.sources import SourceReceiver
+    from safedpa_services.ros_gateway.speed_zones import SpeedZones, ToggleInput
+
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _STAMP = "header.stamp"
 _NANOSECOND = 1e-9
-_MOST_WAITING = 8
-"""Scans that are stored between two periods."""
-_MOST_RAYS = 8192
-_FARTHEST = 1000.0
-"""m."""
-_LARGEST_ANGLE = 4.0 * math.pi
-"""Largest angle of the first ray [rad]."""
+_MOST_FOOTPRINTS = 200
+"""Footprints that are stored: 10 s at 20 Hz."""
 Frame = tuple[float, float, float]
 """x, y [m] and yaw [rad]."""
 
@@ -49,26 +48,30 @@ class PoseAndTwist:
     yaw: float
     speed: float
     yaw_rate: float
+    aside: float = 0.0
+    """Velocity to the left [m/s]."""
 
     @staticmethod
     def of(numbers: tuple[float, ...], ahead: float) -> PoseAndTwist:
         """Builds it from the fields of ``pose_paths``; the odometry's point is ``ahead`` [m] of the reference point."""
-        x, y, speed, yaw_rate, *quaternion = numbers
+        x, y, speed, yaw_rate, *quaternion = numbers[:8]
+        aside = (numbers[8] if len(numbers) > 8 else ahead * yaw_rate) - ahead * yaw_rate
         yaw = yaw_of(*quaternion)
-        return PoseAndTwist(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw, speed, yaw_rate)
+        return PoseAndTwist(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw, speed, yaw_rate, aside)
 
     def seen_from(self, frame: Frame) -> PoseAndTwist:
         """Transforms the pose to the parent frame, in which its own frame is at ``frame``."""
         east, north, turn = frame
         cosine, sine = math.cos(turn), math.sin(turn)
         x, y = east + cosine * self.x - sine * self.y, north + sine * self.x + cosine * self.y
-        return PoseAndTwist(x, y, self.yaw + turn, self.speed, self.yaw_rate)
+        return PoseAndTwist(x, y, self.yaw + turn, self.speed, self.yaw_rate, self.aside)
 
 
 def pose_paths() -> tuple[str, ...]:
     """Returns the fields to read from ``nav_msgs/Odometry``."""
     turn = tuple(f"pose.pose.orientation.{axis}" for axis in "xyzw")
-    return ("pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.angular.z", *turn)
+    velocity = ("twist.twist.linear.x", "twist.twist.angular.z")
+    return ("pose.pose.position.x", "pose.pose.position.y", *velocity, *turn, "twist.twist.linear.y")
 
 
 def goal_paths() -> tuple[str, ...]:
@@ -76,7 +79,7 @@ def goal_paths() -> tuple[str, ...]:
     return ("pose.position.x", "pose.position.y")
 
 
-class _Receiver:
+class Receiver:
     """Receives one topic on the network's thread; refuses messages while two publishers send them."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -118,13 +121,20 @@ class _Receiver:
         return math.inf if self._publishers.has_two(at) else at - self._changed
 
 
-class LatestMessage(_Receiver):
+class LatestMessage(Receiver):
     """The newest message of a topic as numbers; thread-safe."""
 
     def __init__(
-        self, type_name: str, paths: tuple[str, ...], frame: str = "", clock: Callable[[], float] = time.monotonic
+        self,
+        type_name: str,
+        paths: tuple[str, ...],
+        frame: str = "",
+        clock: Callable[[], float] = time.monotonic,
+        publishers: PublisherMonitor | None = None,
     ) -> None:
         super().__init__(clock)
+        self._publishers = publishers or self._publishers
+        self.type = type_name
         definitions = Definitions()
         self._stamped = _STAMP in numeric_fields(definitions, type_name)
         header = [_STAMP, "header.frame_id"] if self._stamped else []
@@ -161,7 +171,87 @@ class LatestMessage(_Receiver):
 
 
 @final
-class TransformListener(_Receiver):
+class NominalInput:
+    """The newest nominal action of any of several types on one topic; two publishers are refused whatever their types.
+
+    :param types: message types and the fields to read, the expected type first
+    """
+
+    def __init__(self, types: Mapping[str, tuple[str, ...]], clock: Callable[[], float] = time.monotonic) -> None:
+        publishers = PublisherMonitor()
+        self.inputs = {kind: LatestMessage(kind, paths, "", clock, publishers) for kind, paths in types.items()}
+
+    @property
+    def _newest(self) -> LatestMessage:
+        return min(self.inputs.values(), key=lambda one: one.read()[1])
+
+    @property
+    def type(self) -> str:
+        """Type of the newest message."""
+        return self._newest.type
+
+    @property
+    def refused(self) -> int:
+        """Number of refused messages."""
+        return sum(one.refused for one in self.inputs.values())
+
+    @property
+    def why(self) -> str:
+        """Why the newest message was refused; empty if it was not."""
+        return next((one.why for one in self.inputs.values() if one.why), "")
+
+    def read(self) -> tuple[tuple[float, ...], float, int]:
+        """As ``LatestMessage.read``, of the newest message."""
+        return self._newest.read()
+
+
+@final
+class FootprintInput(Receiver):
+    """The footprint as a capsule that covers the newest polygons (``geometry_msgs/PolygonStamped``).
+
+    :param to_body: transform (4, 4) from a frame to the body; raises DecodingError
+    :param hold: time [s] for which the largest extents count
+    """
+
+    def __init__(
+        self, to_body: Callable[[str], FloatArray], hold: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(clock)
+        self._to_body, self._hold = to_body, hold
+        self._heard: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=_MOST_FOOTPRINTS)
+
+    def take(self, data: bytes, attachment: Attachment | None = None) -> None:
+        """Takes a message, on the network's thread."""
+        at = self._clock()
+        if not self._publishers.accept(attachment, at):
+            self._refuse(TWO_PUBLISHERS)
+            return
+        try:
+            message = decode(POLYGON, data)
+            matrix = self._to_body(message.header.frame_id)
+            corners = corners_of(message) @ matrix[:3, :3].T + matrix[:3, 3]
+        except DecodingError as error:
+            self._refuse(str(error))
+            return
+        with self._lock:
+            self._note(0, at)
+            self._heard.append((at, covering_capsule(corners[:, :2])))
+
+    def read(self) -> tuple[tuple[float, ...], float]:
+        """Returns rear, front and radius [m], rounded up to cm, and the age [s] of the newest."""
+        with self._lock:
+            age = self._age()
+            recent = [size for at, size in self._heard if self._clock() - at <= self._hold] or [
+                size for _, size in list(self._heard)[-1:]
+            ]
+        if not recent:
+            return (), math.inf
+        rear, front, radius = (math.ceil(100.0 * max(column) - 1e-6) / 100.0 for column in zip(*recent, strict=True))
+        return (max(rear, -front), front, radius), age
+
+
+@final
+class TransformListener(Receiver):
     """The newest transform from ``frame`` to ``child`` on ``/tf``, published by a localisation."""
 
     def __init__(self, frame: str, child: str, clock: Callable[[], float] = time.monotonic) -> None:
@@ -190,7 +280,7 @@ class TransformListener(_Receiver):
             self._refuse("its rotation is invalid, or a number is not finite or implausibly large")
             return
         with self._lock:
-            self._note(_nanoseconds(one.header.stamp), at)
+            self._note(nanoseconds(one.header.stamp), at)
             self._found = found
 
     def read(self) -> tuple[Frame, float]:
@@ -199,76 +289,9 @@ class TransformListener(_Receiver):
             return self._found, self._age()
 
 
-@dataclass(frozen=True)
-class ScanReading:
-    """One scan: ranges [m] and angles [rad]."""
-
-    arrived: float
-    """Time of arrival by this machine's clock [s]."""
-    first_angle: float
-    angle_step: float
-    ranges: tuple[float, ...]
-    nearest: float
-    farthest: float
-
-
-@final
-class Scanner(_Receiver):
-    """Receives ``sensor_msgs/LaserScan`` (ROS REP 117: inf, no return; -inf, too near; NaN, no measurement).
-
-    A finite range below ``range_min``, often 0 for no return, counts as no measurement; -inf becomes ``range_min``.
-    """
-
-    def __init__(self, frame: str = "", clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(clock)
-        self._frame = frame.strip("/")
-        self._waiting: deque[ScanReading] = deque(maxlen=_MOST_WAITING)
-
-    def take(self, data: bytes, attachment: Attachment | None = None) -> None:
-        """Takes a message, on the network's thread."""
-        try:
-            scan = decode(SCAN_TYPE, data)
-        except DecodingError as error:
-            self._refuse(str(error))
-            return
-        if self._frame and scan.header.frame_id.strip("/") != self._frame:
-            self._refuse(f"its frame is '{scan.header.frame_id[:60]}', wanted '{self._frame}'")
-            return
-        at, stamp = self._clock(), _nanoseconds(scan.header.stamp)
-        if not self._publishers.accept(attachment, at):
-            self._refuse(TWO_PUBLISHERS)
-        elif not self._repeats(stamp):
-            reading = _reading(scan, at)
-            if reading is None:
-                self._refuse("its angles or limits are invalid, or it has no rays or too many")
-            else:
-                self._note(stamp, at)
-                self._waiting.append(reading)
-
-    def take_all(self) -> list[ScanReading]:
-        """Returns the scans since the last call, oldest first."""
-        found = []
-        while self._waiting:
-            found.append(self._waiting.popleft())
-        return found
-
-
-def _nanoseconds(stamp: Any) -> int:
+def nanoseconds(stamp: Any) -> int:
+    """Returns a ``builtin_interfaces/Time`` as nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def _reading(scan: Any, arrived: float) -> ScanReading | None:
-    first, step = float(scan.angle_min), float(scan.angle_increment)
-    nearest, farthest = float(scan.range_min), float(scan.range_max)
-    count = len(scan.ranges)
-    if not (abs(first) <= _LARGEST_ANGLE and math.isfinite(step) and step and 0.0 <= nearest < farthest <= _FARTHEST):
-        return None
-    if not 0 < count <= _MOST_RAYS or count * abs(step) > 2.0 * math.pi + 2.0 * abs(step):
-        return None
-    ranges = np.asarray(scan.ranges, dtype=np.float64)
-    nothing = np.isnan(ranges) | (np.isfinite(ranges) & (ranges < nearest))
-    clean = np.where(nothing, -1.0, np.clip(ranges, nearest, farthest))
-    return ScanReading(arrived, first, step, tuple(clean.tolist()), nearest, farthest)
 
 
 @dataclass(frozen=True)
@@ -277,18 +300,24 @@ class SensorInputs:
 
     odometry: LatestMessage
     driver: CommandEchoMonitor
-    nominal: LatestMessage | None = None
+    nominal: NominalInput | None = None
     goal: LatestMessage | None = None
     localised: TransformListener | None = None
-    scanners: tuple[Scanner, ...] = ()
+    sources: tuple[SourceReceiver, ...] = ()
+    footprint: FootprintInput | None = None
+    zones: SpeedZones | None = None
+    counted: Mapping[str, ToggleInput] = field(default_factory=dict)
+    """Whether a source counts in the zones, by its name; missing: it does."""
+    simulated: SimulatedClock | None = None
 
     @property
     def refused(self) -> int:
         """Number of refused messages."""
-        inputs = (self.odometry, self.nominal, self.goal, self.localised, *self.scanners)
+        inputs = (self.odometry, self.nominal, self.goal, self.localised, self.footprint, *self.sources)
         return sum(one.refused for one in inputs if one is not None)
 
     def refusals(self, scans: Sequence[str]) -> dict[str, str]:
-        """Returns why the newest messages of goal, nominal action or scanners (named by ``scans``) were refused."""
-        inputs = {"goal": self.goal, "nominal": self.nominal, **dict(zip(scans, self.scanners, strict=True))}
+        """Returns why the newest messages were refused, by input; sources are named by ``scans``."""
+        named = dict(zip(scans, self.sources, strict=True))
+        inputs = {"goal": self.goal, "nominal": self.nominal, "footprint": self.footprint, **named}
         return {f"{name}_refused": one.why for name, one in inputs.items() if one is not None and one.why}

@@ -110,24 +110,34 @@ class RosLink:
         callback = zenoh.handlers.Callback(on_token, indirect=False)
         self._declared.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
 
-    def hear(self, topic: str, type_name: str, heard: Heard) -> None:
-        """Calls ``heard`` for each message of a topic, whatever type hash its sender uses."""
-        self._subscribe(data_key(self.domain, topic, type_name, "*"), topic, heard, overhear=False)
+    def hear(self, topic: str, type_name: str, heard: Heard, *, late: bool = False) -> None:
+        """Calls ``heard`` for each message of a topic, whatever type hash its sender uses.
+
+        ``late``: also for the last messages that its senders have stored (ROS: transient local, as ``/tf_static`` is).
+        """
+        self._subscribe(data_key(self.domain, topic, type_name, "*"), topic, heard, overhear=False, late=late)
 
     def overhear(self, topic: str, heard: Heard) -> None:
         """Calls ``heard`` for messages of any type that other sessions send on a topic, with or without a token."""
         self._subscribe(f"{self.domain}/{topic.strip('/')}/*/*", topic, heard, overhear=True)
 
-    def _subscribe(self, key: str, topic: str, heard: Heard, *, overhear: bool) -> None:
+    def _subscribe(self, key: str, topic: str, heard: Heard, *, overhear: bool, late: bool = False) -> None:
         import zenoh
+        import zenoh.ext
 
         def on_sample(sample: zenoh.Sample) -> None:
             attachment = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
             heard(sample.payload.to_bytes(), attachment)
 
+        key = topic.strip("/") if self.form == "bridge" else key
+        if late:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            callback = zenoh.handlers.Callback(on_sample, indirect=False)
+            self._declared.append(zenoh.ext.declare_advanced_subscriber(self._session, key, callback, history=history))
+            return
         self._declared.append(
             self._session.declare_subscriber(
-                topic.strip("/") if self.form == "bridge" else key,
+                key,
                 zenoh.handlers.Callback(on_sample, indirect=False),
                 allowed_origin=zenoh.Locality.REMOTE if overhear else None,
             )

@@ -20,13 +20,15 @@ def quaternion_of(yaw: float) -> dict[str, float]:
     return {"z": math.sin(yaw / 2.0), "w": math.cos(yaw / 2.0)}
 
 
-def odometry_of(head: Head, body: str, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> dict[str, Any]:
+def odometry_of(
+    head: Head, body: str, x: float, y: float, yaw: float, speed: float, yaw_rate: float, aside: float = 0.0
+) -> dict[str, Any]:
     """``nav_msgs/Odometry``: pose in the header's frame, velocity in frame ``body``; covariances stay zero."""
     return {
         "header": head,
         "child_frame_id": body,
         "pose": {"pose": {"position": {"x": x, "y": y}, "orientation": quaternion_of(yaw)}},
-        "twist": {"twist": {"linear": {"x": speed}, "angular": {"z": yaw_rate}}},
+        "twist": {"twist": {"linear": {"x": speed, "y": aside}, "angular": {"z": yaw_rate}}},
     }
 
 
