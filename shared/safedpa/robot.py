@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from safedpa.ros.face import AbstractFace
     from safedpa.runtime.scene import AbstractScene
     from safedpa.safety.barriers.base import AbstractBarrier
+    from safedpa.safety.barriers.planar_body import PlanarBody
     from safedpa.safety.settings import FilterSettings
     from safedpa.stand_in import AbstractStandIn
 
@@ -140,6 +141,14 @@ class AbstractRobot(Robot):
     def swept(self, state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:
         """Returns the capsule that its barriers keep free: rear and front end along the heading, and radius [m]."""
         del state, settings
+        return None
+
+    def planar_body(self, model: AbstractDynamics, settings: FilterSettings) -> PlanarBody | None:
+        """Returns body, pose and braking of a planar robot, for barriers from sensors; None: it takes no sensors.
+
+        The barriers of ``barriers`` without obstacles and field, such as speed limits, apply as well.
+        """
+        del model, settings
         return None
 
     def stand_in(self, seed: int, given: Mapping[str, float]) -> AbstractStandIn:

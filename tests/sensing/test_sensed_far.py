@@ -13,7 +13,7 @@ from safedpa.errors import InputError
 from safedpa.robots.car.barriers.body import TrailerEnvelope
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
-from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
+from safedpa.robots.car.barriers.pruning import irrelevance_distance
 from safedpa.robots.car.dynamics.limits import (
     IS_STATIONARY,
     ORDINARY,
@@ -21,7 +21,8 @@ from safedpa.robots.car.dynamics.limits import (
     ReversalBraking,
     performance_limits,
 )
-from safedpa.robots.car.scenes.sensed import MOST_ROWS, SensedBarriers, reversal_braking, sensed_barriers
+from safedpa.robots.car.scenes.sensed import SensedBarriers, reversal_braking, sensed_barriers
+from safedpa.safety.barriers.disc_selection import MOST_ROWS, below, discs_near, fastest_of, moving_near
 from safedpa.safety.barriers.stack import CompiledBarrierSet
 from safedpa.safety.barriers.stopping import Braking
 from safedpa.safety.defaults import settings_named

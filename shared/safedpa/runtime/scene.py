@@ -15,7 +15,8 @@ from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError, described
-from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
+from safedpa.runtime.planar_scene import PlanarSensing
+from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.checks.compatibility import check_margins, check_reads, check_settings
 from safedpa.safety.decision import Backup
@@ -28,9 +29,15 @@ MOST_OBSTACLES: Final = 64
 seconds, in which the other robots of the fleet would get no action."""
 
 
+NO_SENSES: Final = "this robot's barriers take no sensors; declare its planar_body, or leave the sensors out"
+"""Why a robot with sensors would get the backup action in every tick."""
+
+
 class AbstractScene(ABC):
     """Builds the barriers around one robot."""
 
+    senses: bool = False
+    """Whether it builds barriers from sensors: whether ``around`` works."""
     can_stop: bool = True
     """Whether the backup action brings the robot to rest."""
     quick: bool = False
@@ -59,7 +66,7 @@ class AbstractScene(ABC):
         ``epsilon`` has the active margins by kind; ``late`` [s] passes until an action acts. Both determine which
         objects are too far away to matter.
         """
-        return f"scene (sources {', '.join(state.sources)}: this robot's barriers do not support sensors)"
+        return f"scene (sources {', '.join(state.sources)}: {NO_SENSES})"
 
     def follow(self, state: StateMessage) -> None:
         """Updates the odometry from a state; idempotent for a repeated state."""
@@ -80,12 +87,38 @@ class DeclaredScene(AbstractScene):
 
     def __init__(self, robot: Robot, model: AbstractDynamics, settings: FilterSettings) -> None:
         self._robot, self._model, self._settings = robot, model, settings
+        self._own: tuple[AbstractBarrier, ...] = ()
         self._latent: FloatArray | None = None
         self.can_stop = robot.can_stop
         self.backup = self._backup
+        body = robot.planar_body(model, settings)
+        self._sensing = None if body is None else PlanarSensing(body, model, settings)
+        self.senses = body is not None
 
     def learn(self, latent: FloatArray | None) -> None:  # noqa: D102
         self._latent = latent
+        if self._sensing is not None:
+            self._sensing.learn(latent)
+
+    def around(  # noqa: D102
+        self,
+        state: StateMessage,
+        seen: SurroundingsMessage,
+        epsilon: Mapping[str, float] | None = None,
+        late: float = 0.0,
+    ) -> AbstractBarrierSet | str:
+        if self._sensing is None:
+            return super().around(state, seen, epsilon, late)
+        try:
+            sensed = self._sensing.barriers(state, seen, epsilon, late)
+        except InputError as error:
+            return f"surroundings ({error})"
+        # Its own barriers say nothing about obstacles here: those, and the walls, are what the sensors report.
+        own = self.of(replace(state, obstacles=(), field=(), sources=()))
+        if isinstance(own, str):
+            return own
+        self.yields_to, self.remark = self._sensing.yields_to, self._sensing.remark
+        return CachingBarrierSet(make_barrier_set((*sensed, *self._own)))
 
     def of(self, state: StateMessage) -> AbstractBarrierSet | str:  # noqa: D102
         if len(state.obstacles) > MOST_OBSTACLES:
@@ -98,6 +131,7 @@ class DeclaredScene(AbstractScene):
         except Exception as error:  # noqa: BLE001
             # A robot's own code may raise anything. The sentence goes into the verdict, and the backup acts.
             return f"scene (barriers of robot '{self._robot.name}': {described(error)})"
+        self._own = parts
         return CachingBarrierSet(make_barrier_set(parts))
 
     def _backup(self, state: FloatArray | None) -> Any:
@@ -119,6 +153,12 @@ def scene_of(model: AbstractDynamics, settings: FilterSettings) -> AbstractScene
     scene = robot.scene(model, settings) or DeclaredScene(robot, model, settings)
     check_margins(settings.epsilon, ())
     return scene
+
+
+def check_senses(model: AbstractDynamics, settings: FilterSettings, wanted: str) -> None:
+    """Raises InputError if a robot with this model takes no sensors; ``wanted`` names what asks for them."""
+    if not scene_of(model, settings).senses:
+        raise InputError(f"{wanted}: got sensors for the robot '{model.system.name}', but {NO_SENSES}")
 
 
 def _no_names(system: System) -> str:

@@ -81,6 +81,7 @@ class Robot(ABC):
     ros_face: Callable[..., Any]
     draw: Callable[..., Any]
     swept: Callable[..., Any]
+    planar_body: Callable[..., Any]
     stand_in: Callable[..., Any]
 
     @property

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from safedpa.policy.controller import Controller
     from safedpa.ros.face import AbstractFace
     from safedpa.safety.barriers.base import AbstractBarrier
+    from safedpa.safety.barriers.planar_body import PlanarBody
     from safedpa.safety.settings import FilterSettings
     from safedpa.stand_in import AbstractStandIn
 
@@ -32,6 +33,9 @@ _BARRIER_SETTINGS: Final = (
     BarrierSetting("braking_deceleration", "m/s2", 0.7, "guaranteed braking of a wheel with every load", positive=True),
     BarrierSetting("braking_gain", "1/s", 5.0, "least gain of a wheel's servo, with every load", positive=True),
     BarrierSetting("clearance", "m", 0.03, "distance kept from obstacles and walls beyond the radius"),
+    BarrierSetting(
+        "creeping", "s", 0.0, "h in m per m/s below 0.1 m/s towards hidden areas, which lets it creep; 0: it stops"
+    ),
     BarrierSetting("speed_low", "m/s", -0.3, "slightly beyond the actuator limit", signed=True),
     BarrierSetting("speed_high", "m/s", 0.65, "slightly beyond the actuator limit", signed=True, above="speed_low"),
 )
@@ -46,7 +50,7 @@ class DifferentialDrive(ShippedRobot):
     rate = 20.0
     model = "differential_drive"
     measurement_deviation = (0.003, 0.003, 0.005, 0.01, 0.02)
-    kinds = ("obstacle", "field", "speed")
+    kinds = ("obstacle", "field", "speed", "mover")
     barrier_settings = _BARRIER_SETTINGS
     nominal_range = ((-0.2, 0.5), (-1.9, 1.9))
 
@@ -71,6 +75,20 @@ class DifferentialDrive(ShippedRobot):
         track = TRACK if known is None else float(known.value)
         rear, front, radius = state.footprint or (0.0, 0.0, _RADIUS)
         return wheeled_barriers(settings, Measures(rear, front, radius, track), state.obstacles, state.field)
+
+    def planar_body(self, model: AbstractDynamics, settings: FilterSettings) -> PlanarBody:  # noqa: D102
+        from safedpa.safety.barriers.planar_body import PlanarBody
+
+        known = getattr(model, "settings", {}).get("base.track")
+        return PlanarBody(
+            settings.barrier("braking_deceleration"),
+            settings.barrier("braking_gain"),
+            max(abs(settings.barrier("speed_low")), abs(settings.barrier("speed_high"))),
+            turn_rate="turn_rate",
+            track=TRACK if known is None else float(known.value),
+            clearance=settings.barrier("clearance"),
+            creeping=settings.barrier("creeping"),
+        )
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
         from safedpa.robots.differential_drive.goal_seeker import WheeledSeeker

@@ -39,6 +39,7 @@ class CarScene(AbstractScene):
     """
 
     quick = True
+    senses = True
 
     def __init__(
         self, settings: FilterSettings, braking: BrakingByThrottle | None = None, quick: PerformanceLimits = ORDINARY
