@@ -12,6 +12,7 @@ from pathlib import Path
 from safedpa.dynamics import shipped_steps
 from safedpa.native import NoKernelError
 from safedpa.native.library import build_into, load, load_module
+from safedpa.networks.compiled import frame_sources
 from safedpa.robots.car import shipped_rows as car_rows
 from safedpa.robots.differential_drive import shipped_rows as wheeled_rows
 from safedpa.robots.pendulum import shipped_rows as pendulum_rows
@@ -20,9 +21,10 @@ __all__ = ["generate", "shipped_sources"]
 
 
 def shipped_sources() -> list[str]:
-    """The C of every shipped model and of the barriers of the shipped robots."""
+    """The C of every shipped model, of the inputs of networks, and of the barriers of the shipped robots."""
     return [
         *shipped_steps.sources(),
+        *frame_sources(),
         *car_rows.sources(),
         *wheeled_rows.sources(),
         *pendulum_rows.sources(),

@@ -152,18 +152,24 @@ def test_threads_with_filters_of_their_own_decide_as_one() -> None:
     assert all(one == found[0] for one in found)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "pendulum_learned"])
-def test_one_action_and_networks_decide_as_python(name: str) -> None:
-    model = load_model(name)
-    corridor = [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)]
-    compiled = SafetyFilter.for_model(model, FilterSettings.for_robot("pendulum"), corridor)
-    python = SafetyFilter.for_model(model, FilterSettings.for_robot("pendulum"), corridor)
+@pytest.mark.parametrize("name", ["pendulum", "pendulum_learned", "car_learned"])
+def test_one_action_and_networks_decide_as_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks as by NumPy: a model that is loaded where compiling is forbidden has no others."""
+    model, robot = load_model(name), name.partition("_")[0]
+    corridor: Sequence[safedpa.AbstractBarrier] = [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)]
+    parts = barriers(6) if robot == "car" else corridor
+    compiled = SafetyFilter.for_model(model, FilterSettings.for_robot(robot), parts)
+    monkeypatch.setenv("SAFEDPA_COMPILE", "0")
+    python = SafetyFilter.for_model(load_model(name), FilterSettings.for_robot(robot), parts)
     python.tools = replace(python.tools, compiled=None)
-    random = np.random.default_rng(7)
+    low, high = ((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0)) if robot == "car" else ((-0.35, -0.8), (0.35, 0.8))
+    random, kinds = np.random.default_rng(7), set()
     for _ in range(100):
-        state, nominal = random.uniform((-0.35, -0.8), (0.35, 0.8)), random.uniform(-20.0, 20.0, 1)
+        state, nominal = random.uniform(low, high), 20.0 * random.uniform(-1.0, 1.0, len(model.system.action_names))
         found, wanted = (one.decide(state, nominal, model.latent) for one in (compiled, python))
         assert fields(found) == fields(wanted)
+        kinds.add(found.status)
+    assert len(kinds) >= 2
 
 
 SAYS = "from safedpa.native.library import why_not_compiled; print(why_not_compiled() or 'compiled')"

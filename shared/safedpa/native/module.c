@@ -1,4 +1,5 @@
-/* The Python side: Step (a model's step and tangent), Rows (barriers of one scene), and Search (one decision). */
+/* The Python side: Step (a model's step and tangent), Networks (f and g of learned ones), Rows (barriers of one
+   scene), and Search (one decision). */
 
 static double *doubles(PyObject *given, Py_ssize_t wanted, double *out, const char *what)
 {
@@ -168,6 +169,195 @@ static PyTypeObject StepType = {
     .tp_flags = Py_TPFLAGS_DEFAULT, .tp_new = PyType_GenericNew, .tp_init = (initproc)step_init,
     .tp_dealloc = (destructor)step_free, .tp_methods = step_methods,
     .tp_doc = "A model's step and its tangent in the action, compiled."};
+
+/* ---- Networks ---- */
+
+enum { MOST_PRODUCTS = 64, MOST_TURNED = 8, MOST_FEATURES = 320 };
+
+typedef struct {
+    PyObject_HEAD
+    features_function *features;
+    double *k;
+    network_product product[MOST_PRODUCTS];
+    int products, states, actions, latents, seen, turns, turned[MOST_TURNED][2], wide;
+    void *gemv;
+    float *input;
+    const float *output;
+    PyObject *owner;
+    double known[MOST_STATES * 65], last[MOST_STATES + 256]; /* f and g, and of which state and latent */
+    int is_known;
+} Networks;
+
+static float *floats_of(PyObject *array, Py_ssize_t *count)
+{
+    Py_buffer view;
+    if (PyObject_GetBuffer(array, &view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0)
+        return NULL;
+    float *found = view.format && !strcmp(view.format, "f") ? view.buf : NULL;
+    *count = view.len / (Py_ssize_t)sizeof(float);
+    PyBuffer_Release(&view); /* the owner keeps the array */
+    if (!found)
+        PyErr_SetString(PyExc_TypeError, "networks: wanted contiguous arrays of float32");
+    return found;
+}
+
+/* (a, x, y, what is cut or None) */
+static int add_product(Networks *self, PyObject *task)
+{
+    PyObject *a, *x, *y, *cut;
+    if (!PyArg_ParseTuple(task, "OOOO", &a, &x, &y, &cut))
+        return 0;
+    network_product *p = &self->product[self->products];
+    Py_ssize_t numbers, rows, columns, cuts = 0;
+    p->a = floats_of(a, &numbers);
+    p->x = p->a ? floats_of(x, &rows) : NULL;
+    p->y = p->x ? floats_of(y, &columns) : NULL;
+    p->first = p->y && cut != Py_None ? floats_of(cut, &cuts) : NULL;
+    if (PyErr_Occurred())
+        return 0;
+    if (numbers != rows * columns || rows > MOST_INPUTS || columns > 1000000) {
+        PyErr_SetString(PyExc_ValueError, "networks: layers of other sizes");
+        return 0;
+    }
+    p->rows = (int)rows, p->columns = (int)columns, p->cut = (int)cuts;
+    self->products++;
+    return 1;
+}
+
+/* (features, constants, (states, actions, latents, seen), turned, products, input, output, gemv, wide, owner) */
+static int networks_init(Networks *self, PyObject *args, PyObject *kw)
+{
+    unsigned long long features, gemv;
+    PyObject *constants, *turned, *products, *input, *output, *owner;
+    (void)kw;
+    if (!PyArg_ParseTuple(args, "KO!(iiii)O!O!OOKpO", &features, &PyList_Type, &constants, &self->states,
+                          &self->actions, &self->latents, &self->seen, &PyTuple_Type, &turned, &PyList_Type, &products,
+                          &input, &output, &gemv, &self->wide, &owner))
+        return -1;
+    const Py_ssize_t turns = PyTuple_GET_SIZE(turned), count = PyList_GET_SIZE(products);
+    const int known = self->states * (self->actions + 1);
+    Py_ssize_t entries, results;
+    if (self->owner || self->states < 1 || self->states > MOST_STATES || self->actions < 0 || self->actions > 64 ||
+        self->latents < 0 || self->latents > 256 || self->seen < 0 || self->seen > MOST_FEATURES ||
+        turns > MOST_TURNED || count > MOST_PRODUCTS) {
+        PyErr_SetString(PyExc_ValueError, "networks of another size");
+        return -1;
+    }
+    self->input = floats_of(input, &entries);
+    self->output = self->input ? floats_of(output, &results) : NULL;
+    self->k = PyMem_Malloc(sizeof(double) * (size_t)(PyList_GET_SIZE(constants) + 1));
+    if (!self->output || !self->k || !doubles(constants, PyList_GET_SIZE(constants), self->k, "constants"))
+        return -1;
+    if (entries < self->seen + self->latents || results != known) {
+        PyErr_SetString(PyExc_ValueError, "networks of another size");
+        return -1;
+    }
+    for (Py_ssize_t i = 0; i < turns; i++) {
+        int *pair = self->turned[i];
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(turned, i), "ii", pair, pair + 1))
+            return -1;
+        if (pair[0] < 0 || pair[0] >= self->states || pair[1] < 0 || pair[1] >= self->states) {
+            PyErr_SetString(PyExc_ValueError, "networks: a vector of other entries");
+            return -1;
+        }
+    }
+    self->turns = (int)turns;
+    for (Py_ssize_t i = 0; i < count; i++)
+        if (!add_product(self, PyList_GET_ITEM(products, i)))
+            return -1;
+    self->features = (features_function *)(uintptr_t)features;
+    self->gemv = (void *)(uintptr_t)gemv;
+    Py_INCREF(owner);
+    self->owner = owner;
+    return 0;
+}
+
+static void networks_free(Networks *self)
+{
+    PyMem_Free(self->k);
+    Py_XDECREF(self->owner);
+    Py_TYPE(self)->tp_free((PyObject *)self);
+}
+
+/* f and g at a state and a latent; NULL: numbers that Python and NumPy have to judge. */
+static const double *known_of(Networks *self, const double *state, const double *latent)
+{
+    const size_t states = sizeof(double) * (size_t)self->states, latents = sizeof(double) * (size_t)self->latents;
+    if (self->is_known && !memcmp(self->last, state, states) && !memcmp(self->last + self->states, latent, latents))
+        return self->known;
+    double seen[MOST_FEATURES + 2];
+    self->is_known = 0;
+    clear_flags();
+    self->features(state, self->k, seen);
+    for (int i = 0; i < self->seen; i++)
+        self->input[i] = (float)seen[i];
+    for (int i = 0; i < self->latents; i++)
+        self->input[self->seen + i] = (float)latent[i];
+    for (int i = 0; i < self->products; i++)
+        multiply(&self->product[i], self->gemv, self->wide);
+    const int width = self->actions + 1;
+    double rows[MOST_STATES * 65];
+    for (int i = 0; i < self->states * width; i++)
+        rows[i] = (double)self->output[i];
+    const double cosine = seen[self->seen], sine = seen[self->seen + 1];
+    for (int i = 0; i < self->turns; i++) {
+        double *x = rows + self->turned[i][0] * width, *y = rows + self->turned[i][1] * width;
+        for (int column = 0; column < width; column++) {
+            const double along = x[column], across = y[column];
+            x[column] = cosine * along - sine * across;
+            y[column] = sine * along + cosine * across;
+        }
+    }
+    for (int i = 0; i < self->states; i++) {
+        self->known[i] = rows[i * width];
+        memcpy(self->known + self->states + i * self->actions, rows + i * width + 1,
+               sizeof(double) * (size_t)self->actions);
+    }
+    if (odd_numbers() || !all_finite(self->known, self->states * width))
+        return NULL;
+    memcpy(self->last, state, states);
+    memcpy(self->last + self->states, latent, latents);
+    self->is_known = 1;
+    return self->known;
+}
+
+static PyObject *networks_known(Networks *self, PyObject *const *args, Py_ssize_t count)
+{
+    double state[MOST_STATES], latent[256];
+    if (!check_count(count, 2) || !self->owner || !doubles(args[0], self->states, state, "state") ||
+        !doubles(args[1], self->latents, latent, "latent"))
+        return NULL;
+    const double *known = known_of(self, state, latent);
+    if (!known)
+        return PyErr_Format(PyExc_ArithmeticError, "numbers that Python's math refuses");
+    return list_of(known, self->states * (self->actions + 1));
+}
+
+/* multiply(product, sparse): one product of the arrays as they are, and from now on in this way. */
+static PyObject *networks_multiply(Networks *self, PyObject *args)
+{
+    int which, sparse;
+    if (!PyArg_ParseTuple(args, "ip", &which, &sparse))
+        return NULL;
+    if (which < 0 || which >= self->products || (sparse ? !has_sparse_product() : !self->gemv))
+        return PyErr_Format(PyExc_ValueError, "networks: no such product");
+    self->is_known = 0;
+    self->product[which].sparse = sparse;
+    multiply(&self->product[which], self->gemv, self->wide);
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef networks_methods[] = {
+    {"known", (PyCFunction)(void (*)(void))networks_known, METH_FASTCALL,
+     "known(state, latent) -> f (states,), then g row by row. Raises ArithmeticError for odd numbers."},
+    {"multiply", (PyCFunction)networks_multiply, METH_VARARGS, "See networks/compiled.py."},
+    {NULL, NULL, 0, NULL}};
+
+static PyTypeObject NetworksType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "safedpa_kernel.Networks", .tp_basicsize = sizeof(Networks),
+    .tp_flags = Py_TPFLAGS_DEFAULT, .tp_new = PyType_GenericNew, .tp_init = (initproc)networks_init,
+    .tp_dealloc = (destructor)networks_free, .tp_methods = networks_methods,
+    .tp_doc = "f and g of learned networks at one state, with the bits of NumPy's products."};
 
 /* ---- Rows ---- */
 
@@ -495,6 +685,7 @@ typedef struct {
     decision_settings set;
     decision d;
     Step *model;
+    Networks *networks; /* of the decision in progress; the caller holds it */
     PyObject *rows; /* of the decision in progress */
     double *numbers;
     int size;
@@ -658,12 +849,22 @@ static int set_scene(Search *self, PyObject *rows, PyObject *epsilon, PyObject *
     return 1;
 }
 
-/* Chooses the model: f and g at this state, or the compiled step. */
+/* Chooses the model: f and g at this state, networks that compute them (`ask_networks`), or the compiled step. */
 static int set_model(Search *self, PyObject *known, double period, double trained_period)
 {
     decision *d = &self->d;
     const int states = d->barriers->states;
-    d->known = NULL, d->model = NULL;
+    d->known = NULL, d->model = NULL, self->networks = NULL;
+    if (PyObject_TypeCheck(known, &NetworksType) && d->cases == 1) {
+        Networks *networks = (Networks *)known;
+        if (!networks->owner || networks->states != states || networks->actions != self->set.actions) {
+            PyErr_SetString(PyExc_ValueError, "networks of another robot");
+            return 0;
+        }
+        d->known = self->known, d->period = period, d->trained_period = trained_period;
+        self->networks = networks;
+        return 1;
+    }
     if (known != Py_None && d->cases == 1) {
         d->known = self->known, d->period = period, d->trained_period = trained_period;
         return doubles(known, states * (self->set.actions + 1), self->known, "known") != NULL;
@@ -674,6 +875,24 @@ static int set_model(Search *self, PyObject *known, double period, double traine
     }
     d->model = &self->model->own;
     return 1;
+}
+
+/* So many latents does the model take. */
+static int latents_of(const Search *self)
+{
+    return self->d.model ? self->d.model->latents : self->networks ? self->networks->latents : 0;
+}
+
+/* f and g at the state of the decision; 0: declined. */
+static int ask_networks(Search *self)
+{
+    if (!self->networks)
+        return 1;
+    const double *known = known_of(self->networks, self->state, self->latent);
+    /* a copy: other filters may ask the same networks before this decision is searched any further */
+    if (known)
+        memcpy(self->known, known, sizeof(double) * (size_t)(self->d.barriers->states * (self->set.actions + 1)));
+    return known != NULL;
 }
 
 /* The nominal action or the nearest feasible one, in `found`; -1: declined. `least` is the smallest h at the measured
@@ -719,8 +938,10 @@ static PyObject *search_decide(Search *self, PyObject *const *args, Py_ssize_t c
     if (PyErr_Occurred() || !set_model(self, args[7], period, trained_period) ||
         !doubles(args[1], d->states, self->state, "state") ||
         !doubles(args[2], self->set.actions, d->nominal, "nominal") ||
-        (d->model && !doubles(args[3], d->model->latents, self->latent, "latent")))
+        (latents_of(self) && !doubles(args[3], latents_of(self), self->latent, "latent")))
         return NULL;
+    if (!ask_networks(self))
+        Py_RETURN_NONE;
     const int kind = decide_quickly(self, least);
     if (kind < 0)
         Py_RETURN_NONE;
@@ -871,12 +1092,13 @@ static PyObject *search_verdict(Search *self, PyObject *const *args, Py_ssize_t 
     if (PyErr_Occurred() || !set_model(self, args[4], period, trained_period))
         return NULL;
     for (int i = 0; i < RANGES; i++) {
-        const int wanted = i == STATE ? states : i == NOMINAL ? actions : d->model ? d->model->latents : 0;
-        if (self->low[i] && (i != LATENT || d->model) && self->range_size[i] != wanted)
+        const int wanted = i == STATE ? states : i == NOMINAL ? actions : latents_of(self);
+        if (self->low[i] && (i != LATENT || d->model || self->networks) && self->range_size[i] != wanted)
             Py_RETURN_NONE;
     }
     if (!usual(self, STATE, args[0], states, self->state) || !usual(self, NOMINAL, args[1], actions, d->nominal) ||
-        (d->model && !usual(self, LATENT, args[2], d->model->latents, self->latent)))
+        ((d->model || self->networks) && !usual(self, LATENT, args[2], latents_of(self), self->latent)) ||
+        !ask_networks(self))
         Py_RETURN_NONE;
     const int kind = decide_quickly(self, NAN);
     if (kind != PASSED && kind != CORRECTED)
@@ -1053,7 +1275,7 @@ __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
 {
     PyObject *module = PyModule_Create(&definition);
     if (!module || PyType_Ready(&StepType) < 0 || PyType_Ready(&RowsType) < 0 || PyType_Ready(&SearchType) < 0 ||
-        PyType_Ready(&RolloutType) < 0)
+        PyType_Ready(&RolloutType) < 0 || PyType_Ready(&NetworksType) < 0)
         return NULL;
     for (int i = 0; i < FIELDS; i++)
         if (!(field_keys[i] = PyUnicode_InternFromString(FIELD_NAMES[i])))
@@ -1062,9 +1284,11 @@ __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
         if (!(solver_names[i] = PyUnicode_InternFromString(STATUS_NAMES[i])))
             return NULL;
     Py_INCREF(&StepType), Py_INCREF(&RowsType), Py_INCREF(&SearchType), Py_INCREF(&RolloutType);
+    Py_INCREF(&NetworksType);
     if (PyModule_AddObject(module, "Step", (PyObject *)&StepType) < 0 ||
         PyModule_AddObject(module, "Rows", (PyObject *)&RowsType) < 0 ||
         PyModule_AddObject(module, "Rollout", (PyObject *)&RolloutType) < 0 ||
+        PyModule_AddObject(module, "Networks", (PyObject *)&NetworksType) < 0 ||
         PyModule_AddObject(module, "Search", (PyObject *)&SearchType) < 0)
         return NULL;
     return module;

@@ -45,6 +45,21 @@ class Frame:
         """Returns ``features`` for the entries of one state, without arrays."""
         return self._features(state, FLOATS)
 
+    def seen_and_heading(self, state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+        """Returns the features, then cosine and sine of the heading: 1 and 0 for a robot without one."""
+        heading = (1.0, 0.0) if self._rotation is None else self._rotation(state, operations)
+        return [*self._features(state, operations), *heading]
+
+    @property
+    def turned(self) -> tuple[tuple[int, int], ...]:
+        """Index pairs (x, y) of the state's vectors that turn with the heading."""
+        return () if self._rotation is None else self._turned
+
+    @property
+    def functions(self) -> tuple[Callable[..., Any], ...]:
+        """The robot's own functions: of the features, and of the heading if it has one."""
+        return (self._features,) if self._rotation is None else (self._features, self._rotation)
+
     def own_increment_of_one(self, state: Sequence[float], following: Sequence[float]) -> list[float]:
         """Returns ``own_increment`` for the entries of one state and the next, without arrays."""
         return self._own(state, [after - before for before, after in zip(state, following, strict=True)], FLOATS)

@@ -2,7 +2,8 @@
 
 The drift f and the control matrix g have the same input and are evaluated together. Their first layers are merged into
 one matrix, and so are their last ones, together with the scaling of the outputs. Each bias is one more column, whose
-input is a constant 1 that the first layer passes on. A call allocates nothing.
+input is a constant 1 that the first layer passes on. A call allocates nothing. For one state C computes the same, where
+it has the same bits (``compiled``).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError
+from safedpa.networks.compiled import CompiledNetworks, Product
 from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.layers import Layer, dense_stack, layers_of
 from safedpa.networks.plain_rows import world_row
@@ -44,6 +46,7 @@ class LearnedNetworks:
         self._frame = frame or frame_of(weights.description.robot)
         self._mu = layers_of(weights.tensors, "mu")
         self._increments = self._paired(weights)
+        self._compiled: CompiledNetworks | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # without the buffers: they are rebuilt, and two copies must not share them
@@ -84,10 +87,32 @@ class LearnedNetworks:
 
     def row_of_one(self, state: Sequence[float], latent: Sequence[float]) -> list[float]:
         """Returns ``increment_of_one`` in one list: f, then g row by row."""
+        compiled = self.compiled
+        if compiled is not None:
+            try:
+                known: list[float] = compiled.known(state, latent)
+                return known
+            except (TypeError, ValueError, ArithmeticError):  # other sizes or odd numbers: NumPy decides
+                pass
         rows = self._increments.plain_of_one((*self._frame.features_of_one(state), *latent))
         width = len(rows) // len(state)
         self._frame.turn_to_world(state, rows, width)
         return world_row(rows, width)
+
+    @property
+    def compiled(self) -> Any:
+        """The ``safedpa_kernel.Networks`` with the same results for one state; None: there is none, or not yet."""
+        late = self._compiled
+        if late is None:
+            described = self.description
+            sizes = len(described.states), len(described.actions), described.latents
+            late = self._compiled = CompiledNetworks(self._frame, sizes, *self._increments.products())
+        return late.networks
+
+    def wait_for_compiler(self) -> None:
+        """Waits until no compiler is busy with the networks."""
+        if self.compiled is None and self._compiled is not None:
+            self._compiled.wait()
 
     def _paired(self, weights: Weights) -> Paired:
         """Returns F and G as functions of features and latent in SI units, with outputs (f, g) for each state entry."""
@@ -152,6 +177,11 @@ class Paired:
         self._leave = _leaving(*pairs[-1], mix)
         self._work = _Work(self._enter, self._middle, self._leave)
 
+    def products(self) -> tuple[list[Product], Float32Array]:
+        """Returns what ``one`` computes, product by product, with arrays of its own, and the array of the input."""
+        work = _Work(self._enter, self._middle, self._leave)
+        return work.products, work.input[0]
+
     def one(self, values: Sequence[float]) -> Float32Array:
         """Returns y (outputs,) for x (inputs,), floats or an array; the next call overwrites it."""
         work = self._work
@@ -198,7 +228,8 @@ class _Work(threading.local):
         for (left, right), buffer in zip(middle, self.hidden[1:], strict=True):
             buffer[:, left.after.stop] = buffer[:, right.after.stop] = 1.0
         self.output: Float32Array = np.zeros(leave.shape[1], dtype=np.float32)
-        self.steps = self._steps_of_one(enter, middle, leave)
+        self.products = self._products_of_one(enter, middle, leave)
+        self.steps = [step for product in self.products for step in _steps(product)]
         self.put, self.take = (
             struct.Struct(f"{len(enter) - 1}f").pack_into,
             struct.Struct(f"{leave.shape[1]}f").unpack_from,
@@ -210,22 +241,25 @@ class _Work(threading.local):
         for step in self.steps:
             step()
 
-    def _steps_of_one(
+    def _products_of_one(
         self, enter: Float32Array, middle: Sequence[tuple[_Middle, _Middle]], leave: Float32Array
-    ) -> list[Callable[[], Any]]:
-        """Returns the products for one input and the ReLU of each layer, with all arguments bound."""
+    ) -> list[Product]:
         rows = [buffer[0] for buffer in self.hidden]
-        steps = [partial(self.input[0].dot, enter, rows[0]), _cut(rows[0])]
+        products: list[Product] = [(enter, self.input[0], rows[0], rows[0])]
         for (left, right), before, after in zip(middle, rows, rows[1:], strict=False):
-            for network in (left, right):
-                steps.append(partial(before[network.before].dot, network.matrix, after[network.after]))
-            steps.append(_cut(after))
-        return [*steps, partial(rows[-1].dot, leave, self.output)]
+            products.append((left.matrix, before[left.before], after[left.after], None))
+            products.append((right.matrix, before[right.before], after[right.after], after))
+        return [*products, (leave, rows[-1], self.output, None)]
 
 
-def _cut(whole: Float32Array) -> partial[Any]:
-    # zeros of the layer's shape: a comparison with a broadcast scalar takes longer
-    return partial(np.maximum, whole, np.zeros_like(whole), out=whole)
+def _steps(product: Product) -> list[Callable[[], Any]]:
+    """Returns the product and the ReLU after it, with all arguments bound."""
+    matrix, before, after, cut = product
+    steps: list[Callable[[], Any]] = [partial(before.dot, matrix, after)]
+    if cut is not None:
+        # zeros of the layer's shape: a comparison with a broadcast scalar takes longer
+        steps.append(partial(np.maximum, cut, np.zeros_like(cut), out=cut))
+    return steps
 
 
 def _entering(layer: Layer) -> Float32Array:

@@ -1,4 +1,4 @@
-"""Rotates f and g of one robot from its own frame to the world's, on Python floats (compiled)."""
+"""Rotates f and g of one robot from its own frame to the world's, on Python floats."""
 
 from __future__ import annotations
 

@@ -130,8 +130,9 @@ class CompiledDecisions:
         if scene is None or (latent is None and needs_latent):
             return None
         free = prediction.nominal_latent if latent is None else latent
-        if step is not None:
-            return self._search.verdict(state, nominal, free, prediction.seconds, None, 0.0, 0.0)
+        known = prediction.affine_networks() if step is None else (None, 0.0, 0.0)
+        if known is not None:
+            return self._search.verdict(state, nominal, free, prediction.seconds, *known)
         place, free = checked_input("", state, tools.state_range), checked_input("", free, tools.latent_range)
         if isinstance(place, InvalidInput) or isinstance(free, InvalidInput):
             return None
@@ -203,16 +204,27 @@ class CompiledDecisions:
         if rows is None and isnan(least):
             rows = self._rollout_of(barriers, start)
         prediction = self._prediction
-        motion = prediction.affine_motion(start, latent) if prediction.affine else None
-        known, period, trained = (None, 0.0, 0.0) if motion is None else motion.entries
+        motion = self._motion(start, latent) if prediction.affine else None
         step = prediction.compiled_step(states, len(nominal)) if motion is None else None
         if rows is None or (motion is None and step is None) or not self._ready(step, rows):
             return None
         free = prediction.nominal_latent if latent is None else latent
+        known = (None, 0.0, 0.0) if motion is None else motion
         found = self._search.decide(
-            rows, start, nominal, free, prediction.seconds, epsilon, barriers.at_once, known, period, trained, least
+            rows, start, nominal, free, prediction.seconds, epsilon, barriers.at_once, *known, least
         )
         return None if found is None else Found(*found)
+
+    def _motion(self, start: tuple[float, ...], latent: tuple[float, ...] | None) -> Any:
+        """f and g at a state, or the compiled networks that know them, with the periods; None: neither."""
+        networks, physics = self._prediction.affine_networks(), self._prediction.physics
+        if networks is not None and physics is not None:
+            # Several delays have several states; wrong sizes are left to the general path, which names them.
+            latents = len(physics.latent_names) if latent is None else len(latent)
+            if len(start) == len(physics.system.state_names) and latents == len(physics.latent_names):
+                return networks
+        motion = self._prediction.affine_motion(start, latent)
+        return None if motion is None else motion.entries
 
     def search(self, backup: tuple[float, ...]) -> SearchResult | None:
         """What to do after ``OPEN`` or ``BELOW``; None: Python has to decide."""

@@ -221,6 +221,13 @@ class Prediction:
             return None
         return AffineMotion(state, known, model.period, base.weights.description.period)
 
+    def affine_networks(self) -> tuple[Any, float, float] | None:
+        """The compiled networks of ``affine_motion``, the model's period and that of the training; None: use that."""
+        base, model = self._learned, self._physics
+        if base is None or model is None or (networks := base.networks.compiled) is None:
+            return None
+        return networks, model.period, base.weights.description.period
+
     @property
     def step_function(self) -> Any:
         """The user's ``step(x, a, operations)``, if the prediction is one; else None."""
@@ -239,8 +246,10 @@ class Prediction:
         return compiled_step_of(self._scalar_step)
 
     def wait_for_compiler(self) -> None:
-        """Waits until no compiler is busy with the model's step."""
-        if self._physics is not None:
+        """Waits until no compiler is busy with the model's step or networks."""
+        if self._learned is not None:
+            self._learned.networks.wait_for_compiler()
+        elif self._physics is not None:
             wait_for_compiler(self._physics.scalar_step(self._physics.period))
 
     @property
