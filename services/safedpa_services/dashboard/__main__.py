@@ -19,7 +19,7 @@ from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.pages import FIRST_RERUN_PORT, DataProxy, ViewerServer, private_loopback
+from safedpa_services.dashboard.pages import FIRST_RERUN_PORT, DataProxy, Readers, ViewerServer, private_loopback
 from safedpa_services.service_main import service_parser
 from safedpa_services.web.ports import choose_port, open_server
 
@@ -46,16 +46,18 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     data_port = choose_port(None, FIRST_RERUN_PORT, "--grpc-port", rerun_host) if options.viewer else None
     limits = FileLimits(interval=_FILE_INTERVAL)
     recording = RerunRecording(display, options.fleet, save=save, bind=rerun_host, grpc_port=data_port, limits=limits)
+    readers = Readers()
     if grpc_port is not None and data_port is not None:
         where, required = (rerun_host, data_port), options.grpc_port is not None
-        start = partial(DataProxy, options.bind, behind=where, names=options.name)
+        start = partial(DataProxy, options.bind, behind=where, names=options.name, readers=readers)
         grpc_port = open_server(start, grpc_port, required=required)
     address = "" if grpc_port is None else _start_viewer(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
     sys.stdout.flush()
     with bus_from_options(options) as bus:
         bus.announce(NO_ROBOT, "dashboard", uuid.uuid4().hex[:12])
-        dashboard = Dashboard(bus, FleetView(display, options.fleet), recording, options.robot, address)
+        view, lag = FleetView(display, options.fleet), lambda: readers.lag
+        dashboard = Dashboard(bus, view, recording, options.robot, address, lag)
         dashboard.run(stop)
         dashboard.end(_DRIVE_ENDED if options.supervised else _DASHBOARD_ENDED)
     recording.close()

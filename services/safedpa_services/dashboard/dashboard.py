@@ -31,18 +31,27 @@ if TYPE_CHECKING:
 _TURN_SECONDS = 0.05
 _WAIT_SECONDS = 0.25
 _HEARTBEAT_SECONDS = 0.25
+_READ_SECONDS = 3.0
+"""A viewer that has made data wait for longer gets fewer frames. One that has just been opened reads the history."""
 
 
 class Dashboard:
     """Draws the fleet of a bus until it is stopped. It only observes: no process waits for it."""
 
     def __init__(
-        self, bus: Bus, view: FleetView, recording: RerunRecording, robot: str = "*", detail: str = ""
+        self,
+        bus: Bus,
+        view: FleetView,
+        recording: RerunRecording,
+        robot: str = "*",
+        detail: str = "",
+        lag: Callable[[], float] = lambda: 0.0,
     ) -> None:
+        """``lag`` returns the time [s] for which the slowest viewer has made data wait."""
         self._bus = bus
         self._view = view
         self._recording = recording
-        self._detail = detail
+        self._detail, self._lag = detail, lag
         self._complete = bus.inbox((STATE, VERDICT, FINDING, MODEL, HEALTH), robot, keep_all=True)
         self._newest = bus.inbox((LATENT, SURROUNDINGS), robot)
         self._steps = 0
@@ -67,7 +76,8 @@ class Dashboard:
         items = self._complete.take(longest_wait)
         started = time.monotonic()
         items = [*items, *self._newest.take(0.0)]
-        frames = self._view.take(sorted(items, key=lambda item: getattr(item, "at", 0.0)), started)
+        in_order = sorted(items, key=lambda item: getattr(item, "at", 0.0))
+        frames = self._view.take(in_order, started, waited=self._lag() - _READ_SECONDS)
         self._recording.arrange(self._view.fields)
         self._recording.draw(frames)
         self._steps += bool(frames)

@@ -150,9 +150,14 @@ class FleetView:
         """The shown field of each robot that has sent a state, in order of appearance."""
         self.refused = 0
 
-    def take(self, items: list[ReceivedMessage | RejectedMessage], now: float) -> list[TimelineFrame]:
-        """Returns the frames of messages that arrived until ``now`` [s] of the dashboard's monotonic clock."""
-        lag = max((now - item.at for item in items if isinstance(item, ReceivedMessage)), default=0.0)
+    def take(
+        self, items: list[ReceivedMessage | RejectedMessage], now: float, *, waited: float = 0.0
+    ) -> list[TimelineFrame]:
+        """Returns the frames of messages that arrived until ``now`` [s] of the dashboard's monotonic clock.
+
+        :param waited: time [s] for which earlier frames have been waiting for a viewer
+        """
+        lag = max((waited, *(now - item.at for item in items if isinstance(item, ReceivedMessage))))
         frames = [self._waiting_frame()]
         frames += self._pace_note(now) if self.pace.observe(lag, now) else []
         self._heard = now if items else self._heard
