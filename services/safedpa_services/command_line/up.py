@@ -61,7 +61,8 @@ _EXIT_CODE_INTERRUPTED = 130
 """128 + SIGINT, as shells report it."""
 GROUPS = {
     "Which robot": ("robot", "robot_file", "name", "robots", "seed"),
-    "The car": ("load", "change", "change_after", "laser", "people"),
+    "The car": ("load", "change", "change_after"),
+    "Any planar robot": ("laser", "people"),
     "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
     "The point robot": ("force", "wind_direction"),
     "A robot of your own": ("world",),
@@ -91,7 +92,7 @@ GROUPS = {
     help="detect obstacles with a laser scanner and perception instead of reading them from the scene",
 )
 @click.option(
-    "--people", type=int, metavar="COUNT", help="number of walking people around a car with --laser; default: 0"
+    "--people", type=int, metavar="COUNT", help="number of walking people around a robot with --laser; default: 0"
 )
 @click.option("--task", type=SuggestingChoice(TASKS), help="task of the pendulum; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="wind on the pendulum in m/s; default: 0")
@@ -251,7 +252,8 @@ def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
     from safedpa.perception import load_perception
-    from safedpa.safety.defaults import margin_for
+    from safedpa.runtime.scene import check_senses
+    from safedpa.safety.defaults import margin_for, settings_named
     from safedpa.systems.robots import robot_named
     from safedpa_services.supervisor.plan import Plan
 
@@ -271,6 +273,8 @@ def _plan(options: dict[str, Any]) -> Plan:
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
     margin_for(model, options["margin"])
+    if options["laser"]:
+        check_senses(model, settings_named(options["settings"]), "--laser")
     if options["perception"]:
         load_perception(Path(options["perception"]))
     return Plan(
@@ -333,7 +337,7 @@ def _surroundings(options: dict[str, Any], variant: Robot) -> tuple[str, ...]:
         )
     if options["people"] and not options["laser"]:
         raise InputError(
-            f"--people: got {options['people']} without --laser; add --laser, without which the car cannot see people"
+            f"--people: got {options['people']} without --laser; add --laser, without which the robot cannot see people"
         )
     given = [(name, options[name]) for name in own if name not in _FIELDS_OF_PLAN and options[name] is not None]
     each = [(name, value) for name, found in given for value in (found if isinstance(found, tuple) else (found,))]
@@ -400,7 +404,9 @@ def supervise(
         watch = RunMonitor(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), RunMonitor(bus, name)) for k, name in enumerate(plan.names[1:])]
         children = [*([] if robot is None else [robot]), *(child for child, _ in others), *services]
-        presence = RunPresence(bus, [watch, *(other for _, other in others)], services)
+        pairs = [*([] if robot is None else [(robot, watch)]), *others]
+        driven = {monitor.robot: child for child, monitor in pairs}
+        presence = RunPresence(bus, [watch, *(other for _, other in others)], services, driven)
         with display(watch, children) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others, presence).run()
     if code != 0 and robot is not None:

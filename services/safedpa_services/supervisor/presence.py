@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,6 +31,8 @@ class RunPresence:
     bus: Bus
     watches: Sequence[RunMonitor]
     services: Sequence[Child]
+    robots: Mapping[str, Child] = field(default_factory=dict)
+    """The robots' processes by the robot's name, of those that run here."""
     roster: Roster = field(default_factory=Roster)
     _source: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     _next: float = 0.0
@@ -98,10 +100,10 @@ class RunPresence:
         return found
 
     def _entries(self, now: float) -> list[RosterEntry]:
-        children = {child.name: child for child in self.services}
+        services = {child.name: child for child in self.services}
         entries = []
         for (kind, name), heard in self._heard().items():
-            child = children.get(name) if kind == "service" else None
+            child = (services if kind == "service" else self.robots).get(name)
             entry = RosterEntry(kind=kind, name=name, silent_for=-1.0 if heard is None else max(0.0, now - heard))
             if child is not None:
                 entry = replace(entry, restarts=child.restarts, cause=child.cause, given_up=child.given_up)

@@ -1,12 +1,12 @@
 """Operation over a long time and on a full disk, measured on the real processes of ``safedpa up``.
 
 Read ``soak.py`` first: memory, page and disk of a fleet with its dashboard open in a browser. ``full_disk.py`` fills
-the disk of a run in each phase, ``silences.py`` hangs its processes.
+the disk of a run in each phase, ``silences.py`` hangs or kills its processes.
 """
 
 from __future__ import annotations
 
-from safedpa_lab.experiments.record import FILE_OUT, Experiment, integer, number
+from safedpa_lab.experiments.record import FILE_OUT, Experiment, integer, number, repeated, switch
 
 __all__ = ["EXPERIMENTS"]
 
@@ -48,10 +48,16 @@ EXPERIMENTS = (
         name="silences",
         help="""Hang each process of a run, and measure when status, terminal, headline and metrics report it.
 
-    Exit code 1 if one of them takes more than 2 s, is right only for a time, or does not recover. Alerts follow the
-    metrics after the delay that their rule states. The supervisor restarts a service that hangs for 10 s.""",
+    With --kill, kill each instead. Exit code 1 if a place takes more than 2 s, is right only for a time, or does not
+    recover, or if a killed process is not replaced within 10 s. Alerts follow the metrics after the delay that their
+    rule states. The supervisor replaces a service that hangs for 10 s.""",
         run=f"{__name__}.silences:run",
-        parameters=(number("--seconds", 8.0, "for which each process hangs", positive=True), FILE_OUT),
+        parameters=(
+            number("--seconds", 8.0, "for which each process hangs, or its end is observed", positive=True),
+            repeated("--victim", "victims", "repeatable; default: all", known=f"{__name__}.silences:VICTIMS"),
+            switch("--kill", "kill each process; a supervisor's end is the run's"),
+            FILE_OUT,
+        ),
         report=f"{__name__}.silences:report",
         verdict=f"{__name__}.silences:verdict",
         extras=("sim", "metrics"),

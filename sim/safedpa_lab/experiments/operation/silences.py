@@ -1,4 +1,4 @@
-"""Hangs each process of a run, and measures when every place that a person looks at is right about it."""
+"""Hangs or kills each process of a run, and measures when every place that a person looks at is right about it."""
 
 from __future__ import annotations
 
@@ -21,22 +21,26 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_services.command_line.status import document_of
 from safedpa_services.metrics.exporter import FleetCollector
 
-VICTIMS: Final = ("robot", "adaptation", "policy", "safety_filter", "recorder", "supervisor")
+VICTIMS: Final = ("robot", "adaptation", "policy", "safety_filter", "recorder", "diagnosis", "supervisor")
 PLACES: Final = ("status", "terminal", "headline", "metrics")
 LIMIT_SECONDS: Final = 2.0
 """Time until a place is right; an alert follows the metrics after the delay that its rule states."""
+RETURN_SECONDS: Final = 10.0
+"""Time until a killed process is replaced and all is healthy."""
 _PATIENCE_SECONDS = 60.0
 _POLL_SECONDS = 0.05
 
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment silences``."""
-    rows = []
+    rows, victims = [], options["victims"] or VICTIMS
     with tempfile.TemporaryDirectory(prefix="safedpa-silences-") as name, _Run(Path(name)) as driven:
-        for number, victim in enumerate(VICTIMS):
-            rows.append({"victim": victim, **driven.hang(victim, options["seconds"])})
-            report_progress(number + 1, len(VICTIMS))
-    return {"experiment": "silences", "seconds": options["seconds"], "limit_s": LIMIT_SECONDS, "rows": rows}
+        for number, victim in enumerate(sorted(victims, key=VICTIMS.index)):  # the supervisor's end is the run's
+            does = driven.kill if options["kill"] else driven.hang
+            rows.append({"victim": victim, **does(victim, options["seconds"])})
+            report_progress(number + 1, len(victims))
+    kind, seconds = "kill" if options["kill"] else "hang", options["seconds"]
+    return {"experiment": "silences", "kind": kind, "seconds": seconds, "limit_s": LIMIT_SECONDS, "rows": rows}
 
 
 def verdict(result: Result) -> None:
@@ -47,19 +51,27 @@ def verdict(result: Result) -> None:
             if seconds is None or seconds > LIMIT_SECONDS:
                 found.append(f"{row['victim']}: {place} after {'never' if seconds is None else f'{seconds:.1f} s'}")
         found += [f"{row['victim']}: {place} was right only for a time" for place in row["lapsed"]]
-        found += [] if row["returned"] else [f"{row['victim']}: still trouble after its return"]
+        if row.get("unreported"):
+            found.append(f"{row['victim']}: status does not know that it was restarted")
+        if result["kind"] == "kill" and (row["returned"] or 0.0) > RETURN_SECONDS:
+            found.append(f"{row['victim']}: replaced after {row['returned']:.1f} s")
     if found:
         raise SafedpaError(f"silences: {'; '.join(found)}")
 
 
 def report(result: Result) -> str:
-    """Seconds until each place is right, by the process that hangs."""
-    lines = [f"Hung for {result['seconds']:g} s; seconds until right", ""]
-    lines += [f"| hung | {' | '.join(PLACES)} | healthy again after |", "|---" * (len(PLACES) + 2) + "|"]
+    """Seconds until each place is right, by the process that hangs or is killed."""
+    what = "Killed" if result["kind"] == "kill" else "Hung"
+    lines = [f"{what}, observed for {result['seconds']:g} s; seconds until right", ""]
+    lines += [f"| process | {' | '.join(PLACES)} | healthy again after |", "|---" * (len(PLACES) + 2) + "|"]
     for row in result["rows"]:
-        cells = ["-" if place not in row["seconds"] else f"{row['seconds'][place]:.1f}" for place in PLACES]
-        lines.append(f"| {row['victim']} | {' | '.join(cells)} | {row['returned'] or 0.0:.1f} |")
+        cells = [_cell(row["seconds"].get(place, -1.0)) for place in PLACES]
+        lines.append(f"| {row['victim']} | {' | '.join(cells)} | {_cell(-1.0 if row['ends'] else row['returned'])} |")
     return "\n".join(lines)
+
+
+def _cell(seconds: float | None) -> str:
+    return "never" if seconds is None else "-" if seconds < 0.0 else f"{seconds:.1f}"
 
 
 class _Run:
@@ -67,7 +79,7 @@ class _Run:
 
     def __init__(self, folder: Path) -> None:
         self._output = folder / "output"
-        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--no-diagnosis", "--seconds", "0"]
+        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--diagnosis", "--seconds", "0"]
         with self._output.open("wb") as log:
             self._up = subprocess.Popen([*command, "--out", str(folder / "runs")], stdout=log, stderr=log)
 
@@ -86,24 +98,50 @@ class _Run:
 
     def hang(self, victim: str, seconds: float) -> dict[str, Any]:
         """Hangs a process, and returns when the places were right, which lapsed, and when all was well again."""
-        self._wait(lambda: self._healthy() and not any(self._right(victim, 0).values()), "not healthy")
-        printed, pid = len(self._printed()), self._pid_of(victim)
-        first: dict[str, float | None] = dict.fromkeys(self._right(victim, printed))
-        lapsed: set[str] = set()
-        began = time.monotonic()
+        printed, pid = self._before(victim)
         os.kill(pid, signal.SIGSTOP)
         try:
-            while (passed := time.monotonic() - began) < seconds and self._pid_of(victim) == pid:
-                for place, is_right in self._right(victim, printed).items():
-                    if is_right and first[place] is None:
-                        first[place] = passed
-                    elif not is_right and first[place] is not None:
-                        lapsed.add(place)
+            watched = self._watched(victim, printed, lambda passed: passed < seconds and self._pid_of(victim) == pid)
         finally:
             with contextlib.suppress(ProcessLookupError):  # the supervisor has killed and restarted it
                 os.kill(pid, signal.SIGCONT)
-        returned = self._wait(self._healthy, f"{victim}: not healthy again")
-        return {"seconds": first, "lapsed": sorted(lapsed), "returned": returned}
+        return {**watched, "ends": False, "returned": self._wait(self._healthy, f"{victim}: not healthy again")}
+
+    def kill(self, victim: str, seconds: float) -> dict[str, Any]:
+        """Kills a process, and returns when the places knew of its restart or, of a supervisor, of its end."""
+        printed, pid = self._before(victim)
+        restarts = self._restarts(victim)
+        os.kill(pid, signal.SIGKILL)
+        if victim == "supervisor":
+            self._up.wait(_PATIENCE_SECONDS)
+            return {**self._watched(victim, printed, lambda passed: passed < seconds), "ends": True, "returned": None}
+        began = time.monotonic()
+        self._wait(lambda: self._pid_of(victim) not in (0, pid), f"{victim}: not restarted")
+        self._wait(self._healthy, f"{victim}: not healthy again")
+        returned = time.monotonic() - began
+        known = self._restarts(victim) > restarts
+        return {"seconds": {}, "lapsed": [], "ends": False, "returned": returned, "unreported": not known}
+
+    def _before(self, victim: str) -> tuple[int, int]:
+        """Waits until all is well; returns the length of what is printed, and the victim's process id."""
+        self._wait(lambda: self._healthy() and not any(self._right(victim, 0).values()), "not healthy")
+        return len(self._printed()), self._pid_of(victim)
+
+    def _watched(self, victim: str, printed: int, goes_on: Callable[[float], bool]) -> dict[str, Any]:
+        """Returns when each place was first right, and which were wrong again while ``goes_on``."""
+        first: dict[str, float | None] = dict.fromkeys(self._right(victim, printed))
+        lapsed: set[str] = set()
+        began = time.monotonic()
+        while goes_on(passed := time.monotonic() - began):
+            for place, is_right in self._right(victim, printed).items():
+                if is_right and first[place] is None:
+                    first[place] = passed
+                elif not is_right and first[place] is not None:
+                    lapsed.add(place)
+        return {"seconds": first, "lapsed": sorted(lapsed)}
+
+    def _restarts(self, victim: str) -> int:
+        return self._fleet.roster.counts[("robot", "r1") if victim == "robot" else ("service", victim)]
 
     def _right(self, victim: str, printed: int) -> dict[str, bool]:
         """Returns which places say that the victim is missing."""
