@@ -160,6 +160,7 @@ def rig_of(
     now: list[float] | None = None,
     odometry: Any = None,
     driver: Any = None,
+    zone_state: Any = None,
     **sensor_inputs: Any,
 ) -> Iterator[Rig]:
     """Yields a gateway at 20 Hz from 100 s on; ``sensor_inputs`` are the fields of ``SensorInputs``."""
@@ -171,5 +172,5 @@ def rig_of(
         known = SensorInputs(rig.odometry, rig.driver, **{"nominal": None, **sensor_inputs})  # type: ignore[arg-type]
         notice = health_publisher or HealthPublisher("r1", "odom", CarFace(), None, None)
         made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, notice, 0.05, lambda: clock[0])
-        rig.gateway = Gateway(bus, *made)
+        rig.gateway = Gateway(bus, *made, zone_state=zone_state)
         yield rig

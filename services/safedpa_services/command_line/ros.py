@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_services.command_line.names import SuggestingChoice
 from safedpa_services.command_line.options import PATH, as_json_option
@@ -77,3 +78,41 @@ def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, cer
     stop = StopSignal()
     stop.listen_to_signals()
     sys.exit(work(options, stop))
+
+
+@command.command(name="from-collision-monitor")
+@click.argument("file", type=PATH, metavar="FILE.yaml")
+@click.option("--out", type=PATH, metavar="ROBOT.toml", help="write the robot file there; default: print it")
+@click.option("--robot", default="differential_drive", show_default=True, help="kind of robot, or a name of your own")
+@click.option("--endpoint", default="", metavar="ENDPOINT", help="the robot's Zenoh router, such as tcp/robot:7447")
+@as_json_option
+@needs("ros")
+def _from_collision_monitor(file: Path, out: Path | None, robot: str, endpoint: str, as_json: bool) -> None:
+    """Convert the parameters of Nav2's collision monitor to a robot file.
+
+    FILE.yaml has them alone or among those of other nodes. What is different afterwards is listed.
+    """
+    from safedpa.disk import why_not_written
+    from safedpa_services.ros_gateway.collision_monitor import convert_collision_monitor
+    from safedpa_services.ros_gateway.robot_file import parse_robot_file
+
+    found = convert_collision_monitor(file, robot, endpoint)
+    try:
+        parse_robot_file(found.text)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    if out is not None:
+        try:
+            with out.open("x", encoding="utf-8") as written:
+                written.write(found.text)
+        except FileExistsError as error:
+            raise InputError(f"{out}: exists already; name a new file") from error
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written ({why_not_written(error)})") from error
+    if as_json:
+        click.echo(json.dumps({"robot_file": found.text, "differences": found.differences}))
+        return
+    click.echo(found.text if out is None else f"{out}: written")
+    click.echo("Differences from Nav2:" if out is not None else "# Differences from Nav2:")
+    for line in found.differences:
+        click.echo(f"- {line}" if out is not None else f"# - {line}")

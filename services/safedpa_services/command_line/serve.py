@@ -20,6 +20,7 @@ from safedpa_services.command_line.up import default_options, make_plan, supervi
 
 if TYPE_CHECKING:
     from safedpa_services.ros_gateway.robot_file import ServedRobot
+    from safedpa_services.ros_gateway.sensor_tables import SourceTopic
     from safedpa_services.supervisor.certificate_store import CertificateStore
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
@@ -57,12 +58,14 @@ def command(file: Path, **options: Any) -> None:
 
     If the file describes a ROS 2 robot, the gateway runs too; otherwise the robot joins the bus itself
     (docs/reference/bus.md). The nominal actions come from the robot's own policy, on the topic of [nominal], or from
-    the policy named with --policy. With [[scans]], perception runs too. With certificates, all messages go through a
-    router with access control. Ends with Ctrl-C.
+    the policy named with --policy. With [[scans]] or [[sources]], perception runs too. With certificates, all messages
+    go through a router with access control. Ends with Ctrl-C.
     """
     from safedpa.bus.security.access_control import role_of_robot
     from safedpa.bus.service.process import StopSignal
-    from safedpa.dynamics import load_user_file_everywhere
+    from safedpa.dynamics import load_model, load_user_file_everywhere
+    from safedpa.runtime.scene import check_senses
+    from safedpa.safety.defaults import settings_named
     from safedpa_services.ros_gateway.robot_file import RobotFile, load_served_robot
 
     if options["robot_file"] is not None:
@@ -70,9 +73,10 @@ def command(file: Path, **options: Any) -> None:
     robot_file = load_served_robot(file)
     uses_ros = isinstance(robot_file, RobotFile)
     with_policy = isinstance(robot_file, RobotFile) and bool(robot_file.nominal.topic)
-    if options["perception"] and not (isinstance(robot_file, RobotFile) and robot_file.scans):
+    sensors = robot_file.sensors if isinstance(robot_file, RobotFile) else ()
+    if options["perception"] and not sensors:
         raise InputError(
-            f"--perception: got a file, but {file} has no [[scans]]; leave it out, or add the scanners there"
+            f"--perception: got a file, but {file} has no [[scans]] or [[sources]]; leave it out, or add sensors there"
         )
     if uses_ros:
         need("ros", what="a robot that uses ROS 2")
@@ -89,7 +93,11 @@ def command(file: Path, **options: Any) -> None:
     stop, own = StopSignal(), _own_certificates(options, uses_ros=uses_ros)
     with make_plan(_drive_options(robot_file, options), own) as base_plan:
         stop.listen_to_signals()
-        plan = replace(base_plan, sensor_inputs=isinstance(robot_file, RobotFile) and bool(robot_file.scans))
+        if sensors:
+            check_senses(load_model(base_plan.model), settings_named(base_plan.settings), str(file))
+        plan = replace(base_plan, sensor_inputs=bool(sensors))
+        if sensors and not plan.perception:
+            plan = replace(plan, perception=_perception_file(sensors, plan.folder))
         gateway = plan.gateway(file, with_policy=with_policy) if uses_ros else None
         services = [child for child in plan.services() if child.name != "policy" or not with_policy]
         if gateway is None:
@@ -98,6 +106,16 @@ def command(file: Path, **options: Any) -> None:
             report_progress(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; waiting for it to join{role}")
         _report_start(plan)
         supervise(plan, services, gateway, stop, partial(_reported, plan))
+
+
+def _perception_file(sensors: Sequence[SourceTopic], folder: Path) -> str:
+    """Writes the settings that perception needs for these sensors, and returns the name of the file."""
+    from safedpa_services.ros_gateway.sensor_tables import perception_text
+
+    path = folder / "perception.toml"
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(perception_text(sensors), encoding="utf-8")
+    return str(path)
 
 
 def _own_certificates(options: dict[str, Any], *, uses_ros: bool) -> CertificateStore | None:

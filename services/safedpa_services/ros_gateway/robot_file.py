@@ -200,20 +200,31 @@ def uses_transforms(robot_file: RobotFile) -> bool:
     )
 
 
+def parse_robot_file(text: str) -> RobotFile:
+    """Parses the TOML text of a ROS 2 robot. Raises InputError naming the key."""
+    found = _parsed(text, lambda table: RobotFile)
+    assert isinstance(found, RobotFile)
+    return found
+
+
+def _parsed(text: str, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]]) -> ServedRobot:
+    table = parse_toml(text)
+    if table.pop("format", None) != FORMAT:
+        raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
+    found: ServedRobot = _of(kind_of(table), table, "")
+    check_served(found)
+    if isinstance(found, RobotFile):
+        check_robot_file(found)
+    return found
+
+
 def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]]) -> ServedRobot:
     try:
-        table = parse_toml(text_of_file(path, "toml_bytes"))
-        if table.pop("format", None) != FORMAT:
-            raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
-        found: ServedRobot = _of(kind_of(table), table, "")
-        check_served(found)
-        if isinstance(found, RobotFile):
-            check_robot_file(found)
+        return _parsed(text_of_file(path, "toml_bytes"), kind_of)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return found
 
 
 def _of(kind: Any, table: Mapping[str, Any], prefix: str) -> Any:

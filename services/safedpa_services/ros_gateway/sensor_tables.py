@@ -21,6 +21,7 @@ __all__ = [
     "SpeedZone",
     "VelocityPolygon",
     "check_sensor_tables",
+    "perception_text",
 ]
 
 LASER = "sensor_msgs/msg/LaserScan"
@@ -205,6 +206,24 @@ def check_sensor_tables(
     for key, value in [*ages, ("frames.largest_age", frames.largest_age)]:
         if not 0.0 < value <= 10.0:
             raise InputError(f"{key}: got {value:g}, wanted more than 0 and at most 10 s")
+
+
+def perception_text(sensors: Sequence[SourceTopic]) -> str:
+    """Returns the settings of perception (TOML) for these sensors: their time-outs, and whether they repeat themselves.
+
+    Example:
+
+        >>> from safedpa_services.ros_gateway.sensor_tables import SourceTopic, perception_text
+        >>> print(perception_text([SourceTopic("/sonar", "sensor_msgs/msg/Range", "sonar", time_out=0.3)]), end="")
+        [sources."sonar"]
+        time_out = 0.3
+        repeats = true
+    """
+    lines = []
+    for one in sensors:
+        repeats = one.type in (RANGE, GRID, COSTMAP)
+        lines += [f'[sources."{one.name}"]', f"time_out = {one.time_out}", f"repeats = {str(repeats).lower()}"]
+    return "\n".join(lines) + "\n"
 
 
 def _check_source(source: SourceTopic, areas: Sequence[str]) -> None:
