@@ -21,6 +21,7 @@ class Process:
     name: str
     essential: bool = True
     waits: bool = False
+    awaited: bool = False
     has_begun: bool = False
     restarts: int = 0
     cause: str = ""
@@ -159,6 +160,15 @@ def test_a_start_is_given_up_when_an_essential_service_stays_silent(loop, essent
     assert max(made.turned) == pytest.approx(longest, abs=0.11)
     assert made.robot.begun_at is None
     assert ("policy", "asked") in made.done, "what was started is ended"
+
+
+def test_robots_begin_once_an_awaited_service_is_heard_although_it_is_not_essential(loop):
+    made = loop(stopped_at=9.0)
+    made.add("robot", waits=True)
+    made.add("policy", heard_at=1.0)
+    made.add("diagnosis", heard_at=4.0, essential=False, awaited=True)
+    assert made.run() == 0
+    assert made.robot.begun_at == pytest.approx(4.0, abs=0.06)
 
 
 @pytest.mark.parametrize("waits", [True, False])

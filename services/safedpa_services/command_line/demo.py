@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,8 @@ def command(**options: Any) -> None:
     stop = StopSignal()
     with make_plan(_drive_options(options)) as plan:
         stop.listen_to_signals()
-        demonstration = _DemoRun(plan.with_page_alone(), stop, options)
+        shown = replace(plan.with_page_alone(), awaits_diagnosis=True)
+        demonstration = _DemoRun(shown, stop, options)
         summary = run_plan(demonstration.plan, stop, demonstration.shown)
     result = demonstration.result(summary)
     if options["as_json"]:
@@ -207,8 +209,6 @@ def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
 
 def _report(story: DemoNarrator, summary: dict[str, Any], folder: Path) -> str:
     """Writes report.html and the corrected model into the folder of the drive; returns the path of the report."""
-    from dataclasses import replace
-
     from safedpa.dynamics.model_file import parse_model
     from safedpa.limits import parse_json
     from safedpa.records import load_run

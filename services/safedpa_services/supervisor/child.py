@@ -59,6 +59,8 @@ class Child:
     """Whether it sends health messages on the bus."""
     waits: bool = False
     """Whether it prepares itself after its start and begins its work only on ``begin``."""
+    awaited: bool = False
+    """Whether the robots begin to drive only once it has sent a health message, although it is not essential."""
     restarts: int = 0
     cause: str = ""
     """Why it ended last, with the last line of its log; empty: it never did."""

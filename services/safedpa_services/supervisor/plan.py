@@ -42,6 +42,8 @@ class Plan:
     folder: Path
     diagnosis: bool = False
     """Whether a diagnosis runs alongside the loop."""
+    awaits_diagnosis: bool = False
+    """Whether the robots begin to drive only once the diagnosis is ready, and thereby sees all of the drive."""
     workbench_port: int = 0
     """Port of the workbench's page; 0: no workbench."""
     page_token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
@@ -115,7 +117,9 @@ class Plan:
             child("recorder", "--out", str(self.recording)),
         ]
         if self.diagnosis:
-            children.append(child("diagnosis", *model, *margin, "--versions", str(versions), essential=False))
+            diagnosis = child("diagnosis", *model, *margin, "--versions", str(versions), essential=False)
+            diagnosis.awaited = self.awaits_diagnosis
+            children.append(diagnosis)
         if self.dashboard:
             children.append(child("dashboard", *model, "--settings", self.settings, "--save", str(saved)))
         if self.workbench_port:

@@ -97,8 +97,9 @@ class Supervisor:
                     raise SafedpaError(f"{child.name}: not ready after {waited:.0f} s: {child.last_text()}")
 
     def _silent(self) -> list[Child]:
-        """Returns the essential services from which no heartbeat has arrived."""
-        return [child for child in self.services if child.essential and child.name not in self.watch.health]
+        """Returns the essential and awaited services from which no heartbeat has arrived."""
+        awaited = [child for child in self.services if child.essential or child.awaited]
+        return [child for child in awaited if child.name not in self.watch.health]
 
     def _run_until_end(self) -> int:
         while not self.stopped():
