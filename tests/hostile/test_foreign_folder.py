@@ -100,10 +100,14 @@ STARTS = {
 NAMED = ("Popen", "ProcessPoolExecutor", "get_context", "Process", "Pool", "create_subprocess_exec")
 
 
+PARTS_OF_NAMES = ("subprocess", "Popen", "Pool", "get_context", "Process(", "os.sys", "os.popen", "os.exec", "spawn")
+"""Text without any of these calls none of them: most modules need not be parsed."""
+
+
 def starts_python(path: Path) -> list[str]:
     """Returns the names by which a module starts processes."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    found, text = [], path.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(text)) if any(part in text for part in PARTS_OF_NAMES) else ():
         if isinstance(node, ast.Call):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             owner = getattr(getattr(node.func, "value", None), "id", "")
