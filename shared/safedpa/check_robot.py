@@ -20,7 +20,7 @@ from safedpa.effects import effects_of
 from safedpa.errors import InputError, SafedpaError, described
 from safedpa.networks.frame import Frame
 from safedpa.policy.controller import controller_for
-from safedpa.runtime.scene import AbstractScene, scene_of
+from safedpa.runtime.scene import NO_SENSES, AbstractScene, scene_of
 from safedpa.safety.checks.check_filter import check_filter
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.session.filter_session import FilterSession
@@ -102,6 +102,7 @@ def _parts(robot: Robot, seed: int) -> Iterator[PartFinding]:
     yield PartFinding("effects", "fine" if effects else "missing", notice)
     settings: FilterSettings = _tried("settings", robot.settings)
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
+    yield _senses(scene)
     yield PartFinding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
     yield _foreign_settings(robot, model)
     frame = _tried("frame", robot.frame)
@@ -129,6 +130,13 @@ def _message_of_deviations(robot: Robot) -> str:
     if not (np.isfinite(numbers).all() and (numbers > 0.0).all()):
         return f"got {given!r}, wanted a positive number for each of {', '.join(names)}"
     return ""
+
+
+def _senses(scene: AbstractScene) -> PartFinding:
+    """Reports whether the robot can drive with sensors; it may do without."""
+    if scene.senses:
+        return PartFinding("sensors", "fine", "its barriers take laser scans and other sensors (planar_body)")
+    return PartFinding("sensors", "note", f"none: {NO_SENSES}")
 
 
 def _foreign_settings(robot: Robot, model: PhysicsModel) -> PartFinding:

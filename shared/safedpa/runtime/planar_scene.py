@@ -111,7 +111,7 @@ class PlanarSensing:
         values = state.values
         if len(values) != len(self._states) or not all(map(isfinite, values)):
             return Vicinity()
-        arm = max(part.reach for part in parts)
+        arm, reach = max(part.arm for part in parts), max(part.reach for part in parts)
         now = self._spent(values, arm, fastest)
         start, after = np.array(values), [tuple(values)]
         fall = 0.0 if self._corners else inf
@@ -127,4 +127,4 @@ class PlanarSensing:
         late_falls = sum(fall * (1.0 + later) for later in range(ceil(late / self._model.period)))
         limit = late_falls + (fall * (1.0 + ceil(late / self._model.period)) + _WIDENED * epsilon) / eta
         x, y = (values[place] for place in self._position)
-        return Vicinity(x, y, limit + arm + now, limit, tuple(values), tuple(after), 0.0)
+        return Vicinity(x, y, limit + reach + now, limit, tuple(values), tuple(after), 0.0)

@@ -41,6 +41,8 @@ class Robot(ABC):
     """(states,) standard deviation of what a measured state adds to one step, in the state's units."""
     smallest_motion: ClassVar[float] = 1.0
     """Measurement deviations by which some entry must change in a step for it to teach the adaptation anything."""
+    command_timing: ClassVar[float] = 0.0
+    """s by which its commands may act later than known, for what the adaptation learns soon after they change."""
     nominal_range: ClassVar[tuple[tuple[float, float], ...]] = ()
     """(actions, 2) lowest and highest of each action that its actuators can do; empty: the system's bounds."""
     can_stop: ClassVar[bool] = True
@@ -53,7 +55,7 @@ class Robot(ABC):
     """Whether ``barriers_around`` draws barriers: then a margin can be had from logs that tell of no scene."""
     theorem_margins: ClassVar[bool] = False
     """Whether the theorem's margin is known for its barriers: how steep they are at most."""
-    options: ClassVar[tuple[str, ...]] = ("world",)
+    options: ClassVar[tuple[str, ...]] = ("world", "laser", "people")
     """Options of ``safedpa up`` that are its own: what may be asked of its simulated world."""
     default_controller: ClassVar[str] = "goal_seeker"
     """Which of ``controllers`` nominal actions where no one says, and no policy was learned."""

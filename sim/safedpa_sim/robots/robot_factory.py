@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import secrets
+from collections.abc import Callable
 
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.stand_in import world_number
-from safedpa.systems.robots import robot_named
+from safedpa.runtime.scene import check_senses
+from safedpa.stand_in import AbstractStandIn, world_number
+from safedpa.systems.robots import Robot, robot_named
 from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.robots.car.parameters import CAR_PARAMETERS, THROTTLE_CAR
 from safedpa_sim.robots.car.robot import CarRobot, PlannedChange
@@ -18,8 +21,9 @@ from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.people import MOST_PEOPLE, walkers
+from safedpa_sim.sensing.people import MOST_PEOPLE, walkers, walkers_in
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
+from safedpa_sim.sensing.stand_in_sensors import StandInSensors
 
 SHIPPED = ("car", "pendulum", "point")
 """Robots that are simulated in this package; other robot packages bring their own stand-in."""
@@ -43,9 +47,9 @@ def make_robot(options: argparse.Namespace) -> SimulatedRobot:
     epoch = secrets.randbits(_EPOCH_BITS)
     if options.robot not in SHIPPED:
         given = dict(world_number(text) for text in options.world)
-        return StandInRobot(
-            robot_named(options.robot), 1.0 / options.rate, options.seed, given, options.lockstep, epoch
-        )
+        declared = robot_named(options.robot)
+        sensors = _stand_in_sensors(options, declared)
+        return StandInRobot(declared, 1.0 / options.rate, options.seed, given, options.lockstep, epoch, sensors=sensors)
     if options.world:
         raise InputError(
             f"--world: got {options.world[0]} for a {options.robot}, which has its own options; wanted your own robot"
@@ -53,7 +57,9 @@ def make_robot(options: argparse.Namespace) -> SimulatedRobot:
     if options.drive == "throttle" and options.robot != "car":
         raise InputError(f"--drive: got a throttle for a {options.robot}, wanted none; it is the car's")
     if options.robot != "car" and (options.laser or options.people):
-        raise InputError(f"--laser, --people: got one for a {options.robot}, wanted none; they are the car's")
+        raise InputError(
+            f"--laser, --people: got one for a {options.robot}, whose simulation has no sensors; leave them out"
+        )
     if options.robot == "pendulum":
         return _pendulum(options, epoch)
     if options.robot == "point":
@@ -79,11 +85,39 @@ def _car(options: argparse.Namespace, epoch: int) -> CarRobot:
     )
 
 
-def _sensor_inputs(options: argparse.Namespace, scene: Scene) -> SimulatedSensors | None:
+def _stand_in_sensors(options: argparse.Namespace, robot: Robot) -> Callable[[AbstractStandIn], StandInSensors] | None:
+    """Returns what puts a laser on a stand-in, and people around it; None without a laser."""
+    _check_people(options)
+    if not options.laser:
+        return None
+    model = load_model(str(robot.model))
+    settings = robot.settings()
+    check_senses(model, settings, "--laser")
+    body = robot.planar_body(model, settings)
+    names = robot.system.state_names
+    x, y = (names.index(name) for name in body.pose[:2])
+    pose = (x, y, names.index(body.pose[2]) if len(body.pose) == 3 else -1)
+
+    def sensors(stand_in: AbstractStandIn) -> StandInSensors:
+        laser = Laser(LaserSettings(mount=(0.0, 0.0, 0.0)), options.seed)
+        empty = StandInSensors((laser,), pose=pose)
+        field = stand_in.field if len(stand_in.field) == 4 else (-5.0, 5.0, -5.0, 5.0)
+        start = empty.pose(stand_in)[:2]
+        people = walkers_in(empty.solid(stand_in), field, start, options.people, options.seed)
+        return StandInSensors((laser,), people, pose=pose)
+
+    return sensors
+
+
+def _check_people(options: argparse.Namespace) -> None:
     if not 0 <= options.people <= MOST_PEOPLE:
         raise InputError(f"--people: got {options.people}, wanted 0 to {MOST_PEOPLE}")
     if options.people and not options.laser:
-        raise InputError(f"--people: got {options.people} without --laser; people need a car with a laser scanner")
+        raise InputError(f"--people: got {options.people} without --laser; people need a robot with a laser scanner")
+
+
+def _sensor_inputs(options: argparse.Namespace, scene: Scene) -> SimulatedSensors | None:
+    _check_people(options)
     if not options.laser:
         return None
     return SimulatedSensors((Laser(LaserSettings(), options.seed),), walkers(scene, options.people))

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from safedpa.bus.messages.messages import StateMessage
+from safedpa.bus.messages.messages import ScanMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa.stand_in import AbstractStandIn
 from safedpa.systems.robots import Robot
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
+from safedpa_sim.sensing.stand_in_sensors import StandInSensors
 
 
 @final
@@ -44,6 +45,7 @@ class StandInRobot(SimulatedRobot):
         lockstep: bool = True,
         epoch: int = 1,
         wall_clock: Callable[[], float] = time.time,
+        sensors: Callable[[AbstractStandIn], StandInSensors] | None = None,
     ) -> None:
         self.seed, self.given = seed, dict(given or {})
         try:
@@ -54,6 +56,9 @@ class StandInRobot(SimulatedRobot):
                 f"robot '{robot.name}': its stand-in does not take {reported or 'the seed'}: {error}"
             ) from error
         self._touched = self.stand_in.contact()
+        self.sensors = None if sensors is None else sensors(self.stand_in)
+        if self.sensors is not None:
+            self.sensors.begin(self.stand_in, epoch)
         self._collisions: list[ForbiddenContact] = []
         settings = robot.settings()
         super().__init__(ActionGuard(epoch, settings.action_low, settings.action_high), period, lockstep, wall_clock)
@@ -81,12 +86,23 @@ class StandInRobot(SimulatedRobot):
     def state_message(self) -> StateMessage:
         """Returns state k with the surroundings of the stand-in."""
         seen = self.stand_in
-        return self._state(goal=seen.goal, obstacles=seen.obstacles, field=seen.field, footprint=seen.footprint)
+        known = {"goal": seen.goal, "field": seen.field, "footprint": seen.footprint}
+        if self.sensors is not None:
+            return self._state(**known, sources=self.sensors.names)
+        return self._state(**known, obstacles=seen.obstacles)
+
+    def scans(self) -> Sequence[ScanMessage]:
+        """Returns the new scans of its sensors."""
+        return () if self.sensors is None else self.sensors.reported()
 
     def _simulate_period(self) -> None:
-        self.stand_in.advance(self._applied, self.period)
+        person = ""
+        if self.sensors is None:
+            self.stand_in.advance(self._applied, self.period)
+        else:
+            person = self.sensors.advance(self.stand_in, self._applied, self.period, self.guard.epoch, self.tick)
         self.goals_reached = self.stand_in.goals_reached
-        touched = self.stand_in.contact()
+        touched = self.stand_in.contact() or person
         if touched and not self._touched:
             self._collisions.append(ForbiddenContact((self.tick + 1) * self.period, touched))
         self._touched = touched

@@ -6,6 +6,7 @@ They do not react to the robot, except when it touches them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from math import atan2, ceil, cos, hypot, inf, pi, sin
 from typing import TYPE_CHECKING, final
 
@@ -126,14 +127,31 @@ def walkers(scene: Scene, count: int, speed: float = 1.5, draw: np.random.Genera
 
     Raises InputError when the scene has no room for them.
     """
-    draw = draw or np.random.default_rng([scene.seed, 29])
-    outline, found = Outline(scene.obstacles, scene.polygons, (scene.field,)), list[Walks]()
+    outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
+    return walkers_in(outline, scene.field, (scene.start[0], scene.start[1]), count, scene.seed, speed, draw)
+
+
+def walkers_in(
+    outline: Outline,
+    field: Sequence[float],
+    start: Point,
+    count: int,
+    seed: int,
+    speed: float = 1.5,
+    draw: np.random.Generator | None = None,
+) -> tuple[Walks, ...]:
+    """Returns ``count`` people who walk in ``field`` [m], at least 2 m from ``start``.
+
+    Raises InputError when there is no room for them.
+    """
+    draw = draw or np.random.default_rng([seed, 29])
+    found = list[Walks]()
     for _ in range(_TRIES):
         if len(found) == count:
             return tuple(found)
-        x, y = draw.uniform((scene.field[0], scene.field[2]), (scene.field[1], scene.field[3])).tolist()
-        if clearance_at(outline, x, y) > _ROOM and hypot(x - scene.start[0], y - scene.start[1]) > _AWAY:
-            found.append(Walks((x, y), speed, 100 * scene.seed + len(found)))
+        x, y = draw.uniform((field[0], field[2]), (field[1], field[3])).tolist()
+        if clearance_at(outline, x, y) > _ROOM and hypot(x - start[0], y - start[1]) > _AWAY:
+            found.append(Walks((x, y), speed, 100 * seed + len(found)))
     if len(found) == count:
         return tuple(found)
     raise InputError(f"people: got {count}, but the scene has room for {len(found)}; choose fewer")

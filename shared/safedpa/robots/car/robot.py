@@ -81,6 +81,8 @@ class ThrottleCar(_AnyCar):
     options = ("change", "laser", "people")
     nominal_range = ((-1.0, 1.0), (-0.34, 0.34))
     settings_name = "car_throttle"
+    # One period of full throttle changes the speed by up to 0.4 m/s: a late command looks like a motor without force.
+    command_timing = 0.15
     stand_in_options = ("--drive=throttle",)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102

@@ -8,14 +8,17 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus import StateMessage
+from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.errors import InputError
+from safedpa.policy.grid_route import GridRoute
 
 _FASTEST, _FASTEST_TURN = 0.5, 1.9
 _TURN_GAIN = 2.5
 """1/s"""
 _BERTH = 0.15
 """m between body and obstacle when passing."""
+_SENSED_BERTH = 0.13
+"""m between body and sensed points on a route: clearance and margin of the filter."""
 _AHEAD = 1.5
 """m; obstacles farther away are ignored."""
 
@@ -29,6 +32,12 @@ class WheeledSeeker:
 
     def __init__(self, looks: bool = True) -> None:
         self._looks = looks
+        self._route: GridRoute | None = None
+        self._seen: SurroundingsMessage | None = None
+
+    def look(self, seen: SurroundingsMessage | None) -> None:
+        """Sets what the sensors see, for the next state; None keeps the last."""
+        self._seen = seen if seen is not None else self._seen
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Returns the action (2,) and the controller's name. Raises InputError without a goal."""
@@ -42,6 +51,8 @@ class WheeledSeeker:
 
     def _way(self, state: StateMessage, x: float, y: float) -> float:
         """Returns the direction to drive in, rad in the world frame."""
+        if self._looks and state.sources:
+            return self._sensed_way(state, x, y)
         way = atan2(state.goal[1] - y, state.goal[0] - x)
         distance = hypot(state.goal[0] - x, state.goal[1] - y)
         reach = (state.footprint[2] if len(state.footprint) == 3 else 0.0) + _BERTH
@@ -53,6 +64,15 @@ class WheeledSeeker:
             if apart < min(distance, _AHEAD) + radius and abs(aside) < needed:
                 way = towards + (needed if aside >= 0.0 else -needed)
         return way
+
+
+    def _sensed_way(self, state: StateMessage, x: float, y: float) -> float:
+        """Returns the direction along the route around what the sensors see."""
+        if self._route is None:
+            self._route = GridRoute((state.footprint[2] if len(state.footprint) == 3 else 0.0) + _SENSED_BERTH)
+        self._route.look(self._seen)
+        to_x, to_y = self._route.aim((x, y), state.goal, state.robot_time)
+        return atan2(to_y - y, to_x - x)
 
 
 def _wrapped(angle: float) -> float:

@@ -3,10 +3,10 @@
 While the robot brakes, its reference point moves by at most a vector d, and its heading turns by at most T. So the body
 stays within each part swept along d, thickened by
 
-    growth = (L + |d|) T        L the largest distance of a body point from the reference point,
+    growth = (L + |d|) T        L the largest distance of a corner of the body from the reference point,
 
-because a path of length |d| with a heading error of at most T deviates by at most |d| T, and a point at distance L by
-L T. Neither d nor T grows under braking, and the rest of the path stays within the previous region: no h decreases.
+because a path of length |d| with a heading error of at most T deviates by at most |d| T, and a corner at distance L by
+L T; the disc around each corner looks the same from all sides. Neither d nor T grows under braking, and the rest of the path stays within the previous region: no h decreases.
 Exact for convex parts: the distance to a convex polygon swept along d is that to the outline of their Minkowski sum,
 whose facets are those of the polygon and two along d.
 """
@@ -34,7 +34,7 @@ IS_STATIONARY: Final = 0.1
 """m/s; a slower robot counts as stationary, as for the car."""
 _STANDS: Final = 1e-6
 """m; a shorter stopping distance has no direction."""
-_NUMBERS, _FORM = 7, 8
+_NUMBERS, _FORM = 8, 8
 """Shared numbers, and numbers of the form, before those of the parts."""
 _OUTSIDE: Final = -1e3
 """m; depth that no half-plane of a body has."""
@@ -92,7 +92,12 @@ class BodyPart:
     @property
     def reach(self) -> float:
         """Largest distance [m] of a point of the part from the reference point."""
-        return max(hypot(x, y) for x, y in self.corners) + self.radius
+        return self.arm + self.radius
+
+    @property
+    def arm(self) -> float:
+        """Largest distance [m] of a corner from the reference point."""
+        return max(hypot(x, y) for x, y in self.corners)
 
 
 @final
@@ -203,8 +208,9 @@ class PlanarBody:
     def shared(self, parts: Sequence[BodyPart]) -> tuple[float, ...]:
         """Returns the numbers that all discs have in common."""
         corner = max(self.deceleration / self.gain, IS_STATIONARY)
-        turning, arm = self.track or self.turning, max(part.reach for part in parts)
-        own = (self.deceleration, self.gain, corner, turning, arm, self.largest_speed, self.creeping)
+        turning, arm = self.track or self.turning, max(part.arm for part in parts)
+        reach = max(part.reach for part in parts)
+        own = (self.deceleration, self.gain, corner, turning, arm, self.largest_speed, self.creeping, reach)
         numbers: list[float] = []
         for part in parts:
             hull = part.hull
@@ -248,7 +254,7 @@ class _Sweep(NamedTuple):
 
 
 def _sweep(given: Given, operations: Operations, cosine: Scalar, sine: Scalar) -> _Sweep:
-    deceleration, gain, corner, turning, arm, largest, _ = given.shared[:_NUMBERS]
+    deceleration, gain, corner, turning, arm, largest, _, _ = given.shared[:_NUMBERS]
     motion, _, _, _, first, second, turn, wheels = given.form[:_FORM]
 
     def seconds(size: Scalar) -> Scalar:
@@ -402,9 +408,9 @@ class SensedMovers(AbstractEquationBarrier):
     def equation(given: Given, operations: Operations) -> Sequence[Scalar]:
         """Returns h of a disc: x, y, required distance [m], its speed, and the one that counts behind [m/s]."""
         x, y, reach, fastest, behind_fastest = given.each
-        arm, creeping = given.shared[4], given.shared[6]
+        creeping, reach_of_body = given.shared[6], given.shared[7]
         room, sweep, place = _room(given, operations, x, y)
-        behind = place[0] * sweep.x + place[1] * sweep.y + arm * sweep.length
+        behind = place[0] * sweep.x + place[1] * sweep.y + reach_of_body * sweep.length
         coming = operations.where(behind < 0.0, behind_fastest, fastest)
         kept = room - reach - coming * sweep.seconds
         slow = creeping * (IS_STATIONARY - sweep.size)

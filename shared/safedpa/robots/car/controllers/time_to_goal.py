@@ -18,53 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.arrays import FloatArray
+from safedpa.policy.grid_route import PlanningGrid, grid_distances
 from safedpa.robots.car.controllers.route_cost import Clearances, VisibleObstacles
-
-_NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
-_DIAGONAL = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-
-
-class PlanningGrid:
-    """Grid lines x (nx,), y (ny,) at most ``cell`` apart over a field (low x, high x, low y, high y) [m]."""
-
-    def __init__(self, field: Sequence[float], cell: float) -> None:
-        west, east, south, north = field
-        columns, rows = (max(2, int(np.ceil((high - low) / cell)) + 1) for low, high in ((west, east), (south, north)))
-        self.x: FloatArray = np.linspace(west, east, columns)
-        self.y: FloatArray = np.linspace(south, north, rows)
-        self.cell: FloatArray = np.array((self.x[1] - self.x[0], self.y[1] - self.y[0]))
-
-    def shares(self, position: FloatArray, axis: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """Returns the index of the grid line below each coordinate (any shape) and the weight of the next, clipped."""
-        lines = self.x if axis == 0 else self.y
-        at = np.clip((position - lines[0]) / self.cell[axis], 0.0, len(lines) - 1 - 1e-9)
-        low = at.astype(np.intp)
-        return low, at - low
-
-
-def grid_distances(grid: PlanningGrid, goal: Sequence[float], weight: FloatArray) -> FloatArray:
-    """Returns D (nx, ny), the weighted shortest distance to the goal over the eight neighbours of each cell.
-
-    ``weight`` (nx, ny) >= 1 is the cost per metre. All cells are relaxed at once until nothing changes (Bellman-Ford).
-    """
-    distance = np.hypot(grid.x[:, None] - goal[0], grid.y[None, :] - goal[1])
-    framed = np.full((weight.shape[0] + 2, weight.shape[1] + 2), np.inf)
-    inside = framed[1:-1, 1:-1]
-    inside[:] = np.where(distance <= np.hypot(*grid.cell) + distance.min(), distance, np.inf)
-    ways = [
-        (
-            framed[1 + i : framed.shape[0] - 1 + i, 1 + j : framed.shape[1] - 1 + j],
-            float(np.hypot(i * grid.cell[0], j * grid.cell[1])) * weight,
-        )
-        for i, j in _NEAR + _DIAGONAL
-    ]
-    while True:
-        before = inside.copy()
-        for neighbour, way in ways:
-            np.minimum(inside, neighbour + way, out=inside)
-        if np.array_equal(before, inside):
-            return before
-
 
 HEADINGS = 16
 """Number of headings of the pose grid, evenly spaced, the first along x."""

@@ -21,6 +21,7 @@ from safedpa.robots.car.dynamics.throttle import BrakingByThrottle
 from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.scene import MOST_OBSTACLES, AbstractScene
 from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBarrierSet
+from safedpa.safety.barriers.disc_selection import load_selection
 from safedpa.safety.barriers.equation import rows_of
 from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
 from safedpa.safety.settings import FilterSettings
@@ -59,6 +60,7 @@ class CarScene(AbstractScene):
         self._stack: AbstractBarrierSet = self._barriers
         for pattern in shipped_rows.patterns():  # now: loading takes a tick and would delay the first decision
             rows_of(pattern, shipped_rows.STATES).prepare()
+        load_selection()
 
     def _brake(self, state: NDArray[np.float64] | None) -> NDArray[np.float64]:
         """Returns the resting action; in perceived surroundings, where movers are possible, the harder brake.
