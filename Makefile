@@ -16,12 +16,13 @@ TOOLS := build/tools/.installed
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
 
-demo: $(BUILT)  ## two minutes: a steering is bent while the car drives, found, and corrected by your click
-	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa demo
+# Both run the source: the decisions are compiled by `environment`, and one car needs no more.
+demo: environment  ## two minutes: a steering is bent while the car drives, found, and corrected by your click
+	@$(BIN)/safedpa demo
 
-run: $(BUILT)  ## starts the closed loop with its live dashboard; Ctrl-C ends it
-	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
-	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa up --robot car --load chair --seed 4
+run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
+	@echo "Starting robot, services and dashboard: 5 to 15 s. The address of the live view follows. Ctrl-C ends everything."
+	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
 # A copy of the product whose innermost modules are compiled, where a C compiler is at hand: what `pip install` gives.
 # What is edited or tested is the source itself, so the copy is made again when any of it is newer.
@@ -32,7 +33,7 @@ $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_s
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; compiled_modules() or print("Nothing could be compiled (is there a C compiler?): the loop runs from Python source, and a decision takes ten times as long.")'
 	@touch $@
 
-compiled: $(BUILT)  ## the copy of the product that demo and run start, its innermost modules compiled
+compiled: $(BUILT)  ## a copy of the product as a wheel has it, its innermost modules compiled: for test-compiled
 
 # One more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
 TESTERS ?= 3
@@ -100,13 +101,17 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt constraints-hash
 	@echo "Installing into $(ENVIRONMENT); the first time this takes two to three minutes."
 	@$(PYTHON) -m venv $(ENVIRONMENT)
 	@mkdir -p build
+	@echo "  1 of 3: torch, the largest download"
 	@$(PIP) --no-compile --report build/torch.json torch==2.13.0
+	@echo "  2 of 3: the other $$(grep -c == constraints.txt) packages"
 	@($(BYTECODE)) & $(PIP) --no-compile --report build/packages.json --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
+	@echo "  3 of 3: compares the hash of each file with the pinned ones"
 	@$(PYTHON) deploy/check_hashes.py build/torch.json build/packages.json
 	@touch $@
 
 # Into the user's cache; a second where nothing has changed. Without a compiler a line says that Python decides.
 $(GENERATED): $(INSTALLED) $(shell find shared/safedpa -type f -not -name '*.pyc')
+	@echo "Compiling the decisions of all robots to C; up to half a minute if they have changed."
 	@$(BIN)/python -m safedpa.generate || true
 	@mkdir -p build
 	@touch $@

@@ -54,6 +54,8 @@ def command(**options: Any) -> None:
     from safedpa.bus.service.process import StopSignal
 
     _check(options)
+    if not options["as_json"]:
+        print_plain("Starting a simulated car, its services and the live page: 5 to 15 s. Ctrl-C ends everything.")
     stop = StopSignal()
     with make_plan(_drive_options(options)) as plan:
         stop.listen_to_signals()
