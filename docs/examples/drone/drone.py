@@ -17,8 +17,10 @@ from safedpa.drawing import Lines, Rings
 from safedpa.dynamics import AbstractBase
 from safedpa.effects import Parameter, RateEffect, Stage, general_effects
 from safedpa.errors import InputError
+from safedpa.policy.grid_route import GridRoute
 from safedpa.robot import AbstractRobot
 from safedpa.safety import FilterSettings, FunctionBarrier
+from safedpa.safety.barriers.planar_body import BodyPart, PlanarBody
 from safedpa.stand_in import AbstractStandIn
 from safedpa.systems import System, Variable
 
@@ -87,7 +89,7 @@ class Drone(AbstractRobot):
     system = SYSTEM
     rate = 25.0
     model = Path(__file__).with_name("drone.toml")
-    kinds = ("tree", "speed")
+    kinds = ("tree", "speed", "obstacle", "mover")
     barrier_settings = (BarrierSetting("clearance", "m", 0.05, "kept to trees"),)
     measurement_deviation = (0.005, 0.005, 0.02, 0.02)
 
@@ -100,8 +102,16 @@ class Drone(AbstractRobot):
         bound = (STRONGEST, STRONGEST)
         low = (-STRONGEST, -STRONGEST)
         return FilterSettings(
-            system="drone", action_low=low, action_high=bound, eta=0.2, epsilon={"tree": 0.002, "speed": 0.01}
-        )
+            system="drone", action_low=low, action_high=bound, eta=0.2,
+            epsilon={"tree": 0.002, "speed": 0.01, "obstacle": 0.01, "mover": 0.05},
+        )  # fmt: skip
+
+    def planar_body(self, model, settings):
+        """A disc without a heading, for barriers from sensors: its backup brakes at 2 m/s2, or 5 1/s."""
+        return PlanarBody(
+            BRAKING, 5.0, FASTEST, ("x", "y"), ("vx", "vy"), world=True, parts=(BodyPart(((0.0, 0.0),), RADIUS),),
+            clearance=settings.barrier("clearance"), creeping=5.0,
+        )  # fmt: skip
 
     def barriers(self, state, model, latent, settings):
         """h = distance to the tree - both radii - clearance - the way that it needs to stop towards it; a speed."""
@@ -147,12 +157,20 @@ class Drone(AbstractRobot):
 
 
 class Seeker:
-    """a = (2 (goal - p) clipped to 2 m/s - v) / 0.4 s - wind."""
+    """a = (2 (goal - p) clipped to 2 m/s - v) / 0.4 s - wind; with sensors, the goal is the next point of a route."""
+
+    def __init__(self):
+        self._route = GridRoute(RADIUS + 0.12)
+
+    def look(self, seen):
+        """The surroundings for the next state."""
+        self._route.look(seen)
 
     def nominal_action(self, state, latent):
         """The acceleration (2,), and the controller's name."""
         position, velocity = np.array(state.values[:2]), np.array(state.values[2:])
-        wanted = 2.0 * (np.array(state.goal) - position)
+        goal = self._route.aim(state.values[:2], state.goal, state.robot_time) if state.sources else state.goal
+        wanted = 2.0 * (np.array(goal) - position)
         wanted *= min(1.0, 2.0 / max(float(np.hypot(*wanted)), 1e-9))
         wind = np.zeros(2) if latent is None else np.array(latent)
         return tuple(np.clip((wanted - velocity) / 0.4 - wind, -STRONGEST, STRONGEST).tolist()), "goal_seeker"

@@ -20,6 +20,7 @@ from safedpa.bus import (
     SurroundingsMessage,
 )
 from safedpa.bus.logging import log_event
+from safedpa.perception.odometry import pose_of, speed_of
 from safedpa.perception.overrides import SensorOverrides
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.surroundings import SurroundingsTracker
@@ -68,7 +69,7 @@ class PerceptionNode(AbstractNode):
         if active != self._active.get(robot) and not self.switches.replays(robot):
             self._report(robot, state, active)
         seen = around.at(state, active)
-        counting = active.at(state.values[3] if len(state.values) > 3 else None)
+        counting = active.at(speed_of(state))
         message = SurroundingsMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -82,7 +83,7 @@ class PerceptionNode(AbstractNode):
             scans=self._scans(robot, state),
             off=tuple(name for name in state.sources if name in active.off),
             zones=counting.names,
-            borders=counting.borders((state.values[0], state.values[1], state.values[2])),
+            borders=counting.borders(pose_of(state)),
             ordered=active.ordered,
         )
         return {SURROUNDINGS: message}

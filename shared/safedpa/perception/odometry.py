@@ -4,16 +4,34 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from math import hypot, pi, remainder
+from math import hypot, isfinite, pi, remainder
 from typing import final
 
-__all__ = ["OdometryBuffer", "Pose"]
+from safedpa.bus.messages.messages import StateMessage
+from safedpa.errors import MessageError
+
+__all__ = ["OdometryBuffer", "Pose", "pose_of", "speed_of"]
 
 Pose = tuple[float, float, float]
 """x, y [m] and yaw [rad], wrapped or unwrapped."""
 
 _BUFFER_SIZE = 200
 """Number of poses: 10 s at 20 Hz."""
+
+
+def pose_of(state: StateMessage) -> Pose:
+    """Returns the pose of a state: its ``pose``, or its first three values. Raises MessageError without either."""
+    if state.pose and not (len(state.pose) == 3 and all(map(isfinite, state.pose))):
+        raise MessageError(f"state: got a pose {state.pose}, wanted x, y, yaw, finite, or none")
+    if not state.pose and len(state.values) < 3:
+        raise MessageError(f"state: got {len(state.values)} values, wanted x, y, yaw first, or a pose")
+    x, y, yaw = state.pose or state.values[:3]
+    return x, y, yaw
+
+
+def speed_of(state: StateMessage) -> float | None:
+    """Returns the fourth value of a state, the speed [m/s]; None if it is not known to be one."""
+    return state.values[3] if len(state.values) > 3 and not state.pose else None
 
 
 @final

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from safedpa.arrays import BoolArray, FloatArray
 from safedpa.bus.messages.messages import ScanMessage, StateMessage
-from safedpa.errors import MessageError
 from safedpa.perception.obstacle_tracker import ObstacleTracker
 from safedpa.perception.occupancy_grid import CELL, Grid
-from safedpa.perception.odometry import OdometryBuffer, Pose
+from safedpa.perception.odometry import OdometryBuffer, Pose, pose_of, speed_of
 from safedpa.perception.scan import ScanRays, check_scan, hitch_position, within_body
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.source_health import Sources
@@ -95,16 +94,14 @@ class SurroundingsTracker:
 
         Raises MessageError for a state without a pose.
         """
-        if len(state.values) < 3:
-            raise MessageError(f"state: got {len(state.values)} values, wanted x, y, yaw first")
-        x, y, yaw = state.values[:3]
+        x, y, yaw = pose_of(state)
         if self._now is not None and not self._continues(state, *self._now):
             self.sources, self._odometry, self._tracker = Sources(self.settings), OdometryBuffer(), None
             self._lost_at_trailer = -inf
         self._now = state.epoch, state.robot_time
         self._odometry.add(state.robot_time, (x, y, yaw))
         self.sources.expect(state, active.off)
-        speed = state.values[3] if len(state.values) > 3 else None
+        speed = speed_of(state)
         self._ignored, self._closed = (active.of_kind(kind, speed) for kind in ("ignored", "closed"))
         if self._tracker is None:
             self._tracker, self._front_time = ObstacleTracker(self.settings, x, y), state.robot_time
@@ -157,13 +154,13 @@ class SurroundingsTracker:
         towing = len(state.towed) == 3 and len(state.footprint) == 3
         if not towing or state.robot_time - self._lost_at_trailer > self.settings.restless:
             return ()
-        x, y, yaw = state.values[:3]
+        x, y, yaw = pose_of(state)
         x, y = hitch_position((x, y, yaw), state).tolist()
         return ((x, y, state.towed[2]),)
 
     def _snapshot(self, state: StateMessage, tracker: ObstacleTracker) -> SurroundingsSnapshot:
         own, now = self.settings, state.robot_time
-        x, y, yaw = state.values[:3]
+        x, y, yaw = pose_of(state)
         here = np.array((x, y))
         may_move = tracker.moving(now)
         at_rest = self._outside_ignored(tracker, tracker.at_rest(now, may_move))

@@ -45,6 +45,8 @@ class PlanarSensing:
         index = {name: place for place, name in enumerate(self._states)}
         body.form(self._states, ())
         self._position = [index[name] for name in body.pose[:2]]
+        self._begins = tuple(self._states[:3]) == body.pose
+        """Whether the state begins with the pose, as perception assumes without a pose in the message."""
         self._velocity = [index[name] for name in body.velocity]
         self._turn = index[body.turn_rate] if body.turn_rate else -1
         bounds = list(zip(settings.action_low, settings.action_high, strict=True))
@@ -64,6 +66,8 @@ class PlanarSensing:
     ) -> list[AbstractBarrier]:
         """Returns the barriers of the discs that matter. Raises InputError for invalid rows or an unknown body."""
         body = self._body
+        if not state.pose and not self._begins:
+            raise InputError(f"state: got no pose, wanted one, since its values are {', '.join(self._states)}")
         parts = body.parts_of(state.footprint)
         still = SensedPoints((), body, parts, self._states)
         movers = SensedMovers((), (), body, parts, self._states)

@@ -140,6 +140,7 @@ class SimulatedRobot(ABC):
         towed: Numbers = (),
         distance_reversed: float = -1.0,
         sources: tuple[str, ...] = (),
+        pose: Numbers = (),
     ) -> StateMessage:
         """Returns the state message of this tick with the given surroundings."""
         return StateMessage(
@@ -164,6 +165,7 @@ class SimulatedRobot(ABC):
             towed=towed,
             distance_reversed=distance_reversed,
             sources=sources,
+            pose=pose,
         )
 
     def _record(self) -> None:

@@ -88,7 +88,7 @@ class StandInRobot(SimulatedRobot):
         seen = self.stand_in
         known = {"goal": seen.goal, "field": seen.field, "footprint": seen.footprint}
         if self.sensors is not None:
-            return self._state(**known, sources=self.sensors.names)
+            return self._state(**known, sources=self.sensors.names, pose=self.sensors.reported_pose(seen))
         return self._state(**known, obstacles=seen.obstacles)
 
     def scans(self) -> Sequence[ScanMessage]:

@@ -83,6 +83,10 @@ class StandInSensors:
         values = stand_in.values
         return values[x], values[y], values[yaw] if yaw >= 0 else 0.0
 
+    def reported_pose(self, stand_in: AbstractStandIn) -> tuple[float, ...]:
+        """Returns the pose for the state message; empty if the state begins with it."""
+        return () if self._pose == (0, 1, 2) else self.pose(stand_in)
+
     def _sense(self, stand_in: AbstractStandIn, epoch: int, tick: int) -> None:
         now = self._time + 1e-9
         if self._chosen * _STEP <= now and self.people:

@@ -88,6 +88,9 @@ class StateMessage(Message):
     sources: tuple[str, ...] = ()
     """Names of the sensors that observe the surroundings. Each sends scans, ``obstacles`` is empty, and neither policy
     nor filter treats the boundary of ``field`` as solid. Empty: ``obstacles`` and ``field`` describe everything."""
+    pose: Vector = ()
+    """(3,) x and y in m and heading in rad, for a robot with sensors whose ``values`` do not begin with them. Empty:
+    they do."""
 
 
 def header(state: StateMessage | None = None) -> dict[str, Any]:

@@ -6,7 +6,9 @@ stays within each part swept along d, thickened by
     growth = (L + |d|) T        L the largest distance of a corner of the body from the reference point,
 
 because a path of length |d| with a heading error of at most T deviates by at most |d| T, and a corner at distance L by
-L T; the disc around each corner looks the same from all sides. Neither d nor T grows under braking, and the rest of the path stays within the previous region: no h decreases.
+L T; the disc around each corner looks the same from all sides. Neither d nor T grows under braking, and the rest of the
+path stays within the previous region: no h decreases.
+
 Exact for convex parts: the distance to a convex polygon swept along d is that to the outline of their Minkowski sum,
 whose facets are those of the polygon and two along d.
 """
