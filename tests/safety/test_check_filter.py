@@ -279,3 +279,32 @@ def test_a_report_is_its_issues() -> None:
     assert not FilterReport([], 7)
     assert str(FilterReport([], 7)) == "No issue at 7 states."
     assert format_vector([1.0, -0.123456]) == "[1, -0.1235]"
+
+
+def base(x: Any, a: Any, operations: Any) -> list[Any]:
+    return [x[0] + PERIOD * a[0], x[1] + PERIOD * a[1], x[2] + PERIOD * a[2]]
+
+
+CAR = load_model("car")
+CAR_SETTINGS = FilterSettings.for_robot("car")
+DISCS = car_barriers(CAR_SETTINGS, (0.08, 0.4, 0.12), [[2.0, 0.0, 0.3]], (-9.0, 9.0, -9.0, 9.0))
+ASIDE = FunctionBarrier(lambda x: 3.0 - x[1], kind="obstacle", names=("aside",))
+WALL = RolloutBarrier(base, np.zeros(3), lambda x, operations: [2.0 - x[0]], 2, ("wall",))
+THREE = FilterSettings(action_low=(-1.0,) * 3, action_high=(1.0,) * 3, eta=0.2, epsilon=0.0)
+
+
+@pytest.mark.parametrize(
+    ("safe", "states", "reason"),
+    [
+        (SafetyFilter.for_model(CAR, CAR_SETTINGS, DISCS), 4, ""),
+        (SafetyFilter.for_model(CAR, CAR_SETTINGS, [*DISCS, ASIDE]), 4, "aside: its h is a function"),
+        (SafetyFilter(affine, [FunctionBarrier(room)], SETTINGS), 2, "the model is a function without the parameter"),
+        (SafetyFilter(WALL.prediction, [WALL], THREE), 3, "it has 3 actions, and C decides about one or two"),
+    ],
+)
+def test_the_check_says_when_python_decides_and_why(safe: SafetyFilter, states: int, reason: str) -> None:
+    latent = CAR.latent if states == 4 else None
+    notes = check_filter(safe, np.zeros((1, states)), latent=latent, ticks=2).notes
+    assert len(notes) == bool(reason)
+    assert all(note.startswith("Note (decision): made by Python instead of compiled C: ") for note in notes)
+    assert reason in "".join(notes)

@@ -165,6 +165,20 @@ def test_what_moves_comes_nearer_while_the_car_stops() -> None:
     assert fastest_of((), ()) == 0.0
 
 
+def test_discs_of_floats_are_chosen_as_those_of_other_numbers() -> None:
+    """C takes tuples of floats; NumPy's floats are left to Python."""
+    draw = np.random.default_rng(13)
+    for count in (0, 1, 7, 300):
+        numbers = draw.normal(0.0, 3.0, (count, MOVERS))
+        numbers[:, 2:] = np.abs(numbers[:, 2:])
+        both = [tuple(tuple(kind(value) for value in row) for row in numbers.tolist()) for kind in (float, np.float64)]
+        compiled, python = [tuple(row[:POINTS] for row in rows) for rows in both]
+        for within in (0.5, 3.0, inf):
+            assert discs_near(compiled, 0.3, -0.2, within, 0.1) == discs_near(python, 0.3, -0.2, within, 0.1)
+        hidden = [tuple(row[:HIDDEN] for row in rows) for rows in both]
+        assert fastest_of(both[0], hidden[0]) == fastest_of(both[1], hidden[1])
+
+
 def test_below_is_less_and_a_number_that_is_none_is_not() -> None:
     assert below([1.0, 0.5, nan, -2.0, 1.0], 1.0) == [1, 3]
 

@@ -51,7 +51,7 @@ _LINES: Final = ((4000, "-O2"), (8000, "-O1"))
 """Up to so many lines a source is optimised so far, and beyond not at all: a compiler takes about a second for each.
 Results do not depend on it."""
 _MODULE: Final = "safedpa_kernel"
-_PARTS: Final = ("programs.c", "search.c", "least_violation.c", "networks.c", "module.c")
+_PARTS: Final = ("programs.c", "search.c", "least_violation.c", "networks.c", "selection.c", "module.c")
 _PACKAGED: Final = Path(__file__).with_name("built")
 """Kernels of what ships, compiled when a wheel is built; as private as the package itself."""
 _LOADING = Lock()

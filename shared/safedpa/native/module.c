@@ -1269,7 +1269,13 @@ static PyTypeObject SearchType = {
     .tp_dealloc = (destructor)search_free, .tp_methods = search_methods,
     .tp_doc = "One decision at a time of one filter."};
 
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "safedpa_kernel", NULL, -1, NULL, NULL, NULL, NULL, NULL};
+static PyMethodDef functions[] = {
+    {"discs_near", selection_discs_near, METH_VARARGS, "See safety/barriers/disc_selection.py."},
+    {"fastest", selection_fastest, METH_VARARGS, "See safety/barriers/disc_selection.py."},
+    {NULL, NULL, 0, NULL}};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "safedpa_kernel", NULL, -1, functions, NULL, NULL, NULL, NULL};
 
 __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
 {

@@ -14,9 +14,10 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from safedpa.native import NoKernelError
-from safedpa.native.library import load_module, remark
+from safedpa.native.library import load_module, remark, why_not_compiled
 from safedpa.safety.barriers.base import AbstractBarrier, AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.cache import BarrierValueCache
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.rollout import RolloutBarrier
 from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
 from safedpa.safety.prediction.predictor import Prediction
@@ -243,6 +244,30 @@ class CompiledDecisions:
         if held.reuse_if_no_worse(evaluator, self._program.sides, seconds) is None:
             return None
         return evaluator.last
+
+    def why_not(self, barriers: AbstractBarrierSet, states: int) -> str:
+        """Why Python decides about these barriers at states of so many entries; empty: C does. May compile."""
+        reason = why_not_compiled() or self._why_not_model(states)
+        if reason or self._rows_of(barriers, states) is not None:
+            return reason
+        rollouts = [part for part in barriers if isinstance(part, RolloutBarrier)]
+        if not rollouts:
+            others = [name for part in barriers if not isinstance(part, AbstractEquationBarrier) for name in part.names]
+            return f"{', '.join(others[:4])}: its h is a function, no AbstractEquationBarrier"
+        return "a RolloutBarrier is next to other barriers" if len(barriers) > 1 else rollouts[0].not_compiled
+
+    def _why_not_model(self, states: int) -> str:
+        prediction, actions = self._prediction, len(self._program.sides)
+        if actions > _MOST_ACTIONS:
+            return f"it has {actions} actions, and C decides about one or two"
+        if not prediction.is_project_model and prediction.step_function is None:
+            return "the model is a function without the parameter 'operations'"
+        if prediction.has_actuator_memory:
+            return "the model's actuators have memory"
+        prediction.wait_for_compiler()
+        if not prediction.affine and prediction.compiled_step(states, actions) is None:
+            return "the model's equations cannot be recorded, or have a function that C does not have"
+        return ""
 
     def h_now(self) -> list[float]:
         """h (rows,) at the state of the decision."""

@@ -2,16 +2,19 @@
 
 Most discs are dropped before their h is computed: by their distance from the robot (``discs_near``, ``moving_near``).
 Of the others those with h below a limit stay (``below``), at most ``MOST_ROWS`` of each kind. A message is processed in
-a single pass over plain floats, which also validates the discs; the module is compiled by mypyc.
+a single pass over plain floats, which also validates the discs. For discs of the usual kind C does the same
+(``native/selection.c``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import isfinite
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from safedpa.errors import InputError
+from safedpa.native.library import NoKernelError, load_module
 
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 Disc: TypeAlias = tuple[float, float, float]
@@ -21,12 +24,25 @@ MOST_ROWS: Final = 64
 """Largest number of stationary discs, and of moving ones, in a decision; those with the least h are used."""
 
 
+@cache
+def load_selection() -> Any:
+    """Returns the compiled functions of this module, or None; the first call may compile for two seconds."""
+    try:
+        return load_module()
+    except NoKernelError:
+        return None
+
+
 def discs_near(rows: Rows, x: float, y: float, within: float, room: float) -> tuple[list[int], list[Disc]]:
     """Returns indices and (x, y, radius + ``room``) [m] of the discs ``rows`` (m, 3) within ``within`` [m] of (x, y).
 
     The distance is measured to the disc enlarged by ``room``. Raises InputError for rows of a wrong width or invalid
     discs.
     """
+    compiled = load_selection()
+    found: tuple[list[int], list[Disc]] | None = compiled and compiled.discs_near(rows, x, y, within, room)
+    if found is not None:
+        return found
     kept: list[int] = []
     discs: list[Disc] = []
     total, negative = 0.0, False
@@ -100,6 +116,10 @@ def below(heights: Sequence[float], limit: float) -> list[int]:
 
 
 def _fastest(name: str, rows: Rows, width: int) -> float:
+    compiled = load_selection()
+    known: float | None = compiled and compiled.fastest(rows, width)
+    if known is not None:
+        return known
     fastest, total, negative = 0.0, 0.0, False
     for row in rows:
         if len(row) != width:

@@ -77,8 +77,8 @@ def check_filter(
     - with a ``period`` [s], decisions that take longer than that on this machine, at the 99th percentile;
     - a gradient that contradicts its own h; anything that raises, is not finite, or that the filter refuses.
 
-    A note names the line that prevents a ``RolloutBarrier`` from being compiled. A report without issues says nothing
-    about other states. Raises InputError for a wrong shape, or without barriers.
+    Notes say why Python decides instead of C, and name the line that prevents a ``RolloutBarrier`` from being compiled.
+    A report without issues says nothing about other states. Raises InputError for a wrong shape, or without barriers.
 
     Example:
 
@@ -127,7 +127,9 @@ def _report(
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is checked
         notice = f"got {described(error)}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), notice)], len(rows))
-    return FilterReport(issues, len(probes), _not_compiled(checked.barriers.parts))
+    return FilterReport(
+        issues, len(probes), [*_not_compiled(checked.barriers.parts), *_decided_by_python(checked, rows)]
+    )
 
 
 def _not_compiled(parts: Sequence[AbstractBarrier]) -> list[str]:
@@ -137,6 +139,13 @@ def _not_compiled(parts: Sequence[AbstractBarrier]) -> list[str]:
         for part in parts
         if isinstance(part, RolloutBarrier) and part.not_compiled
     ]
+
+
+def _decided_by_python(checked: FilterUnderTest, rows: FloatArray) -> list[str]:
+    """What keeps the whole decision from being one call of C; it then takes ten to thirty times as long."""
+    compiled = checked.safe.tools.compiled
+    reason = "" if compiled is None else compiled.why_not(checked.barriers, rows.shape[1])
+    return [f"Note (decision): made by Python instead of compiled C: {reason}"] if reason else []
 
 
 def _checked_rows(states: ArrayLike) -> FloatArray:
