@@ -105,12 +105,12 @@ def moving_near(
     return kept, discs, everywhere
 
 
-def below(heights: Sequence[float], limit: float) -> list[int]:
+def below(values: Sequence[float], limit: float) -> list[int]:
     """Places of those that are less than ``limit``."""
     found: list[int] = []
-    for index in range(len(heights)):
-        height: float = heights[index]
-        if height < limit:
+    for index in range(len(values)):
+        value: float = values[index]
+        if value < limit:
             found.append(index)
     return found
 
