@@ -21,7 +21,7 @@ from safedpa.dynamics.user_files import load_user_files
 from safedpa.errors import RecordingError
 from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.car.loads import LOADS
-from safedpa_sim.robots.car.robot import CHANGES
+from safedpa_sim.robots.car.robot import CHANGES, CarRobot
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
 from safedpa_sim.robots.pendulum.robot import TASKS
@@ -77,6 +77,9 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, help="ticks per second; default: the robot's own")
     parser.add_argument("--summary", type=Path, default=None, help="file for the summary of the run")
     parser.add_argument("--await-word", action="store_true", help="wait for the supervisor's start signal")
+    parser.add_argument(
+        "--change-on-word", action="store_true", help="hold the change back until the supervisor's second signal"
+    )
     parser.add_argument("--trace", type=Path, default=None, help="file for a trace of every period")
     return parser
 
@@ -86,6 +89,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     load_user_files()
     options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
     robot = make_robot(options)
+    if options.change_on_word and isinstance(robot, CarRobot):
+        robot.hold_change(lambda: stop.words > 1)
     if options.summary is not None:
         check_writable(options.summary)
     with bus_from_options(options) as bus, contextlib.ExitStack() as files:

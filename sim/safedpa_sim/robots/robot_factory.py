@@ -104,7 +104,7 @@ def _stand_in_sensors(options: argparse.Namespace, robot: Robot) -> Callable[[Ab
         field = stand_in.field if len(stand_in.field) == 4 else (-5.0, 5.0, -5.0, 5.0)
         start = empty.pose(stand_in)[:2]
         people = walkers_in(empty.solid(stand_in), field, start, options.people, options.seed)
-        return StandInSensors((laser,), people, pose=pose)
+        return StandInSensors((laser,), people, pose=pose, parts=body.parts)
 
     return sensors
 

@@ -7,6 +7,7 @@ from math import cos, hypot, sin
 from typing import final
 
 from safedpa.bus.messages.messages import ScanMessage
+from safedpa.safety.barriers.planar_body import BodyPart
 from safedpa.stand_in import AbstractStandIn
 from safedpa_sim.sensing.laser import Laser
 from safedpa_sim.sensing.people import Person
@@ -23,6 +24,7 @@ class StandInSensors:
     """Scanners on a stand-in among its obstacles and walls, ``polygons`` and people; lengths in m.
 
     ``pose`` holds the places of x, y and yaw in the stand-in's state; a yaw of -1 means that it does not turn.
+    ``parts`` are its body, by default the capsule of its footprint.
     """
 
     def __init__(
@@ -31,7 +33,9 @@ class StandInSensors:
         people: Sequence[Person] = (),
         polygons: Sequence[Polygon] = (),
         pose: tuple[int, int, int] = (0, 1, 2),
+        parts: Sequence[BodyPart] = (),
     ) -> None:
+        self._parts = tuple(parts)
         self.lasers, self.people, self._polygons, self._pose = tuple(lasers), tuple(people), tuple(polygons), pose
         self.names = tuple(laser.settings.name for laser in self.lasers)
         """Names of the sensors."""
@@ -110,10 +114,18 @@ class StandInSensors:
 
     def _gap(self, stand_in: AbstractStandIn, person: Person) -> tuple[float, Point]:
         """Returns the gap [m] between a person and the footprint, and the direction to the person."""
-        rear, front, radius = stand_in.footprint if len(stand_in.footprint) == 3 else (0.0, 0.0, 0.0)
+        x, y, _ = self.pose(stand_in)
+        out_x, out_y = person.position[0] - x, person.position[1] - y
+        away = max(hypot(out_x, out_y), 1e-9)
+        return self.gap_to(stand_in, *person.position) - person.radius, (out_x / away, out_y / away)
+
+    def gap_to(self, stand_in: AbstractStandIn, at_x: float, at_y: float) -> float:
+        """Returns the distance [m] of a position from the body; negative inside."""
         x, y, yaw = self.pose(stand_in)
-        apart = person.position[0] - x, person.position[1] - y
-        along = min(max(apart[0] * cos(yaw) + apart[1] * sin(yaw), -rear), front)
-        out_x, out_y = apart[0] - along * cos(yaw), apart[1] - along * sin(yaw)
-        away = hypot(out_x, out_y)
-        return away - radius - person.radius, (out_x / max(away, 1e-9), out_y / max(away, 1e-9))
+        apart_x, apart_y = at_x - x, at_y - y
+        place = apart_x * cos(yaw) + apart_y * sin(yaw), apart_y * cos(yaw) - apart_x * sin(yaw)
+        parts = self._parts
+        if not parts:
+            rear, front, radius = stand_in.footprint if len(stand_in.footprint) == 3 else (0.0, 0.0, 0.0)
+            parts = (BodyPart(((-rear, 0.0), (front, 0.0)), radius),)
+        return min(part.distance(*place) for part in parts)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from math import hypot, isfinite
+from math import hypot, inf, isfinite
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -90,6 +90,25 @@ class BodyPart:
             return tuple(rest)
         lower, upper = _chain(rest), _chain(rest[::-1])
         return (*lower[:-1], *upper[:-1])
+
+    def distance(self, x: float, y: float) -> float:
+        """Returns the signed distance [m] of a point in the body frame from the part; negative inside.
+
+        Example:
+
+            >>> from safedpa.safety.barriers.planar_body import BodyPart
+            >>> BodyPart(((-0.3, 0.0), (0.2, 0.0)), 0.1).distance(0.5, 0.0)
+            0.2
+        """
+        hull = self.hull
+        least, depth = inf, -inf
+        for (x0, y0), (x1, y1) in zip(hull, hull[1:] + hull[:1], strict=True):
+            way_x, way_y = x1 - x0, y1 - y0
+            square = way_x * way_x + way_y * way_y
+            share = 0.0 if square == 0.0 else min(max(((x - x0) * way_x + (y - y0) * way_y) / square, 0.0), 1.0)
+            least = min(least, hypot(x - x0 - share * way_x, y - y0 - share * way_y))
+            depth = max(depth, ((x - x0) * way_y - (y - y0) * way_x) / (square**0.5 or 1.0))
+        return round((depth if len(hull) > 2 and depth < 0.0 else least) - self.radius, 12)
 
     @property
     def reach(self) -> float:

@@ -95,6 +95,28 @@ EXPERIMENTS = (
         small=("--seeds", "1", "--seconds", "1", "--scene", "pillars"),
     ),
     Experiment(
+        name="sensing-robots",
+        help="Other robots with a laser as the only sensor, among people: a differential drive, a drone, one's own.",
+        run=f"{__name__}.planar:run",
+        parameters=(
+            *scenes(8, 1000, "drives per robot", "drive", 20.0),
+            integer("--people", 3, "number of people"),
+            repeated(
+                "--robot",
+                "robots",
+                "kind of robot; repeatable  [default: all]",
+                known="safedpa_lab.experiments.sensing.planar:ROBOTS",
+            ),
+            PROCESSES,
+            RECORD,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.planar:page_of",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1", "--robot", "differential_drive"),
+    ),
+    Experiment(
         name="sensing-curves",
         help="A laser among people, made harder: faster people, noisier, older and narrower scans.",
         run=f"{__name__}.curves:run",

@@ -192,9 +192,11 @@ class ReportsEverything(AbstractNode):
     outputs = (SURROUNDINGS,)
     share = 0.0
 
-    def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings | None = None) -> None:
+    def __init__(
+        self, scene: Scene | Outline, people: Sequence[Disc], settings: PerceptionSettings | None = None
+    ) -> None:
         self._people, self._settings = people, settings or PerceptionSettings()
-        outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
+        outline = scene if isinstance(scene, Outline) else Outline(scene.obstacles, scene.polygons, (scene.field,))
         self._points = np.vstack([outline.discs, *(edge_points(edge, _APART, _RADIUS) for edge in outline.edges)])
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102

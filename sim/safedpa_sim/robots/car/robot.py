@@ -109,6 +109,7 @@ class CarRobot(SimulatedRobot):
         self.changed_at: int | None = None
         """Tick in which the planned change was applied."""
         self._change, self._late = change, late
+        self._may_change: Callable[[], bool] = lambda: True
         self._changes = change is not None
         self._take(scene.load)
         self._goals = scene.goals()
@@ -119,6 +120,10 @@ class CarRobot(SimulatedRobot):
         self._sensor_inputs = sensor_inputs
         if sensor_inputs is not None:
             sensor_inputs.join(self.world, scene, epoch)
+
+    def hold_change(self, may_change: Callable[[], bool]) -> None:
+        """Holds the planned change back until ``may_change``."""
+        self._may_change = may_change
 
     @property
     def values(self) -> tuple[float, float, float, float]:
@@ -206,7 +211,7 @@ class CarRobot(SimulatedRobot):
 
     def _simulated_steps(self, longest: float) -> Iterator[float]:
         """Simulates one period in steps of at most ``longest`` [s]; yields the world's time [s] before each."""
-        if self._change is not None and self._change.try_apply(self):
+        if self._change is not None and self._may_change() and self._change.try_apply(self):
             self._change, self.changed_at = None, self.tick
         (drive, steer), before = self._applied, self.world.state
         parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
