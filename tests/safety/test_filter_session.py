@@ -331,11 +331,25 @@ def test_after_a_pause_a_state_is_believed_as_far_away_as_the_rates_allow(
     assert bool(session.latched) is latched
 
 
-@pytest.mark.parametrize(("late", "latched"), [(0, False), (2, False), (8, True)])
-def test_commands_that_act_up_to_an_allowed_delay_later_are_no_jump(late: int, latched: bool) -> None:
-    session = session_of_the_mass(StateLimits(jump={"m/s": 0.15}))
-    sent, x = [0.0] * 8, np.array([-40.0, 0.0])
+@pytest.mark.parametrize("lost", [0, 3])
+@pytest.mark.parametrize(("late", "latched"), [(0, False), (3, False), (8, True)])
+def test_commands_that_act_up_to_an_allowed_delay_later_are_no_jump(late: int, latched: bool, lost: int) -> None:
+    """Also if every so many states are lost."""
+    session = session_of_the_mass(StateLimits(jump={"m/s": 0.02}))
+    sent, x = [0.0] * 8, np.array([-40.0, 0.5])
     for tick in range(40):
-        sent.append(float(session.decide(x, [2.0 if tick // 8 % 2 else -2.0]).action[0]))
+        given_state = None if lost and tick % lost == 1 else x
+        sent.append(float(session.decide(given_state, [2.0 if tick // 8 % 2 else -2.0]).action[0]))
         x = A @ x + B @ [sent[-1 - late]]
     assert bool(session.latched) is latched
+
+
+def test_a_robot_that_braked_by_itself_during_a_pause_is_not_braked_into_reverse_without_a_state() -> None:
+    session = session_of_the_mass()
+    for tick in range(2):
+        session.decide([-40.0 + PERIOD * tick, 1.0], [0.0], time=PERIOD * tick)
+    for tick in range(30, 40):
+        verdict = session.decide(None, [2.0], time=PERIOD * tick, applied=[-0.5] if tick == 30 else None)
+        assert abs(verdict.action[0]) <= 0.5, "it rests since half a second after the pause began"
+    session.decide([-39.5, 0.0], [2.0], time=PERIOD * 40)
+    assert session.latched == ""

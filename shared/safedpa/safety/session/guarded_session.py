@@ -23,6 +23,7 @@ from safedpa.errors import InputError
 from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.margins.online import OnlineMarginMonitor
 from safedpa.safety.prediction.command_history import LONGEST_AGE
+from safedpa.safety.session.measurement import MeasuredState
 from safedpa.safety.session.plausibility import NO_CONTRADICTION, ClockMonitor, Contradiction, StateMonitor
 from safedpa.safety.session.session_memory import SessionMemory, StateT
 from safedpa.safety.session.state_limits import Evidence, StateLimits
@@ -55,6 +56,9 @@ _FROZEN_SHARE: Final = 0.5
 """The same before it counts as frozen."""
 _FROZEN_COUNT: Final = 2
 """Repetitions before a state counts as frozen: one message may be sent twice."""
+_MOST_BRAKED: Final = 60
+"""Periods of a pause for which the braking of the robot by itself is predicted; it rests by then, or the last action
+holds."""
 _AT_REST: Final = 0.01
 """Share of the fastest motion since the state was lost below which the robot counts as stationary."""
 
@@ -107,7 +111,13 @@ class GuardedSession(SessionMemory[StateT]):
         self._overbraked: dict[str, float] = {}
         """By how much the predicted rates may be too high, by unit: the robot may brake harder than its model."""
         self._gap = 0
-        """Periods between the two newest states for which there is none."""
+        """Periods since the last believed measurement in which the filter was not asked."""
+        self._seen: _Believed | None = None
+        """The last state that was measured and believed."""
+        self._unasked = 0
+        """Periods since ``_seen`` in which the filter was not asked, before the newest state."""
+        self._fastest_rates: dict[str, float] = {}
+        """The largest rates since ``_seen``, measured or predicted, by unit."""
         self._behind = ""
         """Why the newest state is older than it says; empty if it is not."""
         self._accepted: StateT | None = None
@@ -140,6 +150,7 @@ class GuardedSession(SessionMemory[StateT]):
         """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
         self.latched, self.latch_ordered, self.lost, self._believed = "", False, 0, None
         self._same_seconds, self._same_count, self._overbraked = 0.0, 0, {}
+        self._seen, self._unasked, self._fastest_rates = None, 0, {}
         self._monitor.restart()
 
     @property
@@ -154,6 +165,7 @@ class GuardedSession(SessionMemory[StateT]):
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
         self._same_seconds, self._same_count = former._same_seconds, former._same_count
         self._overbraked, self._behind = former._overbraked, former._behind
+        self._seen, self._unasked, self._fastest_rates = former._seen, former._unasked, former._fastest_rates
         if same_model:
             # Without the actuators and the latent, the next state would be compared with another prediction.
             self.memory, self.until_action = former.memory, former.until_action
@@ -193,12 +205,16 @@ class GuardedSession(SessionMemory[StateT]):
             if self._monitor.accept(state.values, self.evidence, self.lost + self._gap):
                 self._free_memory = None
             self.lost, self._fastest, self._overbraked = 0, 0.0, {}
-            self._believed = _Believed(state.epoch, state.tick, state.values, state.until_action)
+            self._believed = self._seen = _Believed(state.epoch, state.tick, state.values, state.until_action)
+            self._unasked, self._fastest_rates = 0, self._monitor.rates(state.values)
         elif predicted is not None and known is not None:
             # Values that do not change at all may be frozen: they would make the robot brake for ever.
             fresh = usable and any(state.values[index] != raw[index] for index in self._trusted if index < len(raw))
             if not (fresh and len(self._trusted) == len(predicted)):
                 self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+            self._unasked += _missing(known, state)
+            for rate, size in self._monitor.rates(predicted).items():
+                self._fastest_rates[rate] = max(size, self._fastest_rates.get(rate, 0.0))
             if fresh:
                 pairs = enumerate(zip(state.values, predicted, strict=True))
                 predicted = tuple([measured if at in self._trusted else guess for at, (measured, guess) in pairs])
@@ -259,13 +275,13 @@ class GuardedSession(SessionMemory[StateT]):
         known = self._believed
         if predicted is None or known is None or len(predicted) != len(state.values):
             return ""
-        gap = self._gap = max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
+        gap = self._gap = self._unasked + _missing(known, state)
         # A robot without a safe standstill cannot wait for a confirmation: a source that pauses begins again.
         if gap and not self.can_stop:
             self._monitor.restart()
             return ""
         if gap * self.model.period > GRACE:
-            return self._too_far(state, known, gap + 1)
+            return self._too_far(state, self._seen or known)
         found = self._contradiction(state, known, predicted, gap)
         if late and not found.text:
             found = Contradiction(late, tuple(range(len(state.values))))
@@ -277,43 +293,52 @@ class GuardedSession(SessionMemory[StateT]):
         """What the state contradicts under each delay of the commands that a robot may have unknown to the filter."""
         free, lost = self._free(state), self.lost + _UNKNOWN_GROWTH * gap
         self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
-        found = self._monitor.problem(self.evidence, lost, self._unknown_motion(known, gap))
-        if not found.text or lost or state.values == known.values:
+        unknown = self._unknown_motion(state, known, predicted, gap)
+        found = self._monitor.problem(self.evidence, lost, unknown)
+        if not found.text or gap or state.values == known.values:
             return found
+        # After lost states, the prediction under another delay begins where the robot was last measured.
+        begin, periods = (self._seen or known, self.lost + 1) if self.lost else (known, 1)
         for late in range(1, self._allowed_periods + 1):
-            following = self._advanced(known.values, state, self.memory, late)
-            if following is None:
+            other = self._along_commands(begin.values, state, periods, late)
+            if not other:
                 break
-            self.evidence = self._monitor.observe(state.values, known.values, following[0], free)
-            if not self._monitor.problem(self.evidence).text:
+            self.evidence = self._monitor.observe(state.values, known.values, other, free)
+            if not self._monitor.problem(self.evidence, lost, unknown).text:
                 return NO_CONTRADICTION
         self.evidence = self._monitor.observe(state.values, known.values, predicted, free)
         return found
 
-    def _unknown_motion(self, known: _Believed, gap: int) -> dict[str, float]:
+    def _unknown_motion(self, state: StateT, known: _Believed, predicted: Plain, gap: int) -> dict[str, float]:
         """By how much a state may differ from its prediction, by unit, for reasons other than noise.
 
-        A robot that was not asked for ``gap`` periods may have braked or driven on, and one that brakes without a
-        measured speed may brake harder than its model does.
+        A robot that was not asked for ``gap`` periods may have braked or driven on, as with any of its last commands,
+        and one that brakes without a measured speed may brake harder than its model does.
         """
         found, period = dict[str, float](), self.model.period
         for rate, speed in self._monitor.rates(known.values).items() if gap or self._overbraked else ():
             less = self._overbraked.get(rate, 0.0)
             found[rate] = less + (speed if gap else 0.0)
             found[rate.removesuffix("/s")] = period * (self.lost * less + gap * speed)
+        for late in range(1, self._allowed_periods + 1) if gap else ():
+            other = self._along_commands(known.values, state, gap + 1, late, held=True)
+            for unit, size in self._monitor.distances(other, predicted).items() if other else ():
+                found[unit] = max(size, found.get(unit, 0.0))
         return found
 
-    def _too_far(self, state: StateT, known: _Believed, periods: int) -> str:
-        """Whether the state is further from the last one than its rates explain; empty if it is not.
+    def _too_far(self, state: StateT, known: _Believed) -> str:
+        """Whether the state is further from the last measured one than its rates explain; empty if it is not.
 
         What the robot applied while this filter was not asked is unknown; a robot without a filter brakes by itself. So
-        it moved no further than at its last rates, plus the largest jump: a source that restarts elsewhere is seen.
+        it moved no further than at its largest rates since then, plus the largest jump: a source that restarts
+        elsewhere is seen.
         """
         self._monitor.restart()
         moved = self._monitor.observe(state.values, known.values, known.values).jump
         jumps = StateLimits() if self.limits is None else self.limits
-        seconds = periods * self.model.period
-        speeds = self._monitor.rates(known.values)
+        periods = state.tick - known.tick if state.epoch == known.epoch else self.lost + 1
+        seconds = max(1, periods) * self.model.period
+        speeds = self._fastest_rates or self._monitor.rates(known.values)
         # A heading without a measured rate turns with a robot that moves, but not with one that rests.
         resting = all(seconds * speed <= jumps.jump.get(rate.removesuffix("/s"), 0.0) for rate, speed in speeds.items())
         for unit, size in moved.items():
@@ -335,8 +360,11 @@ class GuardedSession(SessionMemory[StateT]):
         if (self.lost + ticks) * self.model.period > _LONGEST_LOSS:
             return None
         values, memory = known.values, self.memory
-        for _ in range(max(1, ticks)):
-            following = self._advanced(values, state, memory)
+        # A robot without a filter brakes by itself: what it applied since, it says only of the newest period.
+        alone = ticks - 1 if self.can_stop and state.applied_by != "filter" else 0
+        for index in range(max(1, ticks)):
+            action = self._backup_at(values) if 0 < index < min(alone, _MOST_BRAKED) else None
+            following = self._advanced(values, state, memory, action=action)
             if following is None:
                 return None
             values, memory = following
@@ -364,18 +392,36 @@ class GuardedSession(SessionMemory[StateT]):
     def _since_moved(self, state: StateT) -> Plain:
         """The prediction from where the position last changed, along all commands since; empty if there is none."""
         values, periods = self._monitor.anchor
+        return self._along_commands(values, state, periods, 0) if values else ()
+
+    def _along_commands(self, values: Plain, state: StateT, periods: int, late: int, *, held: bool = False) -> Plain:
+        """The prediction from ``values`` (states,) along the last commands, each ``late`` periods later, to now.
+
+        ``held``: with that of ``late`` periods ago throughout. Empty if there is no prediction.
+        """
         memory = self.memory
         for back in reversed(range(periods)):
-            following = self._advanced(values, state, memory, back) if values else None
+            following = self._advanced(values, state, memory, late if held else late + back)
             if following is None:
                 return ()
             values, memory = following
         return values
 
-    def _advanced(self, values: Plain, state: StateT, memory: Any, late: int = 0) -> tuple[Plain, Any] | None:
-        """The state (states,) and actuators one period later under the action that acts, or one ``late`` periods
-        before it; None without one."""
-        model, action = self.model, self._acting(state, late)
+    def _backup_at(self, values: Plain) -> Plain | None:
+        """The backup action (actions,) at a predicted state; None if there is none."""
+        backup = self.filter.tools.backup
+        with suppress(Exception):  # the user's own function; the decision reports what it raises
+            return None if backup is None else tuple(np.asarray(backup(np.array(values)), dtype=float).tolist())
+        return None
+
+    def _advanced(
+        self, values: Plain, state: StateT, memory: Any, late: int = 0, action: Plain | None = None
+    ) -> tuple[Plain, Any] | None:
+        """The state (states,) and actuators one period later under ``action``; None without one.
+
+        Default: the action that acts, or one ``late`` periods before it.
+        """
+        model, action = self.model, self._acting(state, late) if action is None else action
         if len(action) != len(model.system.action) or not all(map(isfinite, action)):
             return None
         latent = self._last_latent
@@ -418,6 +464,11 @@ class GuardedSession(SessionMemory[StateT]):
     def _out_of_range(self, values: Plain) -> str:
         checked = checked_input("state", np.array(values), self.filter.tools.state_range)
         return checked.reason if isinstance(checked, InvalidInput) else ""
+
+
+def _missing(known: _Believed, state: MeasuredState) -> int:
+    """Periods between two states for which there is none."""
+    return max(0, state.tick - known.tick - 1) if state.epoch == known.epoch else 0
 
 
 _LOST: Final = "the state is lost"

@@ -128,6 +128,11 @@ class StateMonitor:
         """The size of each rate of the positions, by unit."""
         return {unit: _norm(values, self._groups[unit]) for unit in self._rates}
 
+    def distances(self, one: Plain, other: Plain) -> dict[str, float]:
+        """The size of the difference of two states (states,), by unit."""
+        error = self._difference(one, other)
+        return {unit: _norm(error, own) for unit, own in self._groups.items()}
+
     def falling(self, before: Plain, predicted: Plain) -> list[str]:
         """Units of the rates that are predicted to become smaller."""
         now = self.rates(before)
