@@ -282,3 +282,25 @@ def test_the_estimate_is_that_of_the_matrices(names):
     for tick, action in enumerate(actions):
         estimator.update(measured[tick], action, measured[tick + 1], model.period)
         np.testing.assert_allclose(estimator.latent, expected[tick], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("timing", "learned"), [(0.0, False), (0.15, True)])
+def test_a_command_that_acts_late_is_not_taken_for_a_motor_without_force(timing: float, learned: bool) -> None:
+    """The throttle acts 0.15 s late; the true gain is that of the model."""
+    model = load_model("dart_car")
+    shipped = LatentEstimator(model)
+    estimator = LatentEstimator(model, EstimatorSettings(command_timing=timing))
+    state, sent, lowest = np.zeros(4), [np.zeros(2)] * 3, np.inf
+    for step in range(60):
+        sent.append(np.array([0.5 if step < 10 else 0.2, 0.0]))
+        after = model.step(state, sent[-4])
+        for one in (shipped, estimator):
+            one.update(state, sent[-1], after, PERIOD)
+        state, lowest = after, min(lowest, estimator.latent[0])
+    assert (lowest > 0.5 * model.latent[0]) is learned
+    assert not learned or shipped.latent == pytest.approx(estimator.latent), "as the car with a throttle ships"
+
+
+def test_the_timing_of_commands_is_no_negative_time() -> None:
+    with pytest.raises(InputError, match="command_timing"):
+        EstimatorSettings(command_timing=-0.1)

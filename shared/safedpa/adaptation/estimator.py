@@ -16,10 +16,11 @@ five times as long.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import isfinite, pi, sqrt
+from math import ceil, isfinite, pi, sqrt
 from typing import Any, final
 
 import numpy as np
@@ -138,19 +139,28 @@ class EstimatorSettings:
     """Standard deviations beyond which an innovation gets a lower weight."""
     smallest_motion: float = 1.0
     """Change of at least one entry of the state, in measurement deviations, from which a transition is used."""
+    command_timing: float = 0.0
+    """s by which commands may act later than known. A transition soon after a change of the command says less then."""
 
     def __post_init__(self) -> None:
         scales = (self.initial_deviation, self.drift_per_second, self.largest_innovation, self.smallest_motion)
         if not all(np.isfinite(number) and number > 0.0 for number in (*scales, *self.measurement_deviation)):
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
+        if not 0.0 <= self.command_timing < np.inf:
+            raise InputError(f"command_timing: got {self.command_timing!r}, wanted seconds, 0 or more")
 
 
 def _settings_of(model: PhysicsModel) -> EstimatorSettings:
     """Returns settings with the robot's measurement deviations; the defaults for a system without a robot."""
-    robot = robots().get(model.system.name)
-    if robot is None:
+    found = robots().get(model.system.name)
+    if found is None:
         return EstimatorSettings()
-    return EstimatorSettings(measurement_deviation=robot.measurement_deviation, smallest_motion=robot.smallest_motion)
+    robot = found.of_system(model.system)
+    return EstimatorSettings(
+        measurement_deviation=robot.measurement_deviation,
+        smallest_motion=robot.smallest_motion,
+        command_timing=robot.command_timing,
+    )
 
 
 @final
@@ -182,6 +192,9 @@ class LatentEstimator(AbstractEstimator):
         self.latent: FloatArray = model.latent.copy()
         self._free: list[float] = self.latent.tolist()
         self._memory: Any = None
+        self._periods = ceil(settings.command_timing / model.period - 1e-9)
+        self._earlier: deque[FloatArray] = deque(maxlen=self._periods)
+        """The actions of the last periods, one of which may be the one that acts."""
 
     @property
     def deviations(self) -> FloatArray:  # noqa: D102
@@ -200,12 +213,33 @@ class LatentEstimator(AbstractEstimator):
         motion, smallest = self._difference(reached, start), self._settings.smallest_motion
         for change, scale in zip(motion, self._measured, strict=True):
             if abs(change) / scale >= smallest:
-                self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted))
-                return
+                noise = self._noise_of_timing(state, action, memory, period, predicted) if self._periods else self._noise
+                self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted), noise)
+                break
+        self._earlier.append(action)
 
-    def _learn(self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]]) -> None:
-        """Measurement update with innovation (states,) and sensitivity (states, latents)."""
-        correction, surprise = self._belief.correct(innovation, sensitivity, self._noise)
+    def _noise_of_timing(
+        self, state: FloatArray, action: FloatArray, memory: Any, period: float, predicted: Sequence[float]
+    ) -> list[float]:
+        """Variances (states,) of the innovation if one of the earlier actions may have acted instead.
+
+        r + n max_i (step(a_i) - step(a))^2: the n transitions after a change err in the same direction, so each counts
+        as one n-th.
+        """
+        squares, others = [0.0] * len(predicted), {tuple(earlier.tolist()) for earlier in self._earlier}
+        if len(self._earlier) < self._periods:
+            others.add((0.0,) * len(action))  # what came before is not known: the robot may have rested
+        for other in others - {tuple(action.tolist())}:
+            after, _ = self._step(state, np.array(other), memory, period)(self._free)
+            errors = self._difference(after, predicted)
+            squares = [max(most, error * error) for most, error in zip(squares, errors, strict=True)]
+        return [own + self._periods * square for own, square in zip(self._noise, squares, strict=True)]
+
+    def _learn(
+        self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]], noise: Sequence[float]
+    ) -> None:
+        """Measurement update with innovation (states,), sensitivity (states, latents) and variances (states,)."""
+        correction, surprise = self._belief.correct(innovation, sensitivity, noise)
         weight = min(1.0, self._largest / max(sqrt(surprise / len(innovation)), 1e-12))
         moved = [value + weight * change for value, change in zip(self._free, correction, strict=True)]
         for index, (value, low, high) in enumerate(zip(moved, self._low, self._high, strict=True)):
@@ -216,6 +250,7 @@ class LatentEstimator(AbstractEstimator):
     def forget_transient(self) -> None:
         """Assumes that the actuators are settled at the next action."""
         self._memory = None
+        self._earlier.clear()
 
     def _step(self, state: FloatArray, action: FloatArray, memory: Any, period: float) -> Callable[[list[float]], Any]:
         """Returns the model's step of this transition as a function of the latent: (next state, actuator state)."""
