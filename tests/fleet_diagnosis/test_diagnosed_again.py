@@ -16,8 +16,8 @@ from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.dynamics import load_model, write_model
 from safedpa.errors import InputError, RecordingError
 from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
-from safedpa.fleet.fleet_diagnosis import clear_others, has_current_result, read_result, write_result
 from safedpa.fleet.one_robot import RobotResult, Task, diagnose_robot, failed_result, options_digest
+from safedpa.fleet.results import clear_others, has_current_result, read_result, write_result
 from safedpa.fleet.robots import DiscoveredRobots, robots_in, robots_in_folder, robots_of_files, split_recording
 from safedpa.records import McapRecorder, read_run_from_mcap
 from safedpa.robots.car.system import CAR

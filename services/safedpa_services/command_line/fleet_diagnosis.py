@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -77,6 +78,7 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     from safedpa.comparison.output import new_folder, results_folder
     from safedpa.fleet import Fleet, Options, diagnose_fleet
     from safedpa.progress import progress
+    from safedpa.records.store import url_of
 
     given: Path | None = options["out"]
     effects: Path | None = options["effects"]
@@ -84,7 +86,7 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
         from safedpa.dynamics import load_user_file_everywhere
 
         load_user_file_everywhere(effects)
-    if given is not None and options["fleet"] is not None and given.resolve() == options["fleet"].resolve():
+    if given is not None and options["fleet"] is not None and _place(given) == _place(options["fleet"]):
         raise InputError(f"--out {given}: got the folder of the recordings; choose another folder for the results")
     found = _found(runs, options)
     read = files_of(model, [file for robot in found.robots for file in robot.files], effects)
@@ -92,11 +94,14 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     own = str(effects.resolve()) if effects else None
     known = Options(_absolute(model), columns, options["horizon"], own)
     written = "fleet.html", "fleet.json"
+    place = given or new_folder("fleet", model)
     with (
-        results_folder(given or new_folder("fleet", model), written, read, options["force"], resumes=True) as out,
+        nullcontext(place)
+        if url_of(place)  # which needs no folder, and has no inputs of this command
+        else results_folder(place, written, read, options["force"], resumes=True) as out,
         progress(f"diagnosing {len(found.robots)} robots") as report_progress,
     ):
-        fleet = Fleet(found, known, out.resolve())
+        fleet = Fleet(found, known, _place(out))
         document = diagnose_fleet(fleet, _workers(options), report_progress, again=options["again"])
     if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
@@ -114,6 +119,13 @@ def _absolute(name: str) -> str:
     return str(Path(name).resolve()) if Path(name).is_file() else name
 
 
+def _place(folder: Path) -> Path:
+    """Returns the full path of a folder; a URL unchanged."""
+    from safedpa.records.store import url_of
+
+    return folder if url_of(folder) else folder.resolve()
+
+
 def _found(runs: Sequence[str], options: dict[str, Any]) -> DiscoveredRobots:
     from safedpa.fleet import robots_in_folder, robots_of_files
 
@@ -122,7 +134,7 @@ def _found(runs: Sequence[str], options: dict[str, Any]) -> DiscoveredRobots:
         return robots_of_files([Path(run) for run in runs], options["by"])
     if runs:
         raise InputError(f"--fleet {fleet}: got it together with runs ({runs[0]}); leave one of them out")
-    return robots_in_folder(fleet.resolve(), options["by"])
+    return robots_in_folder(_place(fleet), options["by"])
 
 
 def _workers(options: dict[str, Any]) -> Workers:
@@ -149,6 +161,7 @@ def _run(
 
 def _show(document: dict[str, Any], out: Path) -> None:
     from safedpa.fleet.summary import common_sentence, discovery_sentence, headline
+    from safedpa.records.store import url_of
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False)
@@ -170,7 +183,8 @@ def _show(document: dict[str, Any], out: Path) -> None:
     for item in document["left_out"]:
         console.print(f"  left out: {item['path']} ({item['reason']})", style="dim", markup=False, soft_wrap=True)
     console.print(discovery_sentence(document), style="dim", markup=False, soft_wrap=True)
-    console.print(f"Page: {out / 'fleet.html'}", markup=False, soft_wrap=True)
+    page = out / "fleet.html"
+    console.print(f"Page: {url_of(page) or page}", markup=False, soft_wrap=True)
 
 
 def _table(document: dict[str, Any]) -> Any:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
@@ -16,7 +18,7 @@ from uuid import uuid4
 import numpy as np
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, save_model, write_model
-from safedpa.errors import InputError, RecordingError
+from safedpa.errors import InputError
 from safedpa.fleet.common import (
     Confirmation,
     CorrectionTask,
@@ -28,19 +30,20 @@ from safedpa.fleet.common import (
 )
 from safedpa.fleet.document import Analysis, analyse_fleet, fleet_document
 from safedpa.fleet.one_robot import (
-    FORMAT,
     Options,
-    RobotResult,
     Task,
+    diagnose_into,
     diagnose_robot,
     failed_result,
     file_stamp,
     options_digest,
-    same_files,
 )
 from safedpa.fleet.outcome import outcome_of
-from safedpa.fleet.page import write_fleet_page
+from safedpa.fleet.page import fleet_page
+from safedpa.fleet.results import Results, StoredResults, plotly_script, results_at
 from safedpa.fleet.robots import DiscoveredRobots, RobotLogs, robots_in, split_recording
+from safedpa.records.readers.table import regular_file
+from safedpa.records.store import find_files, url_of, write_file
 from safedpa.records.writers.tables import atomic_path
 
 Job = TypeVar("Job")
@@ -67,7 +70,6 @@ def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Work
     Tests the effects found in nearly all robots one after the other, then the best of those with pooled evidence only.
     Writes no file at ``path`` if none is confirmed.
     """
-    path.unlink(missing_ok=True)  # the model of an earlier run
     if not tasks:
         return []
     reported: Corrected = []
@@ -109,79 +111,6 @@ def _save(model: PhysicsModel, path: Path) -> None:
         temporary.write_text(write_model(model), encoding="utf-8")
 
 
-ROBOTS = "robots"
-"""Folder that contains a folder per robot."""
-
-
-def write_result(result: RobotResult, out: Path) -> None:
-    """Writes the folder ``out/robots/NAME`` atomically. Raises RecordingError if that fails."""
-    # A hidden folder first, which is then renamed: a killed run leaves no half-written result behind.
-    folder = out / ROBOTS / result.name
-    part = folder.with_name(f".{result.name}.{uuid4().hex[:8]}.part")
-    old = part.with_suffix(".old")
-    try:
-        part.mkdir(parents=True)
-        for name, text in (*result.texts.items(), ("result.json", json.dumps(result.document, indent=1) + "\n")):
-            (part / name).write_text(text, encoding="utf-8")
-        if folder.exists():
-            os.replace(folder, old)
-        os.replace(part, folder)
-    except OSError as error:
-        raise RecordingError(
-            f"{folder}: cannot be written ({error.strerror}); choose another place with --out"
-        ) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
-
-
-def has_current_result(task: Task, out: Path) -> bool:
-    """Whether the robot's result exists and belongs to the same model, options and recordings."""
-    found = read_result(out / ROBOTS / task.robot.name)
-    # "failed" means a defect of the program, which may be fixed now.
-    if found is None or found["digest"] != task.digest or found["status"] == "failed":
-        return False
-    return same_files(found["files"], task.robot.files)
-
-
-def read_result(folder: Path) -> dict[str, Any] | None:
-    """Reads a robot's ``result.json``; None if there is none of this format."""
-    try:
-        found = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) and found.get("format") == FORMAT else None
-
-
-def iterate_results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any] | None]]:
-    """Yields (result.json, report.json or None) of every robot."""
-    for task in tasks:
-        folder = out / ROBOTS / task.robot.name
-        found = read_result(folder)
-        if found is None:
-            continue
-        report = folder / "report.json"
-        yield found, json.loads(report.read_text(encoding="utf-8")) if report.exists() else None
-
-
-def clear_others(tasks: Sequence[Task], out: Path) -> None:
-    """Removes the folders of robots that are no longer in the fleet, and those left behind by a killed run."""
-    names = {task.robot.name for task in tasks}
-    folder = out / ROBOTS
-    for path in folder.iterdir() if folder.is_dir() else ():
-        half = path.name.startswith(".") and path.suffix in (".part", ".old")
-        other = path.name not in names and (path / "result.json").exists()
-        if half or other:
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def write_scripts(out: Path) -> None:
-    """Writes plotly.js, which the pages of all robots share."""
-    text = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
-    with atomic_path(out / "plotly.min.js") as temporary:
-        temporary.write_bytes(text)
-
-
 ReportProgress = Callable[[int, int], None]
 
 
@@ -209,24 +138,35 @@ def diagnose_fleet(
         raise InputError(
             f"--out {out}: contains the given model; choose another folder, because model.toml is written there"
         )
-    digest = options_digest(options)
+    digest, results = options_digest(options), results_at(out)
+    results.write_file("plotly.min.js", plotly_script())  # first: it shows whether the place can be written
     tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
-    clear_others(tasks, out)
-    write_scripts(out)
-    todo = [task for task in tasks if again or not has_current_result(task, out)]
-    done = len(tasks) - len(todo)
-    report_progress(done, len(tasks))
-    for result in workers(diagnose_robot, todo, failed_result):
-        write_result(result, out)
-        done += 1
+    results.clear_others(tasks)
+    current = set() if again else results.current(tasks)
+    todo = [task for task in tasks if task.robot.name not in current]
+    report_progress(len(tasks) - len(todo), len(tasks))
+    for done, _ in enumerate(_diagnosed(results, todo, workers), len(tasks) - len(todo) + 1):
         report_progress(done, len(tasks))
-    analysis = analyse_fleet([outcome_of(*pair) for pair in iterate_results(tasks, out)], given.system.name)
-    common = correct_fleet_model(analysis, tasks, workers, out / "model.toml")
+    analysis = analyse_fleet([outcome_of(*pair) for pair in results.iterate(tasks)], given.system.name)
+    with results.new_file("model.toml") as path:
+        common = correct_fleet_model(analysis, tasks, workers, path)
     document = fleet_document(analysis, common, **_about(fleet, len(todo)))
-    with atomic_path(out / "fleet.json") as temporary:
-        temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
-    write_fleet_page(document, analysis, out)
+    results.write_file("fleet.json", (json.dumps(document, allow_nan=False, indent=1) + "\n").encode())
+    results.write_file("fleet.html", fleet_page(document, analysis).encode())
     return document
+
+
+def _diagnosed(results: Results, todo: Sequence[Task], workers: Workers) -> Iterator[None]:
+    """Diagnoses robots and has their results written: by the workers in object storage, otherwise here."""
+    if isinstance(results, StoredResults):
+        for result in workers(partial(diagnose_into, results.url), todo, failed_result):
+            if result.document["status"] == "failed":  # of a worker that was killed
+                results.write(result)
+            yield
+        return
+    for result in workers(diagnose_robot, todo, failed_result):
+        results.write(result)
+        yield
 
 
 def _about(fleet: Fleet, diagnosed: int) -> dict[str, Any]:
@@ -256,12 +196,29 @@ def _own_recordings(fleet: Fleet) -> list[RobotLogs]:
 
 def _split(path: Path, out: Path) -> dict[str, Path]:
     """Splits a recording by robot into a folder named by a hash of the recording; reuses an existing one."""
-    folder = out / "recordings" / f"{path.stem}-{file_stamp(path)['sha256'][:12]}"
+    stamp = file_stamp(path)
+    digest = stamp.get("sha256") or hashlib.sha256(repr(stamp).encode()).hexdigest()
+    folder = out / "recordings" / f"{path.stem}-{digest[:12]}"
+    if url := url_of(folder):
+        return _split_into_store(path, url)
     if not folder.is_dir():
         part = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.part")
         try:
-            split_recording(path, part)
+            with regular_file(path) as local:
+                split_recording(local, part)
             os.replace(part, folder)
         finally:
             shutil.rmtree(part, ignore_errors=True)
     return {piece.stem: piece for piece in folder.glob("*.mcap")}
+
+
+def _split_into_store(path: Path, url: str) -> dict[str, Path]:
+    """Splits a recording into a folder in object storage, where the file ``complete`` comes last."""
+    present = find_files(url)
+    if f"{url}/complete" not in present:
+        with tempfile.TemporaryDirectory(prefix="safedpa-fleet-") as name, regular_file(path) as local:
+            for piece in split_recording(local, Path(name)).values():
+                write_file(f"{url}/{piece.name}", piece.read_bytes())
+        write_file(f"{url}/complete", b"")
+        present = find_files(url)
+    return {Path(piece).stem: Path(piece) for piece in present if piece.endswith(".mcap")}

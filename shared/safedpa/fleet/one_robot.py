@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.fleet.robots import RobotLogs
+from safedpa.records.store import TransferError, url_of, version_of
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.report_schema import Report
@@ -61,7 +62,12 @@ def _files_of(source: str | None) -> list[Path]:
 
 
 def file_stamp(path: Path) -> dict[str, Any]:
-    """Returns path, size, modification time and SHA-256 of a file. Raises OSError if it cannot be read."""
+    """Returns path, size, modification time and SHA-256 of a file. Raises OSError if it cannot be read.
+
+    Of a file by URL: path, size and the version that its store reports, so that it is not transferred again.
+    """
+    if url := url_of(path):
+        return version_of(url)
     status = path.stat()
     with path.open("rb") as file:
         digest = hashlib.sha256()
@@ -87,6 +93,11 @@ def same_files(stamps: Iterable[Mapping[str, Any]], paths: Iterable[Path]) -> bo
 
 
 def _same(stamp: Mapping[str, Any], path: Path) -> bool:
+    if url := url_of(path):
+        # Without a version the store reports no change of the content.
+        return bool(stamp.get("version")) and {**stamp, "path": url} == version_of(url)
+    if "sha256" not in stamp:  # of the same file in object storage
+        return False
     status = path.stat()
     if status.st_size != stamp["bytes"]:
         return False
@@ -121,10 +132,11 @@ class RobotResult:
 def diagnose_robot(task: Task) -> RobotResult:
     """Reads and diagnoses one robot. Problems with its data do not raise; they are reported in the result."""
     begin, processor = time.perf_counter(), time.process_time()
+    unread: list[dict[str, str]] = []
     try:
-        status, reason, report, texts, unread = _diagnosed(task)
+        status, reason, report, texts = _diagnosed(task, unread)
     except SafedpaError as error:
-        status, reason, report, texts, unread = "unreadable", str(error), None, {}, []
+        status, reason, report, texts = "unreadable", str(error), None, {}
     document = _document(task, status, reason, unread)
     document["seconds"] = round(time.perf_counter() - begin, 3)
     document["processor_seconds"] = round(time.process_time() - processor, 3)
@@ -142,6 +154,18 @@ def _most_mebibytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
+def diagnose_into(out: str, task: Task) -> RobotResult:
+    """Diagnoses one robot and writes the result below the URL ``out``, where the worker runs; returns it without texts.
+
+    Raises RecordingError if it cannot be written.
+    """
+    from safedpa.fleet.results import StoredResults
+
+    result = diagnose_robot(task)
+    StoredResults(out).write(result)
+    return RobotResult(result.name, result.document)
+
+
 def failed_result(task: Task, reason: str) -> RobotResult:
     """Returns the result of a robot whose process died or raised an unexpected exception."""
     return RobotResult(task.robot.name, _document(task, "failed", reason, []))
@@ -154,7 +178,7 @@ def _document(task: Task, status: Status, reason: str, unread: list[dict[str, st
         "status": status,
         "reason": reason,
         "digest": task.digest,
-        "files": _stamps(task.robot.files),
+        "files": [] if any("kind" in item for item in unread) else _stamps(task.robot.files),
         "unreadable_files": unread,
     }
 
@@ -169,16 +193,17 @@ def _stamps(paths: Sequence[Path]) -> list[dict[str, Any]]:
 
 
 def _diagnosed(
-    task: Task,
-) -> tuple[Status, str, tuple[Report, float] | None, dict[str, str], list[dict[str, str]]]:
+    task: Task, unread: list[dict[str, str]]
+) -> tuple[Status, str, tuple[Report, float] | None, dict[str, str]]:
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report_schema import as_document
     from safedpa.dynamics import load_model
 
     model = load_model(task.options.model)
-    runs, unread = read_runs(model, task.robot, task.options)
+    runs, lost = read_runs(model, task.robot, task.options)
+    unread += lost
     if not runs:
-        return "unreadable", unread[0]["reason"], None, {}, unread
+        return "unreadable", unread[0]["reason"], None, {}
     report = diagnose(model, runs, task.options.horizon)
     document = as_document(report)
     texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
@@ -188,7 +213,7 @@ def _diagnosed(
     none = report.verdict in ("unexplained", "undecided") and silent
     reason = _why_none(report) if none else ""
     measured = sum(run.duration for run in runs)
-    return "no_verdict" if none else "diagnosed", reason, (report, measured), texts, unread
+    return "no_verdict" if none else "diagnosed", reason, (report, measured), texts
 
 
 def _why_none(report: Report) -> str:
@@ -218,8 +243,13 @@ def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[
             runs.append(load_run(path, model.system, mapping))
             paths.append(str(path))
         except (RunError, OSError) as error:
-            unread.append({"path": str(path), "reason": str(error)})
+            unread.append({"path": str(path), "reason": str(error)} | _transfer(error))
     return (with_distinct_names(runs, paths) if runs else []), unread
+
+
+def _transfer(error: Exception) -> dict[str, str]:
+    """Marks a file that its store did not deliver, so that the next diagnosis tries it again."""
+    return {"kind": "transfer"} if isinstance(error, (TransferError, OSError)) else {}
 
 
 def _model_text(model: PhysicsModel) -> dict[str, str]:

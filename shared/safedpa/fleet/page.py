@@ -18,7 +18,6 @@ from safedpa.fleet.summary import (
     listed,
     range_text,
 )
-from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_page import embedded, rendered
 from safedpa.report.panels import Panels
 
@@ -174,14 +173,6 @@ def _points(
         at, [item.value for item in own], heights, mode="markers", text=texts, hoverinfo="text",
         marker={"color": colour, "size": 9 if errors else 6, "opacity": 0.9 if errors else 0.7}, **bars,
     )  # fmt: skip
-
-
-def write_fleet_page(document: Mapping[str, Any], analysis: Analysis, folder: Path) -> Path:
-    """Writes ``fleet.html`` atomically into an existing folder. Raises RecordingError if that fails."""
-    path = folder / "fleet.html"
-    with atomic_path(path) as temporary:
-        temporary.write_text(fleet_page(document, analysis), encoding="utf-8")
-    return path
 
 
 def fleet_page(document: Mapping[str, Any], analysis: Analysis) -> str:

@@ -19,6 +19,8 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.records.earlier_format import current_key
 from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
 from safedpa.records.readers.own_process import in_own_process, iterated_in_own_process
+from safedpa.records.readers.table import regular_file
+from safedpa.records.store import find_files, url_of
 
 By = Literal["auto", "folder", "file", "robot"]
 _ENDINGS = (".csv", ".parquet", ".mcap")
@@ -49,9 +51,10 @@ def robots_in_folder(folder: Path, by: By = "auto") -> DiscoveredRobots:
 
     ``folder``: each subfolder is a robot, with all recordings below it. ``file``: each file is a robot. ``robot``: by
     the names in MCAP recordings. ``auto``: by folder if there are subfolders with recordings, else by robot if a
-    recording has several, else by file. Hidden files are ignored. Raises InputError without any recording.
+    recording has several, else by file. Hidden files are ignored. The folder may be a URL such as ``s3://bucket/logs``.
+    Raises InputError without any recording, TransferError if the store cannot be asked.
     """
-    if not folder.is_dir():
+    if not url_of(folder) and not folder.is_dir():
         raise InputError(f"{folder}: is not a folder; wanted the recordings of a fleet, such as FOLDER/ROBOT/*.csv")
     files = _recordings_below(folder)
     if not files:
@@ -67,10 +70,13 @@ def robots_of_files(paths: Sequence[Path], by: By = "auto") -> DiscoveredRobots:
     """
     if not paths:
         raise InputError("runs: missing; wanted recordings, or --fleet FOLDER")
-    base = Path(os.path.commonpath([path.absolute().parent for path in paths]))
-    several = len({path.absolute().parent for path in paths}) > 1
+    full = [path if url_of(path) else path.absolute() for path in paths]
+    if len({path.parts[:2] if url_of(path) else "" for path in full}) > 1:
+        raise InputError("runs: got several stores; wanted all runs in one bucket, or all on this machine")
+    base = Path(os.path.commonpath([path.parent for path in full]))
+    several = len({path.parent for path in full}) > 1
     base = base if several else base.parent
-    return _grouped([path.absolute() for path in paths], base, by if by != "auto" else "folder" if several else "file")
+    return _grouped(full, base, by if by != "auto" else "folder" if several else "file")
 
 
 def _loose(files: Sequence[Path]) -> By:
@@ -82,6 +88,8 @@ def _loose(files: Sequence[Path]) -> By:
 
 def _recordings_below(folder: Path) -> list[Path]:
     """Returns all recordings in order, without the output of an earlier diagnosis of a fleet."""
+    if url := url_of(folder):
+        return _recordings_in_store(url)
     found = []
     for place, folders, names in os.walk(folder):
         folders[:] = sorted(
@@ -91,6 +99,14 @@ def _recordings_below(folder: Path) -> list[Path]:
         paths = (Path(place) / name for name in sorted(recordings))
         found += [path for path in paths if path.is_file()]  # opening a pipe would wait for its writer
     return found
+
+
+def _recordings_in_store(url: str) -> list[Path]:
+    base = url.rstrip("/")
+    names = [name.removeprefix(f"{base}/") for name in find_files(base)]
+    earlier = tuple(f"{name.removesuffix('fleet.json')}" for name in names if name.endswith("/fleet.json"))
+    recordings = (name for name in names if name.lower().endswith(_ENDINGS) and not f"/{name}".count("/."))
+    return [Path(f"{base}/{name}") for name in recordings if not name.startswith(earlier)]
 
 
 def _grouped(files: Sequence[Path], base: Path, by: By) -> DiscoveredRobots:
@@ -131,7 +147,8 @@ def _by_robot(files: Sequence[Path]) -> DiscoveredRobots:
 def robots_in(path: Path) -> tuple[list[str], str]:
     """Returns the sorted names of the robots with states in a recording, and why there are none (else empty)."""
     try:
-        names = _names_in(path)
+        with regular_file(path) as local:
+            names = _names_in(local)
     except (SafedpaError, OSError) as error:
         return [], str(error)
     return names, "" if names else "contains no states of robots"

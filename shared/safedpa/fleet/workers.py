@@ -4,8 +4,8 @@ On one machine, each process handles one robot after the other with bounded memo
 report which job caused that. The jobs that were running are therefore repeated one at a time, and a job with which the
 process dies again is reported as failed.
 
-On a cluster, Ray's workers need this package installed and the recordings under the same paths. Ray is an optional
-extra; the tests use a local instance.
+On a cluster, Ray's workers need this package installed, and the recordings under the same paths or by URL. Ray is an
+optional extra; the tests use a local instance.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def on_cluster(
         return work(job)
 
     try:
-        remote = ray.remote(num_cpus=1, max_retries=1)(answer)
+        remote = ray.remote(num_cpus=1, max_retries=1, max_calls=_TASKS_OF_A_PROCESS)(answer)
         waiting: list[Job] = list(jobs)
         running: dict[Any, Job] = {}
         most = _PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))

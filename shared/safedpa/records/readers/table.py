@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 import tempfile
@@ -16,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import RunError, SafedpaError, did_you_mean, near_files
-from safedpa.extras import need
 from safedpa.limits import limit, readable, too_much
 from safedpa.records.run import Finding
+from safedpa.records.store import TransferError, open_store, url_of
 
 __all__ = ["WANTED", "Table", "regular_file", "require_columns", "require_file"]
 
 WANTED = "a recording: .csv, .parquet, .npz, .mat, .h5, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
 """Every format, for messages."""
-_URL = re.compile(r"(https?|s3|gs|gcs|az|abfss?|hdfs|s?ftp|hf):/{1,2}([^/].*)")
-"""A URL, also if ``Path`` removed one of its slashes."""
 _MAX_FILES = 10_000
 """Files of a folder that is downloaded; a dataset has one for each episode."""
 
@@ -60,7 +57,7 @@ def regular_file(path: Path) -> Iterator[Path]:
     """
     if "\0" in str(path):
         raise RunError(f"{readable(str(path))}: the name has a null character; name a recording")
-    url = _url_of(path)
+    url = url_of(path)
     if not url and str(path) != "-" and not path.is_fifo():
         yield path
         return
@@ -98,18 +95,9 @@ def _copy(source: IO[bytes], copy: Path, name: str, room: _Room) -> None:
             target.write(piece)
 
 
-def _url_of(path: Path) -> str:
-    """The URL that was given as a path, which has lost one slash; empty for a path."""
-    found = _URL.fullmatch(str(path))
-    return f"{found[1]}://{found[2]}" if found else ""
-
-
 def _download(url: str, copy: Path) -> None:
-    need("remote", what=f"reading {url}")
-    import fsspec
-
+    store, place = open_store(url)
     try:
-        store, place = fsspec.core.url_to_fs(url)
         if not url.startswith("http") and store.isdir(place):  # a web server lists no folders
             _download_folder(url, store, place, copy)
             return
@@ -120,7 +108,7 @@ def _download(url: str, copy: Path) -> None:
         raise
     except Exception as error:  # each store raises its own kinds
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise RunError(f"{url}: cannot be read ({reason}); check the address, or name a file") from error
+        raise TransferError(f"{url}: cannot be read ({reason}); check the address, or name a file") from error
 
 
 def _download_folder(url: str, store: Any, place: str, folder: Path) -> None:
