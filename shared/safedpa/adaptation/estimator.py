@@ -213,7 +213,7 @@ class LatentEstimator(AbstractEstimator):
         motion, smallest = self._difference(reached, start), self._settings.smallest_motion
         for change, scale in zip(motion, self._measured, strict=True):
             if abs(change) / scale >= smallest:
-                noise = self._noise_of_timing(state, action, memory, period, predicted) if self._periods else self._noise
+                noise = self._noise_of_timing(state, action, memory, period, predicted)
                 self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted), noise)
                 break
         self._earlier.append(action)
@@ -226,6 +226,8 @@ class LatentEstimator(AbstractEstimator):
         r + n max_i (step(a_i) - step(a))^2: the n transitions after a change err in the same direction, so each counts
         as one n-th.
         """
+        if not self._periods:
+            return self._noise
         squares, others = [0.0] * len(predicted), {tuple(earlier.tolist()) for earlier in self._earlier}
         if len(self._earlier) < self._periods:
             others.add((0.0,) * len(action))  # what came before is not known: the robot may have rested
