@@ -182,8 +182,11 @@ OPEN = Scene(0, None, (-100.0, 100.0, -100.0, 100.0), (), (0.0, 0.0, 0.3), ((50.
 NARROW = Scene(0, None, (-100.0, 100.0, -0.42, 0.42), (), (0.0, 0.0, 0.0), ((50.0, 0.0),))
 
 
-def driven(change: str, seconds: float, action: tuple[float, float], scene: Scene = OPEN) -> CarRobot:
+def driven(
+    change: str, seconds: float, action: tuple[float, float], scene: Scene = OPEN, released_at: int = 0
+) -> CarRobot:
     robot = CarRobot(scene, change=PlannedChange(change, 1.0))
+    robot.hold_change(lambda: robot.tick >= released_at)
     for _ in range(round(seconds / robot.period)):
         state = robot.state_message()
         message = ActionMessage(
@@ -201,6 +204,10 @@ def test_a_planned_change_is_applied_once_when_it_is_due(change: str) -> None:
     assert before.changed_at is None
     assert after.changed_at == 20
     assert driven(change, 3.0, (1.5, 0.0)).changed_at == 20
+
+
+def test_a_planned_change_also_waits_until_it_is_released() -> None:
+    assert driven("headwind", 3.0, (1.5, 0.0), released_at=40).changed_at == 40
 
 
 def test_a_head_wind_takes_speed_off_and_a_steering_offset_turns_the_car() -> None:

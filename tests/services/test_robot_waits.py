@@ -23,6 +23,8 @@ def work(options, stop):
         return 0
     (options.folder / "began").touch()
     while not stop():
+        if stop.words > 1:
+            (options.folder / "signalled").touch()
         time.sleep(0.01)
     return 0
 
@@ -53,6 +55,16 @@ def wait_for(there: Callable[[], bool]) -> None:
 def is_ready(folder: Path, times: str) -> Callable[[], bool]:
     """Returns whether it has reported that it is ready; the file exists a moment before its contents."""
     return lambda: (folder / "ready").exists() and (folder / "ready").read_text() == times
+
+
+def test_a_robot_that_has_begun_notices_a_further_signal(robot: Child, tmp_path: Path) -> None:
+    robot.start()
+    wait_for(is_ready(tmp_path, "once"))
+    robot.begin()
+    wait_for((tmp_path / "began").exists)
+    assert not (tmp_path / "signalled").exists()
+    robot.signal()
+    wait_for((tmp_path / "signalled").exists)
 
 
 def test_a_robot_does_nothing_before_it_is_asked_to_begin(robot: Child, tmp_path: Path) -> None:

@@ -157,7 +157,12 @@ class Child:
         self._is_released = True
         if self._process is None:
             self.start()
-        elif self.waits and self._process.stdin is not None:
+        elif self.waits:
+            self.signal()
+
+    def signal(self) -> None:
+        """Gives a process that has begun a further signal."""
+        if self._process is not None and self._process.stdin is not None:
             with contextlib.suppress(OSError):  # it died meanwhile; its successor does not wait
                 os.write(self._process.stdin.fileno(), b"begin\n")
 

@@ -53,7 +53,9 @@ class Plan:
     change: str = ""
     """Fault that occurs during the drive; empty: none."""
     change_after: float = 0.0
-    """Robot time of the fault [s]."""
+    """Earliest robot time of the fault [s]."""
+    change_on_word: bool = False
+    """Whether the fault also waits for ``Child.signal``."""
 
     sensor_inputs: bool = False
     """Whether the robot has sensors and the loop therefore has perception."""
@@ -179,6 +181,7 @@ class Plan:
         options += ["--summary", str(self._summary(index))]
         options += self.surroundings
         options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
+        options += ["--change-on-word"] if self.change_on_word else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
         name = f"robot {self.names[index]}" if index else "robot"
         child = self._child(name, *options, heartbeat=not index, module="safedpa_sim.robots")
