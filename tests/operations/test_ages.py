@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from tests.messages import finding_of, state_of, verdict_of
+from tests.messages import finding_of, stamp, state_of, verdict_of
 
+from safedpa.bus import SurroundingsMessage
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
 from safedpa_services.command_line.status import document_of
@@ -14,7 +15,13 @@ from safedpa_services.command_line.status_table import render_status_table
 from safedpa_services.dashboard.display_settings import display_settings
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.metrics.exporter import FAMILIES, FleetCollector
-from safedpa_services.workbench.live.panels import drive_table
+from safedpa_services.workbench.live.panels import (
+    drive_table,
+    error_bars,
+    filter_sentence,
+    finding_sentence,
+    where_text,
+)
 from safedpa_services.workbench.live.store import RobotHistory
 
 H = 0.6
@@ -77,3 +84,44 @@ def test_every_value_of_the_pages_is_followed_by_its_age(age: float) -> None:
     rows = re.findall(r"<tr><td>.*?</td><td>.*?</td><td>(.*?)</td></tr>", drive_table(history, 1000.0 + age))
     assert len(rows) == drive_table(history, 1000.0 + age).count("<tr>") == 6
     assert all(old in row for row in rows)
+
+
+AGE = re.compile(r"[\d.]+ s old")
+SEEN = SurroundingsMessage(
+    **stamp(0), points=(), movers=(), hidden=(), ages=(0.2, -1.0), zones=("closed 31",), ordered="31 off",
+    problems=("31 returns are too near",),
+)
+
+
+@pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
+def test_every_part_of_a_page_that_has_a_number_has_an_age_too(age: float) -> None:
+    """Also numbers within sentences of the filter, the diagnosis and perception."""
+    page, history = NowPage(display_settings(load_model("car"), settings_named("car"))), RobotHistory("r1")
+    verdict = verdict_of("corrected", h_now=H, sentence="turned by 31 degrees")
+    finding = finding_of("candidates", sentence="31 steps miss", where="near 31 m", error=0.31, band=0.2)
+    for message in (state_of(sources=("front", "rear")), verdict, finding, SEEN):
+        page.take(message, 1000.0)
+        history.update(message, 1000.0)
+    now = 1000.0 + age
+    blocks = [filter_sentence(history, now), finding_sentence(history, now), where_text(history, now)]
+    blocks.append(error_bars(history, now))
+    blocks += [part for block in page.page(now).text.replace("\\", "").split("\n\n") for part in block.split("; ")]
+    with_numbers = [block for block in blocks if re.search(r"\d", block) and not block.startswith("**No ")]
+    assert len(with_numbers) >= 10, blocks
+    assert [block for block in with_numbers if not AGE.search(block)] == []
+
+
+@pytest.mark.parametrize("width", [80, 95, 125, 220])
+@pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
+def test_each_row_of_the_status_has_an_age_at_every_width(fleet: Any, age: float, width: int) -> None:
+    fleet.drive(1)
+    fleet.now += age
+    document = document_of(fleet.overview)
+    console = Console(width=width, force_terminal=False)
+    with console.capture() as captured:
+        console.print(render_status_table(document, width))
+    heads = [line for line in captured.get().splitlines() if line.startswith(("robot ", "process "))]
+    assert len(heads) == 2
+    assert all("age s" in head for head in heads)
+    (row,) = document["robots"]
+    assert (row["sense_to_act_p99"] is None) is (age > 0.0), "latencies of the past are not those of the present"

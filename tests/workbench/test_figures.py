@@ -80,7 +80,7 @@ def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_
     """A finding comes each second. One of 55 seconds would still tell of what was before the change."""
     history = RobotHistory("r1", error_before_change=before, finding=SimpleNamespace(band=band))
     history.errors.extend((float(at), error, 0.0, 0.0, 13.8) for at, error in enumerate(errors))
-    page = error_bars(history)
+    page = error_bars(history, 0.0)
     shown = re.findall(r"<span>(\w+)[^<]*</span><span class=.value.>([\d.]+)<.*?width:([\d.]+)%", page)
     assert [(name, value, float(width)) for name, value, width in shown] == bars
     change = {0.8: "−75 %", 0.1: "+100 %"}.get(before, "")

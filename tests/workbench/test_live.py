@@ -97,7 +97,7 @@ def test_a_change_is_listed_with_the_error_before_and_after(history):
     for tick in range(120, 200, 20):
         history.update(finding(tick, error=0.1), 1.0)
     assert history.error_before_change == 0.5
-    assert "−80 %" in error_bars(history)
+    assert "−80 %" in error_bars(history, 0.0)
     assert "change 1, model bbbb is taken by ann: accept" in change_lines(history)
     assert [mark.kind for mark in history.marks].count("model") == 2
     for figure in (error_figure(history, LIGHT), evidence_figure(history, LIGHT), field_figure(history, LIGHT)):

@@ -188,10 +188,11 @@ def _level(concerns: Sequence[Alert]) -> str:
 
 
 def _robot(robot: RobotOverview, now: float, *, dismissed: bool) -> dict[str, Any]:
-    from safedpa.bus.monitor import robot_alerts
+    from safedpa.bus.monitor import is_stale, robot_alerts
 
     state, verdict = robot.state, robot.verdict
-    p50, p99 = robot.latency(0.5), robot.latency(0.99)
+    is_silent = state is None or is_stale(now - robot.state_at, state.period)
+    p50, p99 = (None, None) if is_silent else (robot.latency(0.5), robot.latency(0.99))
     row: dict[str, Any] = {
         "robot": robot.name,
         "health": "attention" if dismissed else _level(robot_alerts(robot, now)),

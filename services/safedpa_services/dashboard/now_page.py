@@ -145,7 +145,8 @@ def _sources_line(names: Sequence[str], seen: SurroundingsMessage, since: float)
     ages = [f"{name} {'no data' if age < 0.0 else f'{age + since:.2f} s old'}" for name, age in known]
     zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
     ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
-    return [text[:_LONGEST] for text in (*ages, *seen.problems, *zones, *ordered)]
+    reported = [f"{text[:_LONGEST]} ({age_text(since)})" for text in (*seen.problems, *zones, *ordered)]
+    return [*(text[:_LONGEST] for text in ages), *reported]
 
 
 def waiting_page(fleet: str, services: dict[str, str], refused: str = "") -> MarkdownPage:

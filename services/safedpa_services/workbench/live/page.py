@@ -11,7 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from safedpa.bus import Answer, Request
-from safedpa.bus.monitor import age_text, is_stale
+from safedpa.bus.monitor import is_stale
 from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.workbench.live.links import AbstractLink, QueryResult
 from safedpa_services.workbench.live.panels import (
@@ -22,7 +22,10 @@ from safedpa_services.workbench.live.panels import (
     evidence_figure,
     field_figure,
     field_legend,
+    filter_sentence,
+    finding_sentence,
     live_cards,
+    where_text,
 )
 from safedpa_services.workbench.live.store import RobotHistory
 from safedpa_services.workbench.panels.candidates import CandidatesPanel
@@ -32,8 +35,6 @@ from safedpa_services.workbench.tab import AbstractTab, run_script
 _REDRAW_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
 _END_TIMEOUT = 10.0
-_OLD_FINDING_SECONDS = 5.0
-"""Age of a finding from which its error is not called the present one; the diagnosis reports once a second."""
 _CONNECTION_LOST_SCRIPT = """<script>
   const lines = ['No connection to the live page.',
     'The drive has ended, or this machine is too busy. The page shows the last state received.'];
@@ -151,22 +152,20 @@ class LivePage(AbstractTab):
             self._verdict.set_content(escaped(f"No message from any robot ({link.title}). Start one with: safedpa up"))
             self._show_problem(link.store.last_refusal and f"Refused: {link.store.last_refusal}")
             return
-        finding = history.finding
         now = time.monotonic()
-        present = history.headline(now)
-        found = _capitalized(finding.sentence) if finding else "No finding yet."
-        # The alert is then the headline.
-        self._verdict.set_content(escaped(f"Last finding: {found}" if present else found))
+        # Of a robot whose messages are old, the alert is the headline.
+        self._verdict.set_content(escaped(finding_sentence(history, now)))
         latest = history.problems[-1] if history.problems else ""
         self._show_problem(history.silence_message(now) or history.mismatch() or latest)
         deadlock = history.deadlock_message(now)
         self._deadlock.set_visibility(bool(deadlock))
         self._deadlock.set_content(escaped(deadlock))
-        self._filter.set_content(escaped(_filter_sentence(history, now)))
-        self._where_text.set_content(escaped(_where_text(history, now)))
+        self._filter.set_content(escaped(filter_sentence(history, now)))
+        self._where_text.set_content(escaped(where_text(history, now)))
         self._legend.set_content(field_legend(self._theme))
         self._drive.set_content(drive_table(history, now))
         self._field.update_figure(field_figure(history, self._theme))
+        self._bars.set_content(error_bars(history, now))
         self._show_error(history)
         usual = "All services switch to an accepted model at the same tick."
         self._message.set_content(escaped(self._status_message or usual))
@@ -175,15 +174,12 @@ class LivePage(AbstractTab):
     def _show_error(self, history: RobotHistory) -> None:
         """Redraws the error only when it is new, once a second: these figures are the most expensive to draw."""
         newest = history.errors[-1] if history.errors else None
-        age = history.finding_age(time.monotonic())
-        is_old = age is not None and age > _OLD_FINDING_SECONDS
-        state = (self._robot, history.epoch, newest, len(history.marks), self._theme, is_old)
+        state = (self._robot, history.epoch, newest, len(history.marks), self._theme)
         if state == self._drawn_errors:
             return
         self._drawn_errors = state
         self._error.update_figure(error_figure(history, self._theme))
         self._evidence.update_figure(evidence_figure(history, self._theme))
-        self._bars.set_content(error_bars(history, is_old=is_old))
         self._changes.set_content(change_lines(history))
 
     async def _end(self) -> None:
@@ -310,23 +306,6 @@ def _consequence_texts(answer: Answer, history: RobotHistory) -> dict[str, str]:
     after = "All services switch to it at the same tick; the robot keeps driving."
     foreseen = zip_longest(answer.candidates, answer.foreseen[: len(answer.candidates)], fillvalue="")
     return {effect: f"If you accept: {text or pending}.{now} {after}" for effect, text in foreseen}
-
-
-def _where_text(history: RobotHistory, now: float) -> str:
-    finding, age = history.finding, history.finding_age(now)
-    if finding is None or age is None:
-        return ""
-    where = f"{finding.where}; " if finding.where else ""
-    return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin ({age_text(age)})"
-
-
-def _filter_sentence(history: RobotHistory, now: float) -> str:
-    """Returns the filter's sentence; an old one as the last one, with its age."""
-    _, age = history.ages(now)
-    if history.verdict is None or age is None:
-        return ""
-    sentence = f"{history.verdict.sentence} ({age_text(age)})"
-    return f"Last verdict: {sentence}" if history.headline(now) else sentence
 
 
 def _capitalized(sentence: str) -> str:

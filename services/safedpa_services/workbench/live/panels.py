@@ -19,31 +19,63 @@ from safedpa_services.workbench.session.candidate_cards import CandidateCard, ma
 
 _OLD_SECONDS = 2.0
 """Age beyond which a value is marked: the diagnosis reports once a second."""
+_OLD_FINDING_SECONDS = 5.0
+"""Findings arrive once a second of robot time."""
 _MEDIAN_OF = 5
 """Number of latest errors whose median is shown as the present error."""
 
 
-def error_bars(history: RobotHistory, *, is_old: bool = False) -> str:
-    """HTML with bars: the error before the last model change, the present error, and the end of its band.
+def finding_sentence(history: RobotHistory, now: float) -> str:
+    """The latest finding with its age at ``now`` [s]; an old one, or one of a silent robot, as the last one."""
+    finding, age = history.finding, history.finding_age(now)
+    if finding is None or age is None:
+        return "No finding yet."
+    sentence = f"{finding.sentence[:1].upper()}{finding.sentence[1:]} ({age_text(age)})"
+    return f"Last finding: {sentence}" if history.headline(now) or age > _OLD_FINDING_SECONDS else sentence
 
-    :param is_old: whether the newest error is not the present one
+
+def where_text(history: RobotHistory, now: float) -> str:
+    """Returns where the model fails and how often the margin held, with the age of the finding at ``now`` [s]."""
+    finding, age = history.finding, history.finding_age(now)
+    if finding is None or age is None:
+        return ""
+    where = f"{finding.where}; " if finding.where else ""
+    return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin ({age_text(age)})"
+
+
+def filter_sentence(history: RobotHistory, now: float) -> str:
+    """Returns the filter's sentence; an old one as the last one, with its age."""
+    _, age = history.ages(now)
+    if history.verdict is None or age is None:
+        return ""
+    sentence = f"{history.verdict.sentence} ({age_text(age)})"
+    return f"Last verdict: {sentence}" if history.headline(now) else sentence
+
+
+def error_bars(history: RobotHistory, now: float) -> str:
+    """HTML with bars: the error before the last model change, the newest error, and the end of its band.
+
+    The age of the newest error at ``now`` [s] is given; an old one is not called the present one.
     """
+    age = history.finding_age(now)
+    is_old = age is not None and age > _OLD_FINDING_SECONDS
     recent = sorted(entry[1] for entry in list(history.errors)[-_MEDIAN_OF:] if entry[1] > 0)
-    now = recent[len(recent) // 2] if recent else None
+    newest = recent[len(recent) // 2] if recent else None
     band = history.finding.band if history.finding is not None and history.finding.band > 0 else None
     rows = [
         ("before the last change", history.error_before_change, "given"),
-        ("last" if is_old else "now", now, ""),
+        ("last" if is_old else "now", newest, ""),
         ("end of its band", band, "band"),
     ]
     shown = [(name, value, style) for name, value, style in rows if value is not None]
     highest = max((value for _, value, _ in shown), default=1.0) or 1.0
     change_line = ""
-    if history.error_before_change and now is not None:
-        change = f"{100 * (now / history.error_before_change - 1):+.0f} % since the change".replace("-", "−")
+    if history.error_before_change and newest is not None:
+        change = f"{100 * (newest / history.error_before_change - 1):+.0f} % since the change".replace("-", "−")
         change_line = f'<div class="number">{change}</div>'
     bars = "".join(_bar(name, value, 100.0 * value / highest, style) for name, value, style in shown)
-    return f'<div class="stages"><div class="quiet">error over one second of driving</div>{bars}{change_line}</div>'
+    what = "error over one second of driving" + ("" if age is None else f" ({age_text(age)})")
+    return f'<div class="stages"><div class="quiet">{what}</div>{bars}{change_line}</div>'
 
 
 def _bar(name: str, value: float, width: float, style: str) -> str:
@@ -71,8 +103,8 @@ def drive_table(history: RobotHistory, now: float) -> str:
         ("goals reached", f"{state.goals_reached}", state_age),
         ("collisions", f"{state.collisions}", state_age),
     ]
-    if history.finding is not None and history.diagnosis_heard_at is not None:
-        rows.append(("model in use", escaped(history.finding.model[:8]), max(0.0, now - history.diagnosis_heard_at)))
+    if history.finding is not None:
+        rows.append(("model in use", escaped(history.finding.model[:8]), history.finding_age(now)))
     if verdict is not None:
         unit = " rad" if state.corridor else " m" if state.field else ""
         rows.append(("barrier h", f"{verdict.h_now:.2f}{unit}", verdict_age))

@@ -74,7 +74,9 @@ class RobotHistory:
     """The same of the state that the last verdict is about; None if there was none."""
     times: MeasurementTimes = field(default_factory=MeasurementTimes)
     diagnosis_heard_at: float | None = None
-    """Time of the last finding message, s by this machine's clock; None if there was none."""
+    """Time of arrival of the last finding message, s by this machine's clock; None if there was none."""
+    finding_at: float = 0.0
+    """Time at which the state was measured that the finding is about."""
     problems: deque[str] = field(default_factory=lambda: deque(maxlen=5))
     """Refused messages about this robot, with the reason."""
     deadlocks: list[Stand] = field(default_factory=list)
@@ -127,6 +129,7 @@ class RobotHistory:
         if changed and not (begins and message.stage in ("learning", "watching")):
             self.marks.append(TimelineMark(message.robot_time, "finding", message.sentence))
         self.finding, self.diagnosis_heard_at = message, at
+        self.finding_at = self.times.of(message, at)
         self.errors.append((message.robot_time, message.error, message.band, message.evidence, message.threshold))
         if message.report:
             self._store_report(message)
@@ -189,7 +192,7 @@ class RobotHistory:
 
     def finding_age(self, now: float) -> float | None:
         """Age of the latest finding at ``now``, s by this machine's clock; None if there was none."""
-        return None if self.diagnosis_heard_at is None else max(0.0, now - self.diagnosis_heard_at)
+        return None if self.finding is None else max(0.0, now - self.finding_at)
 
     def headline(self, now: float) -> str:
         """What is wrong with the robot's messages at ``now``; empty if they are recent."""
