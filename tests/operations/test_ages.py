@@ -88,7 +88,13 @@ def test_every_value_of_the_pages_is_followed_by_its_age(age: float) -> None:
 
 AGE = re.compile(r"[\d.]+ s old")
 SEEN = SurroundingsMessage(
-    **stamp(0), points=(), movers=(), hidden=(), ages=(0.2, -1.0), zones=("closed 31",), ordered="31 off",
+    **stamp(0),
+    points=(),
+    movers=(),
+    hidden=(),
+    ages=(0.2, -1.0),
+    zones=("closed 31",),
+    ordered="31 off",
     problems=("31 returns are too near",),
 )
 
