@@ -171,6 +171,11 @@ def test_a_wrong_sensor_is_trouble_and_a_switched_one_deserves_attention() -> No
         ("dashboard", 0.1, False, {"free_bytes": 5_000_000}, ""),
         ("router", 0.1, False, {"refused": 0}, ""),
         ("router", 0.1, False, {"refused": 7}, "attention: router: 7 messages refused or denied"),
+        (
+            "router", 0.1, False, {"detail": "twice: recorder"},
+            "attention: two processes use the certificate of recorder: the later is cut off each second; end one of "
+            "them",
+        ),
         ("dashboard", 0.1, False, {"refused": 7}, ""),
     ],
 )

@@ -17,6 +17,8 @@ _MISSED_COVERAGE = 0.02
 _WATCHED_STEPS = 500
 _LOW_DISK_BYTES = 1 << 30
 _LOOP = ("adaptation", "policy", "safety_filter")
+_TWICE = "twice: "
+"""Begins the router's report of certificates that two processes use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,5 +175,9 @@ def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -
         yield Alert("trouble", f"{name}: failing, {service.detail}", service=name)
     elif name == "recorder" and 0 < health.free_bytes < _LOW_DISK_BYTES:
         yield Alert("attention", f"recorder: {health.free_bytes / 1e6:.0f} MB of disk left", service=name)
+    elif name == "router" and service.detail.startswith(_TWICE):
+        names = service.detail.removeprefix(_TWICE)
+        sentence = f"two processes use the certificate of {names}: the later is cut off each second; end one of them"
+        yield Alert("attention", sentence, service=name)
     elif name == "router" and service.refused:
         yield Alert("attention", f"router: {service.refused} messages refused or denied", service=name)
