@@ -172,7 +172,10 @@ def test_a_wrong_sensor_is_trouble_and_a_switched_one_deserves_attention() -> No
         ("router", 0.1, False, {"refused": 0}, ""),
         ("router", 0.1, False, {"refused": 7}, "attention: router: 7 messages refused or denied"),
         (
-            "router", 0.1, False, {"detail": "twice: recorder"},
+            "router",
+            0.1,
+            False,
+            {"detail": "twice: recorder"},
             "attention: two processes use the certificate of recorder: the later is cut off each second; end one of "
             "them",
         ),

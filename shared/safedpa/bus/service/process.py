@@ -248,8 +248,8 @@ class _LogStream(io.TextIOBase):
 
 
 def _watch_supervisor(stop: StopSignal) -> None:
-    # The supervisor writes a line as the start signal, and another as a further one. End of file means that it died: the
-    # kernel closes its end of the pipe even after SIGKILL.
+    # The supervisor writes a line as the start signal, and another as a further one. End of file means that it died:
+    # the kernel closes its end of the pipe even after SIGKILL.
     while words := os.read(sys.stdin.fileno(), 4096):
         for _ in range(words.count(b"\n")):
             stop.start()
