@@ -28,7 +28,6 @@ from safedpa.diagnosis.fit.data_checks import (
     finding_row,
     prepare_runs,
 )
-from safedpa.diagnosis.fit.least_squares import bounds_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import EffectTrial, values_of
 from safedpa.diagnosis.report_schema import (
@@ -48,6 +47,7 @@ from safedpa.diagnosis.residuals.unmodelled import LibraryMatcher, alternative_f
 from safedpa.diagnosis.search.conditional import conditions_of
 from safedpa.diagnosis.search.final_parameters import uncertain_effects
 from safedpa.diagnosis.search.forward_selection import ReportProgress, run_search
+from safedpa.diagnosis.search.initial_model import base_bound_message
 from safedpa.diagnosis.search.nearest_candidates import (
     closest_effects,
     doubtful_effects,
@@ -215,23 +215,8 @@ def _findings_of_search(search: SearchState, evidence: HorizonData) -> list[dict
 
 
 def _base_at_bound(search: SearchState) -> list[dict[str, Any]]:
-    """Returns a finding if a free parameter of the base ended at a bound before any effect was added."""
-    fitted = search.first.fit
-    low, high = bounds_of(fitted.model, fitted.paths)
-    edge = 1e-6 * (high - low)
-    ends = (fitted.values <= low + edge) | (fitted.values >= high - edge)
-    names = [
-        f"{path} = {value:.3g} {fitted.model.parameters[path].unit}"
-        for path, value, end in zip(fitted.paths, fitted.values.tolist(), ends.tolist(), strict=True)
-        if end
-    ]
-    if not names:
-        return []
-    message = (
-        f"{', '.join(names)} ended at a bound before any effect was added: the model lacks something large, or its "
-        "bounds, or the units of the recordings, are wrong"
-    )
-    return [finding_row("all", Finding("base_at_bound", message))]
+    message = base_bound_message(search)
+    return [finding_row("all", Finding("base_at_bound", message))] if message else []
 
 
 def _timing(search: SearchState) -> list[dict[str, Any]]:

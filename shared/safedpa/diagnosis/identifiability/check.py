@@ -10,7 +10,7 @@ from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.diagnose import library_for
 from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, prepare_runs
 from safedpa.diagnosis.report_schema import Detectable
-from safedpa.diagnosis.search.initial_model import initial_search
+from safedpa.diagnosis.search.initial_model import base_bound_message, base_error_message, initial_search
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
@@ -31,6 +31,8 @@ class IdentifiabilityCheck:
     """Why no effect can be identified at all; empty if some can."""
     sizes: tuple[Detectable, ...]
     data_quality: tuple[dict[str, Any], ...]
+    poor_base: str = ""
+    """Why the refitted base hides effects: parameters at bounds, or too large an error; empty if it does not."""
 
     def identifiable(self) -> list[Detectable]:
         """Parameters whose typical size would be found and that no other effect imitates."""
@@ -68,6 +70,7 @@ def check_identifiability(model: PhysicsModel, runs: Sequence[Run]) -> Identifia
         sufficiency.why_not,
         tuple(sizes),
         tuple(usable.quality),
+        "; ".join(filter(None, (base_error_message(search), base_bound_message(search)))),
     )
 
 
@@ -82,12 +85,19 @@ def check_lines(check: IdentifiabilityCheck) -> list[str]:
         f"Horizon {check.seconds:g} s, {check.windows} independent windows; the given model's error over it is "
         f"{check.error:.3g}."
     ]
+    if check.poor_base:
+        # Effects are judged by what they change next to this base, so its errors come before the lists.
+        lines += [
+            f"The first finding is the base itself: {check.poor_base}. What it gets wrong hides effects, so the sizes "
+            "below hold next to this base only. Correct it, or run diagnose, which fits base and effects together."
+        ]
     if check.why_not:
         # The reason comes before the lists, which are empty in that case.
         lines += [f"No effect can be identified: {check.why_not}."]
     lines += _part("Would be found, from this size on:", check.identifiable())
     lines += _part("Would be found, but only as a sum with another effect:", check.only_as_sums())
-    lines += _part("Would not be found at a typical size:", check.undetectable())
+    hidden = "Would not be found at a typical size" + (", or the base hides them:" if check.poor_base else ":")
+    lines += _part(hidden, check.undetectable())
     # Several runs often have the same finding; it is printed once.
     messages = list(dict.fromkeys(str(item["message"]) for item in check.data_quality))
     return [*lines, *(f"data: {message}" for message in messages)]

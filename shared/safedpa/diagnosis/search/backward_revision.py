@@ -13,8 +13,27 @@ import numpy as np
 
 from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.least_squares import fit, known_slopes, regularized_inverse
-from safedpa.diagnosis.fit.trial import EffectTrial, best_start, block_gain, initial_values, trial_of, with_effect_at
-from safedpa.diagnosis.search.acceptance import CLEAR_FALL, FALL, SAME, SIMPLER, is_spurious_delay, passes, with_reason
+from safedpa.diagnosis.fit.trial import (
+    EffectTrial,
+    best_start,
+    block_gain,
+    explained_by,
+    explanation_correlation,
+    fit_trials,
+    initial_values,
+    trial_of,
+    with_effect_at,
+)
+from safedpa.diagnosis.search.acceptance import (
+    ALIKE,
+    CLEAR_FALL,
+    FALL,
+    SAME,
+    SIMPLER,
+    is_spurious_delay,
+    passes,
+    with_reason,
+)
 from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState, given_effect_names, known_effects
 from safedpa.effects import AbstractEffect
 
@@ -34,6 +53,10 @@ _MOST_EQUALS = 2
 # Ratio of held-out errors from which a rival no longer predicts as well.
 _AS_GOOD = 1.1
 _NOT_NEEDED = "no longer needed next to the others"
+# Accepted effects up to which every effect of the library is tried in the place of each: each needs a stage of fits.
+_FEW = 3
+# Ratio of held-out errors up to which an effect in the place of another one may be equivalent.
+_EQUAL_ERROR = 1.5
 # Correlation of their parameters from which two effects are also removed together: each hides the loss of the other.
 _CORRELATED = 0.7
 
@@ -408,6 +431,45 @@ def _best_instead(
     tried = [(refit_effects(search, [*others, *map(by_name.__getitem__, names)], enough), names) for names in instead]
     near = [(trial, names) for trial, names in tried if trial.fit.value <= enough]
     return min(near, key=lambda pair: pair[0].loss, default=None)
+
+
+def try_all_instead(search: SearchState) -> None:
+    """Tries every common effect in the place of each accepted one; those that are equivalent become members of a group.
+
+    Rivals of a stage are ordered by what they explain next to the effects of that stage. Next to an effect that was
+    accepted later, another one may do the same. Example: once the acceleration is limited, a drag and a limit of the
+    speed both end at one speed.
+    """
+    by_name = known_effects(search)
+    library = [item for item in search.available if not item.rare]
+    for name in search.added if 1 < len(search.added) <= _FEW else ():
+        reduced = refit_effects(search, [by_name[other] for other in search.added if other != name])
+        now = replace(search.current, explained=explained_by(search.current.fit, reduced))
+        count = len(by_name[name].parameters)
+        trials = [trial for trial in fit_trials(reduced, library, search.shooting, {}) if trial.loss < reduced.loss]
+        # In the order of the fits; the first few of a stage would leave no room for them.
+        search.rivals[name] = list(dict.fromkeys((*(t.effects[0] for t in trials), *search.rivals.get(name, ()))))
+        same = [
+            trial.effects[0]
+            for trial in trials[:_RIVALS]
+            if len(by_name[trial.effects[0]].parameters) == count and _is_indistinguishable(trial, now, search)
+        ]
+        for index, item in enumerate(search.candidates):
+            if item.decision == "accepted" and name in item.trial.effects:
+                equals = tuple(dict.fromkeys((*item.equals, *same)))[:_MOST_EQUALS]
+                search.candidates[index] = replace(item, equals=equals)
+
+
+def _is_indistinguishable(trial: EffectTrial, now: EffectTrial, search: SearchState) -> bool:
+    """Returns whether unseen blocks and folds do not tell a trial from the current model, and both explain the same."""
+    gain, alike = block_gain(trial, now, search.shooting), explanation_correlation(trial, now)
+    if not trial.fit.free.all() or not ((gain < SAME and alike > 0.5) or (gain < SIMPLER and alike > ALIKE)):
+        return False
+    error = search.error_of(trial.fit)
+    apart = error.by_fold - search.error.by_fold
+    apart = apart[np.isfinite(apart)]
+    chance = SIMPLER * float(apart.std(ddof=1)) / np.sqrt(len(apart)) if len(apart) > 1 else 0.0
+    return error.value < _EQUAL_ERROR * search.error.value and float(apart.mean()) <= chance
 
 
 def mark_equivalent_rivals(search: SearchState) -> None:

@@ -43,6 +43,7 @@ from safedpa.diagnosis.search.backward_revision import (
     remove_uncertain_effects,
     select_smallest_model,
     split_effect,
+    try_all_instead,
 )
 from safedpa.diagnosis.search.conditional import accept_law, add_conditions, region_effect
 from safedpa.diagnosis.search.final_parameters import (
@@ -120,6 +121,7 @@ def run_search(
         _revise(search)
     report_progress(2, 3, f"final parameters; {_so_far(search)}")
     if library:
+        try_all_instead(search)
         _set_final_values(search)
         # Effects whose final values are compatible with no effect go, unless predictions of unseen data need them.
         if remove_uncertain_effects(search, uncertain_effects(search)):

@@ -16,6 +16,7 @@ from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
 from safedpa.diagnosis.fit.least_squares import bounds_of, fit, objectives, relinearized, typical_change, with_values
 from safedpa.diagnosis.fit.multiple_shooting import Shooting
 from safedpa.diagnosis.fit.trial import trial_of
+from safedpa.diagnosis.search.acceptance import MOST_MISSING
 from safedpa.diagnosis.search.search_state import SearchState
 from safedpa.dynamics import PhysicsModel
 
@@ -50,6 +51,36 @@ def initial_search(model: PhysicsModel, shooting: Shooting, heldout: Heldout) ->
         reduction = _REDUCTION_IF_STUCK if stuck else _REDUCTION
         search = found if found.error.value < (1.0 - reduction) * search.error.value else search
     return replace(search, given=model, raw=shooting, first_shooting=search.shooting)
+
+
+def base_bound_message(search: SearchState) -> str:
+    """Returns which free parameters of the base ended at a bound before any effect was added; empty if none did."""
+    fitted = search.first.fit
+    low, high = bounds_of(fitted.model, fitted.paths)
+    edge = 1e-6 * (high - low)
+    ends = (fitted.values <= low + edge) | (fitted.values >= high - edge)
+    names = [
+        f"{path} = {value:.3g} {fitted.model.parameters[path].unit}"
+        for path, value, end in zip(fitted.paths, fitted.values.tolist(), ends.tolist(), strict=True)
+        if end
+    ]
+    if not names:
+        return ""
+    return (
+        f"{', '.join(names)} ended at a bound before any effect was added: the model lacks something large, or its "
+        "bounds, or the units of the recordings, are wrong"
+    )
+
+
+def base_error_message(search: SearchState) -> str:
+    """Returns that the refitted base predicts worse than a naive prediction, or little at all; empty if it does not."""
+    naive, error = naive_errors(search.heldout.windows), search.first_error.value
+    name = min(naive, key=lambda one: naive[one])
+    if error > naive[name] > 0.0:
+        return f"its error is {error:.3g}, compared with {naive[name]:.3g} of predicting {name.replace('_', ' ')}"
+    if not error <= MOST_MISSING:
+        return f"its error is {error:.3g} of the usual change"
+    return ""
 
 
 def _search_from(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> SearchState:
