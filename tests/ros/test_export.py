@@ -11,8 +11,8 @@ from tests import messages
 from tests.messages import stamp
 
 from safedpa.bus.messages.codec import encode
-from safedpa.bus.messages.messages import StateMessage, VerdictMessage
-from safedpa.bus.messages.topics import STATE, key_of
+from safedpa.bus.messages.messages import ScanMessage, StateMessage, VerdictMessage
+from safedpa.bus.messages.topics import HEALTH, SCAN, STATE, key_of
 from safedpa.errors import InputError, RunError
 from safedpa.records import McapRecorder, load_run, read_messages
 from safedpa.records.column_map.file import parse_column_map
@@ -146,6 +146,33 @@ def test_a_robot_without_a_setup_is_known_by_its_numbers_and_by_whether_it_drive
     for unknown in (state_of(12, 2), state_of(4, 6), state_of(4, 2, field=())):
         with pytest.raises(RunError, match="no known kind of robot"):
             states_in_the_bag(tmp_path, unknown)
+
+
+def test_scans_are_exported_with_their_mount_and_commands_with_the_type_that_the_driver_received(
+    tmp_path: Path,
+) -> None:
+    from rosbags.highlevel import AnyReader
+
+    scan = ScanMessage(
+        **stamp(1), source="laser", mount=(0.2, 0.0, 0.5), first_angle=-1.0, angle_step=0.5, ranges=(1.5, -1.0, 9.0),
+        nearest=0.1, farthest=8.0, number=1,
+    )  # fmt: skip
+    health = messages.health_of("robot", commands="geometry_msgs/msg/TwistStamped")
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        kinds = ((STATE, state_of(5, 2)), (SCAN, scan), (HEALTH, health), (STATE, state_of(5, 2, tick=1)))
+        for number, (topic, message) in enumerate(kinds):
+            key = key_of("fleet", "r1", topic, "robot") if topic is HEALTH else key_of("fleet", "r1", topic)
+            recorder.write(key, encode(message), number, number)
+        path = recorder.path
+    export_bag(path, tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        found: dict[str, Any] = {
+            line.topic: reader.deserialize(raw, line.msgtype) for line, _, raw in reader.messages()
+        }
+    assert found["/r1/scan"].ranges.tolist() == pytest.approx([1.5, np.nan, np.inf], nan_ok=True)
+    assert found["/r1/scan"].header.frame_id == found["/tf_static"].transforms[0].child_frame_id == "r1/laser"
+    assert found["/tf_static"].transforms[0].transform.translation.x == 0.2
+    assert type(found["/r1/command"]).__name__.endswith("TwistStamped")
 
 
 @pytest.mark.long

@@ -418,5 +418,6 @@ class Gateway:
             refused=self.refused + self._sensor_inputs.refused,
             software=software_version(),
             latencies=latencies,
+            commands=self._command.type,
         )
         self._bus.publish(HEALTH, self._name, message, "robot")

@@ -11,13 +11,15 @@ from typing import Any
 
 from safedpa.bus.messages.messages import (
     ComputedMessage,
+    HealthMessage,
     Message,
     NominalMessage,
+    ScanMessage,
     SetupMessage,
     StateMessage,
     VerdictMessage,
 )
-from safedpa.bus.messages.topics import NOMINAL, SETUP, STATE, VERDICT, topic_of
+from safedpa.bus.messages.topics import HEALTH, NOMINAL, SCAN, SETUP, STATE, VERDICT, topic_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.model_file import parse_model
 from safedpa.errors import InputError, RecordingError, RunError, did_you_mean
@@ -25,13 +27,15 @@ from safedpa.records.readers.mcap import read_messages
 from safedpa.records.run import Finding
 from safedpa.ros.encoding import encode, stamp_of, type_store
 from safedpa.ros.face import AbstractFace
-from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
+from safedpa.ros.outgoing import diagnostics_of, laser_scan_of, odometry_of, path_marker, transform_of
 from safedpa.systems.robots import Robot, robot_like, robots
 
 _WORLD, _BODY = "odom", "base_link"
 _TYPES = {
     "odom": "nav_msgs/msg/Odometry",
     "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "scan": "sensor_msgs/msg/LaserScan",
     "state": "sensor_msgs/msg/JointState",
     "action": "sensor_msgs/msg/JointState",
     "nominal": "sensor_msgs/msg/JointState",
@@ -53,8 +57,9 @@ class ExportedBag:
 def export_bag(recording: Path, out: Path, robot: str | None = None) -> ExportedBag:
     """Writes the drive of one robot as a rosbag2 folder ``out`` with an MCAP file; times are those of ``_Clock``.
 
-    Topics: odometry, tf and command for a robot on the plane; state, nominal action and action as named numbers;
-    diagnostics of every verdict; markers of obstacles and of the predicted path. Raises InputError if ``out`` exists,
+    Topics: odometry, tf and command for a robot on the plane, of the type that its driver received; state, nominal
+    action and action as named numbers; the scans of each source, and its mount on ``/tf_static``; diagnostics of every
+    verdict; markers of obstacles and of the predicted path. Raises InputError if ``out`` exists,
     RunError if the recording cannot be used, and RecordingError if the bag cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -63,7 +68,8 @@ def export_bag(recording: Path, out: Path, robot: str | None = None) -> Exported
         raise InputError(f"{out}: exists already; name a new folder for the bag")
     findings: list[Finding] = []
     name, first = _robot_in(recording, robot)
-    converter = _RosConverter(name, *(_robot_of_setup(recording, name) or (_robot_by_shape(recording, first), None)))
+    known = _robot_of_setup(recording, name) or (_robot_by_shape(recording, first), None)
+    converter = _RosConverter(name, known[0], known[1], _driven_type(recording, name))
     exported = ExportedBag(name)
     try:
         with Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -110,6 +116,14 @@ def _robot_of_setup(recording: Path, name: str) -> tuple[Robot, PhysicsModel] | 
     return None
 
 
+def _driven_type(recording: Path, name: str) -> str:
+    """Message type that the gateway sent to the driver; empty if none was recorded."""
+    for key, _, message in read_messages(recording, None, (HEALTH,)):
+        if isinstance(message, HealthMessage) and message.commands and topic_of(key)[1] == name:
+            return message.commands
+    return ""
+
+
 def _robot_by_shape(recording: Path, state: StateMessage) -> Robot:
     for known in robots().values():
         shape = (len(known.system.state), len(known.system.action), not known.ros_face() or bool(state.field))
@@ -126,7 +140,7 @@ RosMessage = tuple[str, str, int, Mapping[str, Any]]
 def _converted(recording: Path, name: str, converter: _RosConverter, findings: list[Finding]) -> Iterator[RosMessage]:
     """Yields (topic, type, ns, fields) of every converted message, in recorded order."""
     clock = _Clock()
-    for key, _, message in read_messages(recording, findings, (STATE, VERDICT, NOMINAL)):
+    for key, _, message in read_messages(recording, findings, (STATE, VERDICT, NOMINAL, SCAN)):
         if topic_of(key)[1] == name:
             at = clock.of(message)
             for topic, kind, values in converter.of(message, at):
@@ -144,7 +158,7 @@ class _Clock:
         self._last = 0.0
 
     def of(self, message: Message) -> int:
-        if not isinstance(message, ComputedMessage | StateMessage):
+        if not isinstance(message, ComputedMessage | StateMessage | ScanMessage):
             return round(message.publish_time * 1e9)
         if message.epoch not in self._epoch_start and isinstance(message, StateMessage):
             first = max(message.publish_time, self._last + message.period) - message.robot_time
@@ -164,9 +178,12 @@ def _plain(name: str) -> str:
 class _RosConverter:
     """Converts bus messages of one robot to ROS messages."""
 
-    def __init__(self, name: str, robot: Robot, model: PhysicsModel | None = None) -> None:
+    def __init__(self, name: str, robot: Robot, model: PhysicsModel | None = None, command: str = "") -> None:
         self._name, self._system = name, robot.system
+        self._mounts: dict[str, tuple[float, ...]] = {}
         self._face: AbstractFace | None = robot.ros_face(model)
+        known = () if self._face is None else self._face.commands
+        self._command = command if command in known else (known[0] if known else "")
         self._frame = f"{_plain(name)}/{_BODY}"
         self._values: tuple[float, ...] = ()
         self._stamp = (0, -1)
@@ -181,13 +198,16 @@ class _RosConverter:
             yield "action", _TYPES["action"], self._numbers(head, self._system.action_names, message.applied)
             if self._face is not None:
                 pose = self._face.planar(message.values)
-                yield "odom", _TYPES["odom"], odometry_of(head, self._frame, *pose)
+                aside = self._face.aside(message.values)
+                yield "odom", _TYPES["odom"], odometry_of(head, self._frame, *pose, aside)
                 yield "/tf", _TYPES["/tf"], {"transforms": [transform_of(head, self._frame, *pose[:3])]}
-                command = self._face.commands[0]
+                command = self._command
                 header = {"header": head} if command.endswith("Stamped") else {}
                 yield "command", command, {**header, **self._face.message(command, message.applied, message.values)}
                 if message.obstacles:
                     yield "markers", _TYPES["markers"], {"markers": _obstacle_markers(head, message.obstacles)}
+        elif isinstance(message, ScanMessage):
+            yield from self._scan(message, at)
         elif isinstance(message, NominalMessage):
             yield "nominal", _TYPES["nominal"], self._numbers(head, self._system.action_names, message.values)
         elif isinstance(message, VerdictMessage):
@@ -195,6 +215,16 @@ class _RosConverter:
             if self._face is not None and len(message.predicted) > 1:
                 places = [self._face.planar(row)[:2] for row in message.predicted]
                 yield "markers", _TYPES["markers"], {"markers": [path_marker(head, places)]}
+
+    def _scan(self, message: ScanMessage, at: int) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+        """The scan in a frame of its source, whose mount is published before if it is new."""
+        frame = f"{_plain(self._name)}/{_plain(message.source)}"
+        if self._mounts.get(message.source) != message.mount:
+            self._mounts[message.source] = message.mount
+            head = {"stamp": stamp_of(at), "frame_id": self._frame}
+            yield "/tf_static", _TYPES["/tf_static"], {"transforms": [transform_of(head, frame, *message.mount[:3])]}
+        topic = "scan" if message.source == "laser" else f"scan/{_plain(message.source)}"
+        yield topic, _TYPES["scan"], laser_scan_of({"stamp": stamp_of(at), "frame_id": frame}, message)
 
     @staticmethod
     def _numbers(head: Mapping[str, Any], names: tuple[str, ...], values: tuple[float, ...]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from safedpa.bus.messages.messages import VerdictMessage
+    from safedpa.bus.messages.messages import ScanMessage, VerdictMessage
 
 Head = Mapping[str, Any]
 OK, WARN, ERROR = 0, 1, 2
@@ -38,6 +38,20 @@ def transform_of(head: Head, body: str, x: float, y: float, yaw: float) -> dict[
         "header": head,
         "child_frame_id": body,
         "transform": {"translation": {"x": x, "y": y}, "rotation": quaternion_of(yaw)},
+    }
+
+
+def laser_scan_of(head: Head, scan: ScanMessage) -> dict[str, Any]:
+    """``sensor_msgs/LaserScan`` (ROS REP 117): NaN where nothing was measured, inf without a return."""
+    ranges = [math.nan if one < 0.0 else math.inf if one >= scan.farthest else one for one in scan.ranges]
+    return {
+        "header": head,
+        "angle_min": scan.first_angle,
+        "angle_max": scan.first_angle + scan.angle_step * (len(ranges) - 1),
+        "angle_increment": scan.angle_step,
+        "range_min": scan.nearest,
+        "range_max": scan.farthest,
+        "ranges": ranges,
     }
 
 

@@ -277,6 +277,8 @@ class HealthMessage(Message):
     last heartbeat (the newest 100 at most)."""
     supervised: bool = False
     """Whether a supervisor started this process: there must then be a roster on the bus."""
+    commands: str = ""
+    """Gateway of a ROS 2 robot: type of the messages to its driver; empty for other services."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
