@@ -120,7 +120,7 @@ def roles() -> str:
 
 def asked() -> str:
     """Requests and answers with their fields."""
-    return _fields_of([Request, Answer], requests)
+    return _fields_of([Request, Answer, requests.LeaseRequest, requests.LeaseAnswer], requests)
 
 
 def events() -> str:

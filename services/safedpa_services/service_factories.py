@@ -114,6 +114,11 @@ def add_filter_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--margin", default="", metavar="FILE.toml", help="from 'safedpa calibrate'")
     parser.add_argument("--orders", default="", metavar="FILE", help="keeps stop orders across a restart")
     parser.add_argument(
+        "--standby",
+        action="store_true",
+        help="serve only with the router's lease, and wait for it while another filter holds it",
+    )
+    parser.add_argument(
         "--off", action="store_true", help="pass nominal actions on unchecked; every verdict reports 'disabled'"
     )
 

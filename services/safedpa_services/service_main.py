@@ -9,6 +9,8 @@ from contextlib import ExitStack
 from functools import partial
 
 from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
+from safedpa.bus.logging import log_event
+from safedpa.bus.service.lease import ASK_SECONDS, Lease, LeasedTransport, LeaseKeeper, wait_for_lease
 from safedpa.bus.service.process import (
     StopSignal,
     add_bus_options,
@@ -18,7 +20,7 @@ from safedpa.bus.service.process import (
 )
 from safedpa.bus.service.sandbox import JobHandle, JobProcess
 from safedpa.bus.service.service_log import ServiceLog
-from safedpa.bus.service.service_loop import Scheduler
+from safedpa.bus.service.service_loop import SHUTDOWN_SECONDS, Scheduler
 from safedpa.bus.transport.memory import JointTransport
 from safedpa.errors import InputError
 from safedpa.extras import need_linux
@@ -62,7 +64,16 @@ def serve(
             topic.name for service in services for topic in service.node.inputs
         )
         transport = JointTransport(transport, inside)
+    leased = LeasedTransport(transport) if getattr(options, "standby", False) else None
+    transport = leased or transport
+    stopped: Callable[[], bool] = stop
     with Bus(transport, options.fleet) as bus, ExitStack() as lifetimes:
+        if leased is not None:
+            keeper = _lease_of(services[0], leased, bus, stop)
+            if keeper is None:  # it was to end while it waited
+                return 0
+            lifetimes.callback(keeper.end)
+            stopped = partial(_reported, keeper, stop)
         for service in services:
             service.joined(bus)
         freeze_garbage_collector()
@@ -70,9 +81,34 @@ def serve(
             bus.announce(NO_ROBOT, service.node.name, service.setup.instance)
             lifetimes.enter_context(log_lifetime(service.node.name, stop))
         Scheduler([_loop(service, Bus(transport, options.fleet, serves=serves), options) for service in services]).run(
-            stop
+            stopped
         )
     return 0
+
+
+def _lease_of(service: PreparedService, leased: LeasedTransport, bus: Bus, stop: StopSignal) -> LeaseKeeper | None:
+    """Waits for the lease of the safety filter, and returns what keeps it; None if the process is to end."""
+    from safedpa.runtime.node import SafetyFilterNode
+
+    node = service.node
+    assert isinstance(node, SafetyFilterNode)  # no other service has the option
+    lease = Lease(partial(bus.ask_lease, timeout=ASK_SECONDS), service.setup.instance)
+    log_event("lease.waiting", "waits for the lease of the safety filter", service=node.name)
+    carried = wait_for_lease(lease, stop)
+    if carried is None:
+        return None
+    node.orders.inherit(carried)
+    leased.lease = lease
+    keeper = LeaseKeeper(lease, node.orders.text)
+    node.orders.on_change = keeper.renew_soon
+    log_event("lease.taken", f"holds the lease, as the {lease.term}. since the router's start", service=node.name)
+    return keeper
+
+
+def _reported(keeper: LeaseKeeper, stop: StopSignal) -> bool:
+    """Tells the keeper that the loop makes progress; returns whether it should end."""
+    keeper.progress(SHUTDOWN_SECONDS if stop() else 0.0)  # while it ends, the loop asks no more
+    return stop()
 
 
 def _run_model_trials_in_a_process(services: Sequence[PreparedService], options: argparse.Namespace) -> None:

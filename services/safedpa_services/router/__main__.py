@@ -40,7 +40,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
             robots=", ".join(options.robot),
         )
         revoked = None if options.certificates is None else options.certificates / REVOKED
-        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop, LoopWatchdog())
+        standby = "safety_filter" if options.standby else ""
+        Router(bus, refusals, transport.members, transport.cut_off, revoked, standby).run(stop, LoopWatchdog())
     return 0
 
 
@@ -88,6 +89,9 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         metavar="router.NAME[=ROBOT,...]",
         help="another router that may connect, and the robots whose messages it may forward; default: all",
+    )
+    parser.add_argument(
+        "--standby", action="store_true", help="a second safety filter may wait with the same certificate"
     )
     parser.add_argument("--plain", action="store_true", help="no certificates: every client may do everything")
     return parser

@@ -12,6 +12,7 @@ from typing import final
 from safedpa.bus import Bus
 from safedpa.bus.logging import log_event
 from safedpa.bus.security.access_control import ROLES, ROUTER
+from safedpa.bus.service.lease import LeaseTable
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
 from safedpa_services.router.refusals import Refusals
@@ -41,10 +42,11 @@ class DuplicateCertificates:
     because a router that was suspended loses all sessions at once and they return in any order.
 
     Only roles that announce themselves are checked; operators and health checks may connect any number of times.
+    ``standby`` names a role of which a second session may wait, without the lease to send.
     """
 
-    def __init__(self, members: Members, cut_off: CutOff = lambda sessions: 0) -> None:
-        self._members, self._cut_off = members, cut_off
+    def __init__(self, members: Members, cut_off: CutOff = lambda sessions: 0, standby: str = "") -> None:
+        self._members, self._cut_off, self._standby = members, cut_off, standby
         self._looks: dict[str, int] = {}
         """By name: number of consecutive looks with two sessions."""
         self._since: dict[str, int] = {}
@@ -62,12 +64,17 @@ class DuplicateCertificates:
             if role is not None and role.lives:
                 sessions.setdefault(name, set()).add(session)
         self._remember({session for found in sessions.values() for session in found})
-        self._looks = {name: self._looks.get(name, 0) + 1 for name, found in sessions.items() if len(found) > 1}
+        self._looks = {
+            name: self._looks.get(name, 0) + 1 for name, found in sessions.items() if len(found) > self._most(name)
+        }
         known = {name for name in self._looks if sessions[name] & self._copies}
         lasting = sorted(known | {name for name, looks in self._looks.items() if looks >= _LOOKS})
         for name in lasting:
             self._report(name, sessions[name])
         return lasting
+
+    def _most(self, name: str) -> int:
+        return 2 if name == self._standby else 1
 
     def _remember(self, alive: set[str]) -> None:
         began = 0 if self._number <= _OPENING_LOOKS else self._number
@@ -77,7 +84,7 @@ class DuplicateCertificates:
             del self._since[oldest]
 
     def _report(self, name: str, sessions: set[str]) -> None:
-        first = min(self._since[session] for session in sessions)
+        first = sorted(self._since[session] for session in sessions)[self._most(name) - 1]
         later = {session for session in sessions if self._since[session] > first}
         cut = self._cut_off(later) if later else 0
         self._copies |= later
@@ -126,7 +133,7 @@ def read_revocation_list(path: Path) -> frozenset[str]:
 
 
 class Router:
-    """Sends the router's heartbeats, with the number of refusals and the newest one."""
+    """Sends the router's heartbeats, with the number of refusals and the newest one, and grants the filters' lease."""
 
     def __init__(
         self,
@@ -135,9 +142,11 @@ class Router:
         members: Members = tuple,
         cut_off: CutOff = lambda sessions: 0,
         revoked: Path | None = None,
+        standby: str = "",
     ) -> None:
         self._bus, self._refusals = bus, refusals
-        self._duplicates = DuplicateCertificates(members, cut_off)
+        self._duplicates = DuplicateCertificates(members, cut_off, standby)
+        bus.answer_leases(LeaseTable().ask)
         self._revoked = RevocationList(revoked, members, cut_off)
         self._twice: list[str] = []
         self._beats = 0

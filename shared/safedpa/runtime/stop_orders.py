@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -36,6 +36,8 @@ class StopOrders:
         self._active: Mapping[str, str] = MappingProxyType({} if path is None else _read(path))
         """Reason of the order by robot. Replaced as a whole, so that a tick can read it without the lock."""
         self._ending = ""
+        self.on_change: Callable[[], None] = lambda: None
+        """Called on any thread after orders have changed."""
 
     def reason(self, robot: str) -> str:
         """Returns why the robot has to stop; empty if it may drive."""
@@ -54,6 +56,17 @@ class StopOrders:
     def active(self) -> dict[str, str]:
         """The orders in force by robot; ``-`` is the whole fleet."""
         return dict(self._active)
+
+    def text(self) -> str:
+        """Returns the orders in force, for another filter that takes over."""
+        return _text(self._active)
+
+    def inherit(self, text: str) -> None:
+        """Adds the orders of the filter before this one; if they cannot be read, the whole fleet is stopped."""
+        if not text:
+            return
+        with self._lock:
+            self._change({**_parsed(text, "what the filter before carried on"), **self._active})
 
     def answer(self, robot: str, request: Request) -> Answer:
         """Handles ``stop``, ``go`` or ``status`` for a robot, or for the fleet (``-``).
@@ -96,10 +109,11 @@ class StopOrders:
         """Applies the orders, then writes them to disk; returns a problem with the disk, or an empty text."""
         # Applied first: a slow or full disk must not delay a stop.
         self._active = MappingProxyType(active)
+        self.on_change()
         if self._path is None:
             return ""
         try:
-            write_through(self._path, json.dumps({"format": _FORMAT, "orders": active}))
+            write_through(self._path, _text(active))
         except OSError as error:
             return f"{self._path} cannot be written ({error.strerror})"
         return ""
@@ -117,9 +131,17 @@ def _read(path: Path) -> dict[str, str]:
         return {}
     except (OSError, UnicodeDecodeError, InputError) as error:
         return {EVERYBODY: f"because the orders in {path} cannot be read ({type(error).__name__})"}
+    return _parsed(text, str(path))
+
+
+def _text(active: Mapping[str, str]) -> str:
+    return json.dumps({"format": _FORMAT, "orders": dict(active)})
+
+
+def _parsed(text: str, source: str) -> dict[str, str]:
     with contextlib.suppress(InputError, AttributeError):
         table = parse_json(text)
         orders = table.get("orders")
         if table.get("format") == _FORMAT and isinstance(orders, dict):
             return {str(robot): str(why) for robot, why in orders.items()}
-    return {EVERYBODY: f"because {path} has no orders of format {_FORMAT}"}
+    return {EVERYBODY: f"because {source} has no orders of format {_FORMAT}"}

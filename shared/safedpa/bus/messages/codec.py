@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from safedpa.bus.messages.messages import Message
-from safedpa.bus.messages.requests import Answer, Request
+from safedpa.bus.messages.requests import Answer, LeaseAnswer, LeaseRequest, Request
 from safedpa.bus.messages.topics import TOPICS
 from safedpa.errors import MessageError
 
@@ -25,10 +25,12 @@ LARGEST_BYTES: dict[type[Any], int] = {
     **{topic.message: topic.largest_bytes for topic in TOPICS.values()},
     Request: 4096,
     Answer: 8 * 1024 * 1024,  # two model files and their margins
+    LeaseRequest: 1024 * 1024,  # stop orders of a thousand robots
+    LeaseAnswer: 1024 * 1024,
 }
 """Size limit in bytes by type of message; larger payloads are rejected before they are parsed."""
 
-_M = TypeVar("_M", bound="Message | Request | Answer")
+_M = TypeVar("_M", bound="Message | Request | Answer | LeaseRequest | LeaseAnswer")
 
 
 def _plain(value: object) -> float:
@@ -46,7 +48,7 @@ _READERS: dict[type[Any], Callable[[bytes], Any]] = {
 _pack = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 
 
-def encode(message: Message | Request | Answer) -> bytes:
+def encode(message: Message | Request | Answer | LeaseRequest | LeaseAnswer) -> bytes:
     """Returns the message as a msgpack map from field names to values."""
     return _pack(message)
 

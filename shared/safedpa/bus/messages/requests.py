@@ -22,6 +22,8 @@ SENSE = "sense"
 """Last part of the key for requests to perception, which switch sources and zones: ``switch`` or ``status``."""
 AGREED = "agreed"
 """Last part of the key under which services ask each other for the agreed model while no diagnosis is running."""
+LEASE = "lease"
+"""Last part of the key under which instances of the safety filter ask the router which of them may send."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +82,31 @@ class Answer:
     """Number of earlier models to which one can roll back."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseRequest:
+    """An instance asks for the lease of its service, or renews it."""
+
+    holder: str
+    """Identifier of the instance."""
+    carried: str = ""
+    """From the holder: what the next holder has to know, such as stop orders."""
+    releases: bool = False
+    """The holder ends and gives the lease back."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseAnswer:
+    """The router's answer: whether the instance holds the lease, for a fixed time from its question on."""
+
+    granted: bool
+    term: Count
+    """Counts the holders since the router's start."""
+    wait: float = 0.0
+    """Seconds until the lease of the present holder ends."""
+    carried: str = ""
+    """What the last holder wanted carried on."""
+
+
 def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:
     """Returns the key expression ``safedpa/{fleet}/{robot}/{name}``; ``*`` as robot matches every robot.
 
@@ -93,7 +120,7 @@ def robot_of_request(key: str) -> str:
     """Returns the robot that a request is about. Raises InputError unless the key names exactly one robot."""
     parts = key.split("/")
     # A wildcard would let one query address every robot of the fleet.
-    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, SENSE, AGREED) or "*" in key:
+    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, SENSE, AGREED, LEASE) or "*" in key:
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]
 

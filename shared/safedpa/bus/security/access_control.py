@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from safedpa.bus.messages.requests import AGREED, ORDER, REQUEST, SENSE, STATUS, request_key
+from safedpa.bus.messages.requests import AGREED, LEASE, ORDER, REQUEST, SENSE, STATUS, request_key
 from safedpa.bus.messages.topics import (
     ACTION,
     BUNDLE,
@@ -80,7 +80,7 @@ ROLES: dict[str, Role] = {
         Role(
             "safety_filter",
             (STATE, SURROUNDINGS, LATENT, NOMINAL, MODEL),
-            (STATUS, AGREED),
+            (STATUS, AGREED, LEASE),
             (AGREED, ORDER),
             takes_over=True,
         ),

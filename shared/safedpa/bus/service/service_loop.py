@@ -42,7 +42,7 @@ from safedpa.errors import BusError, InputError
 # Longest wait for a message, so that `stopped` and the batch interval are checked even if no message arrives.
 _LONGEST_WAIT_SECONDS = 0.25
 # Time limit of the shutdown: a car brakes from full speed in 1.2 s, and Docker kills a container after 10 s.
-_SHUTDOWN_SECONDS = 5.0
+SHUTDOWN_SECONDS = 5.0
 # Longest wait while shutting down, so that the process ends soon after the last robot has stopped.
 _SHUTDOWN_WAIT_SECONDS = 0.05
 
@@ -142,7 +142,7 @@ class Scheduler:
                 loop.begin_shutdown()
             # The filter keeps braking its robots meanwhile; leaving at once would hand each over to its own watchdog.
             clock = self._loops[0].clock
-            end = clock() + _SHUTDOWN_SECONDS
+            end = clock() + SHUTDOWN_SECONDS
             while clock() < end and any(loop.is_needed for loop in self._loops):
                 self._turn(_SHUTDOWN_WAIT_SECONDS)
         finally:

@@ -9,7 +9,18 @@ from typing import Any
 
 from safedpa.bus.messages.codec import Entry, decode, encode, pack_bundle, split_into_bundles
 from safedpa.bus.messages.messages import HealthMessage, Message, header
-from safedpa.bus.messages.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
+from safedpa.bus.messages.requests import (
+    AGREED,
+    LEASE,
+    REQUEST,
+    STATUS,
+    Answer,
+    LeaseAnswer,
+    LeaseRequest,
+    Request,
+    request_key,
+    robot_of_request,
+)
 from safedpa.bus.messages.service_info import is_supervised, software_version
 from safedpa.bus.messages.topics import BUNDLE, HEALTH, NO_ROBOT, Topic, key_of
 from safedpa.bus.transport.base import AbstractTransport
@@ -192,6 +203,25 @@ class Bus:
 
         for kind in kinds:
             self._transport.answer(request_key(self.fleet, robot, kind), on_question)
+
+    def ask_lease(self, request: LeaseRequest, timeout: float) -> LeaseAnswer | None:
+        """Asks the router for the lease of a service; None without a valid answer within ``timeout`` [s]."""
+        payload = self._transport.ask(request_key(self.fleet, NO_ROBOT, LEASE), encode(request), timeout)
+        try:
+            return None if payload is None else decode(LeaseAnswer, payload)
+        except MessageError:
+            return None
+
+    def answer_leases(self, answer: Callable[[LeaseRequest], LeaseAnswer]) -> None:
+        """Answers the instances that ask for a lease, on any thread; malformed questions get no answer."""
+
+        def on_question(_key: str, payload: bytes) -> bytes | None:
+            try:
+                return encode(answer(decode(LeaseRequest, payload)))
+            except MessageError:
+                return None
+
+        self._transport.answer(request_key(self.fleet, NO_ROBOT, LEASE), on_question)
 
     def announce(self, robot: str, service: str, instance: str) -> None:
         """Declares that an instance of ``service`` is alive; for services of the whole fleet the robot is ``-``."""
