@@ -1,11 +1,12 @@
 """Long runs and runs on a full disk: what counts as growth, and what is refused by a limit."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from safedpa.errors import SafedpaError
-from safedpa_lab.experiments.operation import full_disk, soak
+from safedpa_lab.experiments.operation import full_disk, silences, soak
 
 HOUR = 3600.0
 
@@ -59,3 +60,30 @@ def test_each_fault_of_a_run_on_a_full_disk_is_one_trouble(changes: dict[str, An
     assert len(full_disk.trouble_of({**good, **changes})) == 1
     with pytest.raises(SafedpaError, match="drive, 40000 bytes"):
         full_disk.verdict({"runs": [{**good, **changes}]})
+
+
+def test_the_samples_of_a_stopped_run_are_judged_without_the_line_that_was_cut(tmp_path: Path) -> None:
+    (tmp_path / "samples").write_text('{"seconds": 1.0, "page": 2.0}\n{"seconds": 2.0, "page": 4.0}\n{"seconds": 3')
+    found = soak.judged(soak.recorded(tmp_path / "samples"), 2.0)
+    assert (found["samples"], found["page_mb"]) == (2, 4.0)
+
+
+RIGHT = {"victim": "robot", "seconds": {"status": 1.2}, "lapsed": [], "ends": False, "returned": 0.4}
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "text"),
+    [
+        ("hang", {"seconds": {"status": 2.1}}, "robot: status after 2.1 s"),
+        ("hang", {"seconds": {"status": None}}, "robot: status after never"),
+        ("hang", {"lapsed": ["metrics"]}, "robot: metrics was right only for a time"),
+        ("kill", {"returned": 10.1}, "robot: replaced after 10.1 s"),
+        ("kill", {"unreported": True}, "robot: status does not know that it was restarted"),
+    ],
+)
+def test_each_wrong_place_fails_the_silences(kind: str, changes: dict[str, Any], text: str) -> None:
+    result = {"kind": kind, "seconds": 8.0, "rows": [RIGHT, {**RIGHT, "ends": True, "returned": None}]}
+    silences.verdict(result)
+    assert silences.report(result).count("1.2 |") == 2
+    with pytest.raises(SafedpaError, match=text):
+        silences.verdict({**result, "rows": [{**RIGHT, **changes}]})

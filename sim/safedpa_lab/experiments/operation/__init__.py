@@ -6,7 +6,7 @@ the disk of a run in each phase, ``silences.py`` hangs or kills its processes.
 
 from __future__ import annotations
 
-from safedpa_lab.experiments.record import FILE_OUT, Experiment, integer, number, repeated, switch
+from safedpa_lab.experiments.record import FILE_OUT, Experiment, integer, number, path, repeated, switch
 
 __all__ = ["EXPERIMENTS"]
 
@@ -23,6 +23,7 @@ EXPERIMENTS = (
             number("--minutes", 60.0, "of driving", least=1.0),
             integer("--robots", 3, positive=True),
             integer("--seed", 1),
+            path("--samples", "also append each sample to this file, of which a stopped run can be judged"),
             FILE_OUT,
         ),
         report=f"{__name__}.soak:report",

@@ -27,7 +27,7 @@ LIMIT_SECONDS: Final = 2.0
 """Time until a place is right; an alert follows the metrics after the delay that its rule states."""
 RETURN_SECONDS: Final = 10.0
 """Time until a killed process is replaced and all is healthy."""
-_PATIENCE_SECONDS = 60.0
+_PATIENCE_SECONDS = 180.0
 _POLL_SECONDS = 0.05
 
 

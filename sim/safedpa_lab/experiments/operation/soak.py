@@ -14,12 +14,15 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from safedpa.errors import SafedpaError
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 GROWTH_MB: Final = 5.0
 """Largest growth of a process from the tenth minute to the end of an hour."""
@@ -42,7 +45,8 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment soak``."""
     seconds = 60.0 * options["minutes"]
     with tempfile.TemporaryDirectory(prefix="safedpa-soak-") as name:
-        samples, summary = _driven(Path(name), seconds, options["robots"], options["seed"], report_progress)
+        command = ["--robots", str(options["robots"]), "--seed", str(options["seed"]), "--seconds", repr(seconds)]
+        samples, summary = _driven(Path(name), seconds, command, options["samples"], report_progress)
     return {"experiment": "soak", "robots": options["robots"], "minutes": options["minutes"], "run": summary} | judged(
         samples, seconds
     )
@@ -104,11 +108,15 @@ def _slope(samples: Sequence[Sample], name: str) -> float:
     return float(np.polyfit(times, values, 1)[0]) if len(rows) > 1 else 0.0
 
 
+def recorded(path: Path) -> list[Sample]:
+    """Returns the samples that a run has written so far, to judge one that was stopped; the last line may be cut."""
+    return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
+
+
 def _driven(
-    folder: Path, seconds: float, robots: int, seed: int, report_progress: ReportProgress
+    folder: Path, seconds: float, options: Sequence[str], record: Path | None, report_progress: ReportProgress
 ) -> tuple[list[Sample], dict[str, Any]]:
-    command = [sys.executable, "-m", "safedpa_services", "up", "--robots", str(robots), "--seed", str(seed)]
-    command += ["--seconds", repr(seconds), "--out", str(folder / "runs")]
+    command = [sys.executable, "-m", "safedpa_services", "up", *options, "--out", str(folder / "runs")]
     with (folder / "output").open("wb") as output:
         running = subprocess.Popen(command, stdout=output, stderr=output)
     try:
@@ -117,6 +125,9 @@ def _driven(
             began, samples = time.monotonic(), list[Sample]()
             while running.poll() is None and (passed := time.monotonic() - began) < seconds + _END_SECONDS:
                 samples.append({"seconds": passed, **_memory(running.pid), **_files(folder), "page": _tree_mb(browser)})
+                if record is not None:
+                    with record.open("a") as file:
+                        file.write(json.dumps(samples[-1]) + "\n")
                 report_progress(min(int(passed), int(seconds)), int(seconds))
                 time.sleep(_SAMPLE_SECONDS)
         if running.poll() is None:
@@ -152,10 +163,26 @@ def _browser(addresses: Sequence[str]) -> Iterator[int]:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=program, args=list(_BROWSER))
         for address in addresses:
-            browser.new_page(viewport={"width": 1400, "height": 900}).goto(address, timeout=1e3 * _START_SECONDS)
+            _open(browser.new_page(viewport={"width": 1400, "height": 900}), address)
         (driver, *_) = set(_children(os.getpid())) - before
         yield driver
         browser.close()
+
+
+def _open(page: Page, address: str) -> None:
+    """Opens an address, again while its server does not accept connections: on a busy machine it may be restarting."""
+    from playwright.sync_api import Error
+
+    until = time.monotonic() + _START_SECONDS
+    while True:
+        try:
+            page.goto(address, timeout=1e3 * _START_SECONDS)
+        except Error as error:
+            if "ERR_CONNECTION" not in str(error) or time.monotonic() > until:
+                raise SafedpaError(f"soak: {str(error).splitlines()[0]}") from error
+            time.sleep(1.0)
+        else:
+            return
 
 
 def _summary(folder: Path) -> dict[str, Any]:
