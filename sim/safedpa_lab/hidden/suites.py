@@ -141,6 +141,13 @@ def _towing(index: int, seed: int) -> Case:
     return Case("towing", seed, hidden, load=load.name)
 
 
+def _one_log(seed: int) -> Case:
+    """Side wind and a speed servo that reaches too little, in one log: greedy search named a third effect."""
+    random = np.random.default_rng(seed)
+    effects = {name: CAR_EFFECTS[name].drawn(random) for name in ("constant_force", "speed_command_gain")}
+    return Case("one_log", seed, effects, runs=1)
+
+
 def _bad(index: int, seed: int) -> Case:
     fault = list(BAD)[index % len(BAD)]
     throttle = fault == "percent" or (index // len(BAD)) % 2 == 1
@@ -163,7 +170,9 @@ SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
         "wheels", "differential_drive", WHEELS_EFFECTS, index, seed, runs=4, seconds=30.0
     ),
     "wheels_none": lambda _, seed: Case("wheels_none", seed, {}, "differential_drive", runs=4, seconds=30.0),
+    "one_log": lambda _, seed: _one_log(seed),
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard
 logs; two or three drawn ones; nothing; a pendulum's; the pymunk car with a chair hitched; effects in a place, that sag,
-and with the speed; nothing, but one of the runs gone bad; a differential drive's, and one with nothing hidden."""
+and with the speed; nothing, but one of the runs gone bad; a differential drive's, and one with nothing hidden;
+side wind and a reduced speed in one log."""

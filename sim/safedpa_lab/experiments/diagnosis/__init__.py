@@ -28,7 +28,7 @@ __all__ = ["EXPERIMENTS"]
 
 _SUITES = (
     "ordinary", "fifth", "two", "three", "hard", "none", "none_hard", "pendulum", "towing", "patches", "sags",
-    "speed_gains", "bad", "wheels", "wheels_none", "all",
+    "speed_gains", "bad", "wheels", "wheels_none", "one_log", "all",
 )  # fmt: skip
 """Of hidden effects; the list of all experiments is read without the optional packages that a suite needs."""
 _OWN_SUITES = ("own_one", "own_two", "own_none", "own_outside")
