@@ -132,7 +132,7 @@ def module_from(path: Path) -> ModuleType:
     name = f"safedpa_own_effects_{path.stem}"
     specification = importlib.util.spec_from_file_location(name, path)
     if not path.is_file() or specification is None or specification.loader is None:
-        raise InputError(f"{path}: got no Python file, wanted one that defines effects")
+        raise InputError(f"{path}: got no Python file, wanted one that defines effects or a robot, such as my_robot.py")
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module  # before it runs: dataclasses and pickle look a class's module up there
     try:
