@@ -6,7 +6,7 @@ Images, commands, health checks, limits and rights are read from the compose fil
 ``kubernetes_region.yml.j2``. docs/guides/run-a-fleet.md describes the differences. ``--certificates`` is a folder of
 ``safedpa certificates``: each role's three files become a Secret that its pod alone mounts; without it the Secrets have
 to exist. ``--robots`` simulates so many; real robots reach the router by a load balancer, from the networks that
-``--robots-from`` names.
+``--robots-from`` names. ``--kustomize DIR`` writes a base for Kustomize instead of one document: a file per object.
 """
 
 from __future__ import annotations
@@ -29,11 +29,18 @@ Document = dict[str, Any]
 COMPOSE = Path(__file__).resolve().parents[1] / "docker-compose.yml"
 TEMPLATE = Path(__file__).with_suffix(".yml.j2")
 AUTHORITY, ROUTER, ROBOT, HEALTH = "authority", "router", "robot", "healthcheck"
+WITH_STANDBY = "safety_filter"
+"""The service with a second pod that waits for the lease of the first."""
 PORT = 7447
 USER = 10001
 """Of the images."""
 _ALL_SHARES = 4096
 """CPU shares of a container of the loop, which gets whole cores."""
+_VERSION = re.findall(r'^version = "([^"]+)"', (COMPOSE.parent / "pyproject.toml").read_text(encoding="utf-8"), re.M)[0]
+_ABOUT_BASE = """\
+# A region of the fleet, written by deploy/kubernetes_region.py. In your overlay: resources: [../base], namespace: NAME,
+# images: [{name: safedpa-router, newName: REGISTRY/safedpa-router, newTag: TAG}, ...], and the Secrets ROLE-key.
+"""
 _VARIABLE = re.compile(r"\$\{(\w+):-([^}]*)\}")
 
 
@@ -63,10 +70,44 @@ def region(namespace: str, robots: int = 0, certificates: Path | None = None, ou
         services=[_described(name, service) for name, service in services.items()],
         robot=_described(ROBOT, robot),
         names=names,
+        labels=_labels,
         port=PORT,
         user=USER,
     )
     return list(yaml.safe_load_all(text))
+
+
+def _labels(component: str) -> dict[str, str]:
+    """Returns the labels that Kubernetes recommends."""
+    return {
+        "app.kubernetes.io/name": "safedpa",
+        "app.kubernetes.io/component": component,
+        "app.kubernetes.io/part-of": "safedpa",
+        "app.kubernetes.io/version": _VERSION,
+        "app.kubernetes.io/managed-by": "kubernetes_region.py",
+    }
+
+
+def write_base(documents: Sequence[Document], folder: Path) -> list[Path]:
+    """Writes ``kustomization.yaml`` and a file per object; returns the files. Secrets are left out, with a comment.
+
+    Raises OSError if the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for document in documents:
+        if document["kind"] == "Secret":  # keys belong into no repository of manifests
+            continue
+        files.append(folder / f"{document['kind'].lower()}-{document['metadata']['name']}.yaml")
+        files[-1].write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    base = {
+        "apiVersion": "kustomize.config.k8s.io/v1beta1",
+        "kind": "Kustomization",
+        "resources": [file.name for file in files],
+    }
+    files.append(folder / "kustomization.yaml")
+    files[-1].write_text(_ABOUT_BASE + yaml.safe_dump(base, sort_keys=False), encoding="utf-8")
+    return files
 
 
 def _files(folder: Path, roles: Sequence[str]) -> dict[str, str]:
@@ -81,6 +122,8 @@ def _described(name: str, service: Mapping[str, Any]) -> Document:
     if name == ROBOT:  # its keys are mounted elsewhere
         place = args[args.index("--certificates") + 1]
         args = ["/certificates" if word == place else word for word in args]
+    if name in (ROUTER, WITH_STANDBY):
+        args.append("--standby")
     ports = [int(entry.rsplit(":", 1)[1]) for entry in service.get("ports", ())]
     limits = {"cpu": str(service["cpus"]), "memory": _size(service["mem_limit"])}
     share = round(1000 * float(service["cpus"]) * service["cpu_shares"] / _ALL_SHARES)
@@ -91,6 +134,7 @@ def _described(name: str, service: Mapping[str, Any]) -> Document:
         **service,
         "name": _dns(name),
         "args": args,
+        "replicas": 2 if name == WITH_STANDBY else 1,
         "env": [{"name": key, "value": _resolved(value)} for key, value in service.get("environment", {}).items()],
         "open": ports or ([PORT] if name == ROUTER else []),
         "ports": [{"containerPort": port} for port in ports],
@@ -144,9 +188,13 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=0, metavar="N", help="simulated ones, robot-1 to robot-N")
     parser.add_argument("--certificates", type=Path, metavar="DIR", help="of safedpa certificates")
     parser.add_argument("--robots-from", action="append", default=[], metavar="CIDR", help="a network of real robots")
+    parser.add_argument("--kustomize", type=Path, metavar="DIR", help="write a base for Kustomize, without Secrets")
     options = parser.parse_args()
     try:
         documents = region(options.namespace, options.robots, options.certificates, options.robots_from)
+        if options.kustomize is not None:
+            write_base(documents, options.kustomize)
+            return
     except (OSError, ValueError) as error:
         parser.error(str(error))
     yaml.safe_dump_all(documents, sys.stdout, sort_keys=False)

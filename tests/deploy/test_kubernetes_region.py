@@ -16,7 +16,7 @@ from safedpa.bus.security.certificate_authority import HOSTS, Authority
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "deploy"))
 
 import robot as robot_start
-from kubernetes_region import region
+from kubernetes_region import region, write_base
 
 ROOT = Path(__file__).resolve().parents[2]
 Document = dict[str, Any]
@@ -57,7 +57,8 @@ def _pod(documents: list[Document], name: str) -> tuple[Document, Document]:
 def test_image_command_and_health_check_are_those_of_the_compose_file(documents: list[Document], name: str) -> None:
     _, container = _pod(documents, name)
     phrase = [word.replace("${SAFEDPA_ROS_NAME:-ros-1}", "ros-1") for word in COMPOSE[name]["command"]]
-    assert (container["image"], container["args"]) == (COMPOSE[name]["image"], phrase)
+    more = ["--standby"] if name in ("router", "safety_filter") else []
+    assert (container["image"], container["args"]) == (COMPOSE[name]["image"], phrase + more)
     assert container["livenessProbe"]["exec"]["command"] == COMPOSE[name]["healthcheck"]["test"][1:]
     assert container["livenessProbe"]["timeoutSeconds"] == 8
 
@@ -97,19 +98,38 @@ def test_rights_are_those_that_the_strictest_namespace_asks_for(documents: list[
     assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
     assert not pod["automountServiceAccountToken"]
     (namespace,) = _of(documents, "Namespace").values()
-    assert namespace["metadata"]["labels"] == {"pod-security.kubernetes.io/enforce": "restricted"}
+    assert namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"] == "restricted"
 
 
 @each_service
-def test_of_each_service_there_is_one_and_the_loop_has_whole_cores_on_one_node(documents, name):
+def test_of_each_service_but_the_filter_there_is_one_and_the_loop_has_whole_cores_on_one_node(documents, name):
     deployment = _of(documents, "Deployment")[name.replace("_", "-")]["spec"]
-    assert (deployment["replicas"], deployment["strategy"]) == (1, {"type": "Recreate"})
+    # A third filter, as a surge would start, has no certificate that the router lets join.
+    two = (2, {"type": "RollingUpdate", "rollingUpdate": {"maxSurge": 0, "maxUnavailable": 1}})
+    wanted = two if name == "safety_filter" else (1, {"type": "Recreate"})
+    assert (deployment["replicas"], deployment["strategy"]) == wanted
     pod, container = _pod(documents, name)
     limits, asked = container["resources"]["limits"], container["resources"]["requests"]
     assert limits["memory"] == COMPOSE[name]["mem_limit"].replace("m", "Mi").replace("g", "Gi")
     assert (limits == asked) == (name in LOOP)
     alongside = [each["topologyKey"] for each in _alongside(pod)]
     assert alongside == (["kubernetes.io/hostname"] if name in LOOP[1:] else [])
+
+
+def test_every_object_and_pod_has_the_recommended_labels(documents: list[Document]) -> None:
+    templates = [each["spec"]["template"] for each in documents if "template" in each.get("spec", {})]
+    for each in [*(each for each in documents if each["kind"] != "Secret"), *templates]:
+        labels = {name.rpartition("/")[2]: value for name, value in each["metadata"]["labels"].items()}
+        assert (labels["part-of"], labels["version"]) == ("safedpa", "0.1.0")
+        assert labels["component"]
+
+
+def test_the_base_for_kustomize_lists_every_object_but_the_keys(documents: list[Document], tmp_path: Path) -> None:
+    files = write_base(documents, tmp_path / "base")
+    assert {file.name for file in (tmp_path / "base").iterdir()} == {file.name for file in files}
+    base = yaml.safe_load((tmp_path / "base" / "kustomization.yaml").read_text(encoding="utf-8"))
+    held = [yaml.safe_load((tmp_path / "base" / name).read_text(encoding="utf-8")) for name in base["resources"]]
+    assert held == [each for each in documents if each["kind"] != "Secret"]
 
 
 def _alongside(pod: Document) -> list[Document]:
