@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -95,11 +96,16 @@ def test_an_unreadable_log_costs_itself_and_one_that_did_not_arrive_is_tried_aga
     assert diagnosed()["diagnosed_now"] == 0
     stored("r3/a.csv")
 
-    def broken(*_: object, **__: object) -> None:
-        raise ConnectionError("the store is away")
+    memory = type(fsspec.filesystem("memory"))
+    usual = vars(memory)["_open"]
+
+    def broken(store: Any, path: str, mode: str = "rb", **more: Any) -> Any:
+        if mode == "rb" and path.endswith("r3/a.csv"):
+            raise ConnectionError("the store is away")
+        return usual(store, path, mode, **more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(fsspec.filesystem("memory")), "_open", broken)
+        patch.setattr(memory, "_open", broken)
         assert diagnosed()["diagnosed_now"] == 1
     assert diagnosed()["diagnosed_now"] == 1
 
