@@ -95,14 +95,17 @@ def _lagged(column: FloatArray, time_constant: float, windows: Windows) -> Float
         return column
     decays = np.exp(-windows.period / time_constant)
     share = (1.0 - decays) * time_constant / windows.period
-    return np.asarray(column + (_lag_output(column, decays, windows) - column) * share)
+    return np.asarray(column + (lag_output(column, decays, windows) - column) * share)
 
 
-def _lag_output(column: FloatArray, decays: FloatArray, windows: Windows) -> FloatArray:
-    """Returns the output at the beginning of each row: out[k+1] = decay[k] out[k] + (1 - decay[k]) command[k]."""
+def lag_output(column: FloatArray, decays: FloatArray, windows: Windows, *, from_zero: bool = False) -> FloatArray:
+    """Returns the output at the beginning of each row: out[k+1] = decay[k] out[k] + (1 - decay[k]) command[k].
+
+    A stretch begins with its first command, or with 0.
+    """
     begin = _first_rows(windows)
     retained, found = np.roll(decays, 1), np.roll((1.0 - decays) * column, 1)
-    retained[begin], found[begin] = 0.0, column[begin]
+    retained[begin], found[begin] = 0.0, 0.0 if from_zero else column[begin]
     offset = 1
     while offset < len(column) and retained.max() > _NEGLIGIBLE:
         found[offset:] += retained[offset:] * found[:-offset]

@@ -1,10 +1,12 @@
 """Adequacy: whether what a model leaves of unseen data is noise and disturbance, or depends on what was driven.
 
-Measurement noise and a disturbance from outside do not depend on state, action, time or history. So two regressions
+Measurement noise and a disturbance from outside do not depend on state, action, time or history. So three regressions
 are tried on unseen folds:
 
 - of the missing rates on powers, products and piecewise linear functions of every state and action, on past actions,
   and on the time, all together, with a ridge penalty;
+- of the missing rates on each action times a low-pass of its size: an actuator that weakens as it heats up, or a clutch
+  that slips, depends on all that was commanded before;
 - of the size of the residual of each window on the sizes of the states and actions in it: what grows with the command
   is no disturbance from outside, even if its mean is 0.
 
@@ -27,6 +29,8 @@ from functools import cached_property
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.comparison.actuators import lag_output
+from safedpa.comparison.rollout import effective_actions
 from safedpa.comparison.where import POSITION
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting, measurement_noise
@@ -35,6 +39,8 @@ from safedpa.diagnosis.report_schema import Remainder
 from safedpa.diagnosis.residuals.weak_sindy import (
     PastAction,
     Regression,
+    RowTerm,
+    is_significant,
     regression_of,
     terms_of,
     usual_sizes,
@@ -66,6 +72,9 @@ _FREQUENCIES = 160
 _MOST_COLUMNS = 200
 # Ages of past actions, in lengths of a window.
 _AGES = (0.1, 0.25, 0.5, 1.0, 2.0)
+# Time constants of the memory of an actuator, from half a window to a quarter of the longest stretch, and the share of
+# commands that are large ones.
+_MEMORIES, _LARGE_SHARE = 6, 0.4
 # Windows in a third of all that are compared, and multiples of the median at which their squares are clipped.
 _MIN_THIRD, _CLIPPED = 5, 20.0
 # Variance of the time at which a command changes, in squares of the shift that was tried: it is anywhere within a
@@ -84,7 +93,8 @@ def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) 
         fitted = fit(trial.fit.model, trial.fit.paths, windows, trial.fit.scale, steps=2)
         tried.append((trial_of(fitted, windows, (), None), windows))
     best, windows = min(tried, key=lambda item: item[0].fit.value)
-    share, errors = max(_dependence(best, windows, states), _periodic(best, windows, states), key=lambda item: item[0])
+    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening)]
+    share, errors = max(found, key=lambda item: item[0])
     spread, variable, spread_errors = _spread(best, windows, _squares_by_timing(best, windows))
     return Remainder(share, errors, spread, variable, spread_errors, noise_share(best, windows))
 
@@ -119,6 +129,44 @@ def _periodic(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> 
             now[held] += (values[held] - wanted.mean()) ** 2
             remaining[held] += (values[held] - waves[best][held] @ solved[best, :, 0]) ** 2
     return 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), standardized_gain(now - remaining, shooting)
+
+
+def _weakening(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
+    """Returns the same for an action times a low-pass of its size; 0 if that is not significant.
+
+    The best of some dozen terms is taken, so it needs as many standard errors as a term of a formula.
+    """
+    terms = _weakening_terms(trial, shooting)
+    if not terms:
+        return 0.0, 0.0
+    problem = regression_of(trial, shooting, states, terms)
+    now = problem.unseen([])
+    remaining = min(
+        (problem.unseen([index]) for index in range(len(states) * len(terms))), key=lambda squares: float(squares.sum())
+    )
+    share, errors = 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), problem.block_gain(now, remaining)
+    return (share, errors) if is_significant(errors, share) else (0.0, 0.0)
+
+
+def _weakening_terms(trial: EffectTrial, shooting: Shooting) -> list[RowTerm]:
+    windows = shooting.windows
+    longest = max(float(windows.clock[end - 1] - windows.clock[begin]) for begin, end in windows.bounds)
+    first, last = 0.5 * windows.horizon, max(0.25 * longest, windows.horizon)
+    found = []
+    for name, action in zip(windows.system.action_names, effective_actions(trial.fit.model, windows).T, strict=True):
+        size = np.abs(action) / max(float(np.sqrt(np.mean(action**2))), 1e-300)
+        for seconds in np.geomspace(first, last, _MEMORIES):
+            decays = np.exp(-windows.period / seconds)
+            for what, used in (
+                ("size", size),
+                ("square", size**2),
+                ("large", (size > np.quantile(size, 1.0 - _LARGE_SHARE)).astype(float)),
+            ):
+                for cold in (True, False):
+                    past = lag_output(used, decays, windows, from_zero=cold)
+                    text = f"{name} times its past {what} over {seconds:.3g} s{' from 0' if cold else ''}"
+                    found.append(RowTerm(text, action * (past - past.mean())))
+    return found
 
 
 def with_sentence(found: Remainder, error: float, first: float | None) -> Remainder:

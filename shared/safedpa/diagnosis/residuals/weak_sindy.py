@@ -185,6 +185,20 @@ class PastAction:
         return f"{self.action} {self.rows} rows ago"
 
 
+@dataclass(frozen=True, eq=False)
+class RowTerm:
+    """A term with a known value over the period after each row of the table, such as a filtered action."""
+
+    name: str
+    values: FloatArray
+    """Shape (rows,)."""
+
+    def value(self, named: Named, operations: Operations) -> Scalar:
+        """Returns the mean of the values over an interval."""
+        del operations
+        return named[self.name]
+
+
 @dataclass(frozen=True)
 class SelectedTerms:
     """(state, term) pairs, their coefficients, and alternatives that are as good as the first term."""
@@ -396,10 +410,15 @@ def _integrands(
     rows = np.maximum(at[:, 1:] - at[:, :-1], 1)
     # Actions change within an interval, so their mean over its rows is used; states are smooth.
     means = (sums[np.minimum(at[:, :-1] + rows, len(sums) - 1)] - sums[at[:, :-1]]) / rows[..., None]
+    known = {}
+    for item in (term for term in terms if isinstance(term, RowTerm)):
+        total = np.concatenate([[0.0], np.cumsum(item.values)])
+        known[item.name] = (total[np.minimum(at[:, :-1] + rows, len(sums) - 1)] - total[at[:, :-1]]) / rows
     ends = []
     for part, time in ((states[:, :-1], at[:, :-1]), (states[:, 1:], at[:, 1:])):
         named = {name: part[..., index] for index, name in enumerate(system.state_names)}
         named |= {name: means[..., index] for index, name in enumerate(system.action_names)}
+        named |= known
         named[TIME] = windows.time[time]
         for term in past:
             # Before the first row of a stretch its first action held.
