@@ -23,7 +23,7 @@ def work(options, stop):
         return 0
     (options.folder / "began").touch()
     while not stop():
-        if stop.words > 1:
+        if stop.signals > 1:
             (options.folder / "signalled").touch()
         time.sleep(0.01)
     return 0

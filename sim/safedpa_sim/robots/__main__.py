@@ -90,7 +90,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
     robot = make_robot(options)
     if options.change_on_word and isinstance(robot, CarRobot):
-        robot.hold_change(lambda: stop.words > 1)
+        robot.hold_change(lambda: stop.signals > 1)
     if options.summary is not None:
         check_writable(options.summary)
     with bus_from_options(options) as bus, contextlib.ExitStack() as files:

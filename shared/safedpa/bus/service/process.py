@@ -84,7 +84,7 @@ class StopSignal:
         self.hurried = False
         """Whether a second signal arrived, at which an orderly shutdown is cut short."""
         self._signalled = False
-        self.words = 0
+        self.signals = 0
         """Signals of the supervisor: the first is that to start."""
 
     def __call__(self) -> bool:
@@ -101,7 +101,7 @@ class StopSignal:
 
     def start(self) -> None:
         """Gives the start signal, or a further one."""
-        self.words += 1
+        self.signals += 1
         self._started.set()
 
     def listen_to_signals(self, at_once: Callable[[], None] = lambda: None) -> None:
@@ -250,8 +250,8 @@ class _LogStream(io.TextIOBase):
 def _watch_supervisor(stop: StopSignal) -> None:
     # The supervisor writes a line as the start signal, and another as a further one. End of file means that it died:
     # the kernel closes its end of the pipe even after SIGKILL.
-    while words := os.read(sys.stdin.fileno(), 4096):
-        for _ in range(words.count(b"\n")):
+    while data := os.read(sys.stdin.fileno(), 4096):
+        for _ in range(data.count(b"\n")):
             stop.start()
     stop.set("the supervisor is gone")
 
