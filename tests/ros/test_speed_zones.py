@@ -4,15 +4,16 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
-from tests.ros.gateway_rig import ASKED, DRIVE, Sense, rig_of
+from tests.ros.gateway_rig import ASKED, DRIVE, Link, Sense, rig_of
 
-from safedpa.bus import NominalMessage, StateMessage
+from safedpa.bus import NominalMessage, StateMessage, logging
 from safedpa.errors import InputError
 from safedpa.perception import Rays
 from safedpa.ros.encoding import encode
@@ -20,7 +21,7 @@ from safedpa.ros.face import HolonomicFace
 from safedpa.ros.sensor_messages import POLYGON
 from safedpa.ros.transforms import pose_matrix
 from safedpa_services.command_line.group import safedpa
-from safedpa_services.ros_gateway.robot_file import NominalActionTopic, parse_robot_file
+from safedpa_services.ros_gateway.robot_file import LocalisationTopic, NominalActionTopic, parse_robot_file
 from safedpa_services.ros_gateway.sensor_inputs import NominalInput
 from safedpa_services.ros_gateway.sensor_tables import SourceTopic, SpeedZone, VelocityPolygon
 from safedpa_services.ros_gateway.simulated_clock import CLOCK, SimulatedClock
@@ -173,6 +174,29 @@ def test_nominal_actions_of_another_type_that_the_robot_knows_are_used() -> None
     assert nominal.type == DRIVE
 
 
+def test_a_publisher_of_another_type_is_named_once_and_whether_it_is_used(capsys) -> None:
+    others = (
+        SimpleNamespace(node="/policy", topic="/drive_in", type="geometry_msgs/msg/Twist"),
+        SimpleNamespace(node="/base", topic="/odom", type="geometry_msgs/msg/PoseStamped"),
+        SimpleNamespace(node="/good", topic="/drive_in", type=DRIVE),
+    )
+    with rig_of(link=Link("rmw_zenoh", *others), nominal=Sense((0.5, 0.1))) as rig:
+        rig.turns(80, lambda _: logging.EVENT_LOG.reset_rate_limits())
+    notice = [line for line in capsys.readouterr().err.splitlines() if "other_type" in line]
+    assert len(notice) == 2
+    assert "/base publishes geometry_msgs/msg/PoseStamped on /odom" in notice[0]
+    assert "it is not used" in notice[0]
+    assert "/policy publishes geometry_msgs/msg/Twist on /drive_in" in notice[1]
+    assert "it is used" in notice[1]
+
+
+def test_a_reason_with_a_growing_age_is_logged_once(capsys) -> None:
+    localised = Sense((0.0, 0.0, 0.0), 3.0)
+    with rig_of(localised=localised, asked=replace(ASKED, localisation=LocalisationTopic("/tf"))) as rig:
+        rig.turns(60, lambda turn: setattr(localised, "age", 3.0 + turn))
+    assert sum("robot.brakes" in line for line in capsys.readouterr().err.splitlines()) == 1
+
+
 def clock_of(seconds: float) -> bytes:
     return encode(CLOCK, {"clock": {"sec": int(seconds), "nanosec": round(1e9 * (seconds % 1.0))}})
 
@@ -199,7 +223,7 @@ def test_simulated_time_advances_with_its_messages_stops_with_a_reason_and_resta
     assert clock.refused == 1
 
 
-def test_the_gateway_brakes_while_simulated_time_is_stopped_and_begins_anew_after_a_reset() -> None:
+def test_the_gateway_brakes_while_simulated_time_is_stopped_and_begins_again_after_a_reset() -> None:
     now = [100.0]
     clock = SimulatedClock(0.5, lambda: now[0])
     with rig_of(simulated=clock) as rig:
@@ -261,7 +285,7 @@ def converted(folder: Path, text: str) -> Any:
 
 def test_parameters_of_nav2_become_a_robot_file_and_differences_are_listed(tmp_path, capsys) -> None:
     found = converted(tmp_path, MONITOR)
-    said = capsys.readouterr().out
+    notice = capsys.readouterr().out
     assert (found.nominal.topic, found.command.type) == ("/cmd_vel_raw", "geometry_msgs/msg/TwistStamped")
     assert [(zone.name, zone.action, zone.min_points) for zone in found.zones] == [
         ("Stop", "stop", 6), ("Slow", "slowdown", 4), ("Fast", "limit", 4),
@@ -272,7 +296,7 @@ def test_parameters_of_nav2_become_a_robot_file_and_differences_are_listed(tmp_p
     assert (cost.occupied, found.clock.topic, found.monitor.state) == (99, "/clock", "/state")
     assert found.surroundings.footprint[2] >= 0.1
     for part in ("'approach' is replaced", "source_timeout 5 s becomes 1 s", "off: an exclusion that is off"):
-        assert part in said
+        assert part in notice
 
 
 @pytest.mark.parametrize(
@@ -291,9 +315,9 @@ def test_parameters_that_contradict_themselves_cost_one_line(before, after, mess
     assert before in MONITOR
     (tmp_path / "m.yaml").write_text(MONITOR.replace(before, after), encoding="utf-8")
     assert safedpa.run(["ros", "from-collision-monitor", str(tmp_path / "m.yaml")]) == 2
-    said = capsys.readouterr().err.strip()
-    assert message in said
-    assert "\n" not in said
+    notice = capsys.readouterr().err.strip()
+    assert message in notice
+    assert "\n" not in notice
 
 
 def test_the_conversion_is_printed_as_json_and_replaces_no_file(tmp_path, capsys) -> None:

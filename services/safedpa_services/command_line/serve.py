@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -182,7 +183,8 @@ def _drive_reporter(watch: RunMonitor) -> Callable[[], None]:
         nonlocal last
         known = watch.health.get("robot")
         detail = known[0].detail if known is not None else ""
-        now = "" if known is None and watch.state is None else (detail[:40] or "drives")
+        kind = re.sub(r"[\d.]+", "", detail)  # the same reason with another age is reported once
+        now = "" if known is None and watch.state is None else (kind or "drives")
         if now != last:
             last = now
             report_progress(f"robot {watch.robot}: {detail or 'the filter drives'}")

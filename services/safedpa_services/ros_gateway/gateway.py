@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
@@ -79,10 +80,13 @@ class HealthPublisher:
             self._diagnostics.put(gateway_diagnostics(self.head(), self._robot, why, facts))
 
 
+_NUMBER = re.compile(r"[\d.]+")
 _DEADLINE_SHARE = 0.9
 _LARGEST_AGE_PERIODS = 2.0
 """Largest age of a state, in periods, when its action is sent."""
 _HEARTBEAT_SECONDS = 0.25
+_NOTE_SECONDS = 1.5
+"""Shortest time between two reports of other types [s]; the log takes one of a kind each second."""
 _TOLERANCE = 1e-9
 _LAST_BRAKES_SECONDS, _LONGEST_PAUSE = 1.0, 0.1
 """At the end, braking commands are sent for this time [s], with this longest pause [s] between two."""
@@ -113,7 +117,7 @@ class Gateway:
         self._policy_bus, self._zone_state, self._limit = policy_bus or bus, zone_state, Limit()
         self._wall = time.monotonic if sensor_inputs.simulated is not None else clock
         """Clock of heartbeats, which must not stop with simulated time."""
-        self._restarts, self._notes = 0, set[str]()
+        self._restarts, self._notes, self._next_note = 0, set[str](), -math.inf
         self._bus, self._link, self._robot_file, self._face, self._clock = bus, link, robot_file, face, clock
         self._low, self._high, self._brake = limits
         self._sensor_inputs, self._command, self._health_publisher = sensor_inputs, command, health_publisher
@@ -317,7 +321,7 @@ class Gateway:
         self._applied, self._applied_by = (self._braking()[0], "watchdog") if action is None else (action, "filter")
         if action is None:
             self.watchdog_ticks += 1
-        if why[:16] != self.why[:16]:  # the same reason with another number is not logged again
+        if _NUMBER.sub("", why) != _NUMBER.sub("", self.why):  # the same reason with another number is not logged again
             kind, level = ("robot.brakes", "warning") if why else ("robot.drives", "info")
             sentence = f"the gateway brakes: {why}" if why else "the filter drives"
             log_event(kind, sentence, level=level, robot=self._name, tick=self.tick, service="robot")
@@ -362,7 +366,7 @@ class Gateway:
     def _check_types(self) -> None:
         """Reports publishers of the nominal action or odometry with another type than the file says, each once."""
         nominal, link = self._robot_file.nominal, self._link
-        if link.form != "rmw_zenoh":
+        if link.form != "rmw_zenoh" or self._wall() < self._next_note:
             return
         wanted = [(self._robot_file.odometry.topic, (self._robot_file.odometry.type,))]
         if nominal.topic:
@@ -376,10 +380,12 @@ class Gateway:
                 self._notes.add(f"{other.node} {kind}")
                 served = topic == nominal.topic and kind in self._face.commands
                 what = "it is used" if served else "it is not used"
+                self._next_note = self._wall() + _NOTE_SECONDS
                 sentence = f"{other.node} publishes {kind} on {topic}, the file says {types[0]}: {what}"
                 log_event(
                     "robot.other_type", sentence, level="warning", robot=self._name, tick=self.tick, service="robot"
                 )
+                return
 
     def _check_restart(self) -> None:
         """Begins a new epoch if simulated time jumped: the simulation was reset, and the robot is elsewhere."""
