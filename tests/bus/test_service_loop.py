@@ -102,6 +102,24 @@ def test_in_real_time_a_missing_input_is_stale_when_the_share_is_over(real_time:
     assert real_time.node.steps[0][2] == Stale(LATENT, None)
 
 
+@pytest.mark.parametrize("every_tick", [True, False])
+def test_a_loop_without_processor_time_catches_up_with_every_tick_only_for_a_node_that_asks_for_it(
+    state_at: StateAt, every_tick: bool
+) -> None:
+    class Observer(FixedPolicy):
+        pass
+
+    Observer.every_tick = every_tick
+    fleet = Fleet(state_at, lockstep=False, node=Observer())
+    for tick in range(10):
+        fleet.at_one_moment(["r"], tick, period=0.05)
+        fleet.clock.now += 0.05
+    for _ in range(4):
+        fleet.wait(0.0)
+    assert [step[1] for step in fleet.node.steps] == (list(range(10)) if every_tick else [9])
+    assert not any(isinstance(step[2], Stale) for step in fleet.node.steps)
+
+
 @pytest.mark.parametrize("age", [1, 2, 40])
 def test_a_stale_input_has_its_age(real_time: Fleet, age: int) -> None:
     real_time.state(5)

@@ -64,6 +64,7 @@ class DiagnosisNode(AbstractNode):
     outputs = (FINDING, MODEL)
     listens = (TAKEOVER, HEALTH)
     share = 0.9
+    every_tick = True
 
     def __init__(
         self,

@@ -56,6 +56,9 @@ class AbstractNode(ABC):
     slack: ClassVar[Mapping[Topic, int]] = {}
     """By topic, the age in ticks up to which an input is good enough in real time: the step does not wait for a newer
     one, but uses it if it is there. For other topics the step waits for the message of its tick."""
+    every_tick: ClassVar[bool] = False
+    """Whether ticks that were overtaken while the process had no processor are stepped, too: for a node whose outputs
+    have no deadline."""
     defers_afterwards: ClassVar[bool] = True
     """Whether ``afterwards`` takes so long that the loop defers it to a pause; otherwise it runs right after a step."""
 

@@ -237,7 +237,10 @@ class ServiceLoop:
         self._bus = bus
         self.clock = clock
         self.inbox = bus.inbox(
-            tuple(dict.fromkeys((STATE, *node.inputs, *node.sensor_inputs, *node.listens))), robot, clock=clock
+            tuple(dict.fromkeys((STATE, *node.inputs, *node.sensor_inputs, *node.listens))),
+            robot,
+            keep_all=node.every_tick,
+            clock=clock,
         )
         self._handshake = ModelHandshake(node, bus, self.inbox, clock, self._failed)
         self._slots: dict[str, RobotSlot] = {}
@@ -457,6 +460,8 @@ class ServiceLoop:
             reason = f"states arrive much faster than their period of {state.period:g} s; send fewer, or correct period"
             self._refuse(reason, robot, state.tick)
             return
+        if slot.outputs is None and self._node.every_tick:
+            self._step(robot, slot)
         # Outputs of the previous tick that were deferred until now; a node must not see the new tick before.
         if slot.unfinished_since is not None:
             self._finish(robot, slot)
