@@ -63,7 +63,7 @@ def _model(row: Row) -> str:
     return str(models.get("safety_filter") or next(iter(models.values()), ""))
 
 
-def _held(row: Row) -> str:
+def _coverage(row: Row) -> str:
     return "" if is_stale(row["verdict_age"], row["period"]) else _number("coverage", ".1f", 100.0)(row)
 
 
@@ -96,7 +96,7 @@ _ROBOTS = (
     _TableColumn("fall %", 6, _number("fallback", ".1f", 100.0)),
     _TableColumn("late %", 6, _number("late", ".2f", 100.0)),
     _TableColumn("p99 ms", 6, _number("sense_to_act_p99", ".1f", 1e3), 90),
-    _TableColumn("held %", 6, _held, 100),
+    _TableColumn("cov. %", 6, _coverage, 100),
     _TableColumn("diagnosis", 10, _diagnosis, 115, left=True),
     _TableColumn("age s", 5, _number("age", ".2f")),
     _TableColumn("of Hz", 5, _number("wanted_rate", ".0f"), 135),
