@@ -273,6 +273,46 @@ def test_a_clock_that_is_set_shows_no_rate(stamps: list[float]) -> None:
     assert not any(monitor.observe(stamp, PERIOD * tick) for tick, stamp in enumerate(stamps))
 
 
+@pytest.mark.parametrize("interval", [0.02, 0.05])
+def test_a_fast_clock_brakes_the_robot_within_0_3_s_of_its_stamps(interval: float) -> None:
+    monitor, stamp, arrived = ClockMonitor(), 0.0, 0.0
+    while stamp < 3.0:
+        stamp, arrived = stamp + interval, arrived + interval
+        monitor.observe(stamp, arrived)
+        assert monitor.ahead == ""
+    while not monitor.ahead:
+        assert stamp <= 3.3
+        stamp, arrived = stamp + interval, arrived + interval / 3.0
+        monitor.observe(stamp, arrived)
+    assert monitor.ahead.startswith("its stamps advance 3 times as fast")
+    for _ in range(round(2.0 / interval) + 1):  # the clock is right again
+        stamp, arrived = stamp + interval, arrived + interval
+        monitor.observe(stamp, arrived)
+    assert monitor.ahead == ""
+
+
+@pytest.mark.parametrize("held_up", [0.3, 1.0, 4.0])
+def test_a_robot_that_was_late_and_catches_up_is_not_ahead(held_up: float) -> None:
+    monitor, late = ClockMonitor(), 0.0
+    for tick in range(300):
+        late = held_up if tick == 100 else max(0.0, late - 0.8 * PERIOD)
+        monitor.observe(PERIOD * tick, PERIOD * tick + late)
+        assert monitor.ahead == ""
+
+
+@pytest.mark.parametrize(("speed", "found"), [(0.05, True), (0.01, False)])
+def test_a_position_that_drifts_slowly_is_found_while_the_robot_rests(speed: float, found: bool) -> None:
+    """Within two seconds it drifts by less than the limit."""
+    session = session_of_the_mass(replace(LIMITS, drift={"m": 0.15}))
+    random = np.random.default_rng(5)
+    for tick in range(200):
+        session.decide([speed * PERIOD * tick + 0.005 * random.normal(), 0.005 * random.normal()], [0.0])
+        if session.latched:
+            break
+    assert ("while it rests" in session.latched) is found
+    assert not found or tick * PERIOD <= 4.0
+
+
 # limits
 def test_limits_from_healthy_drives_believe_them_and_their_file_reads_back(tmp_path: Path) -> None:
     rows = [Evidence({"m": size}, {"m": (2.0 * size, way)}, {"m": 0.0}) for size, way in ((0.01, 0.0), (0.02, 3.0))]

@@ -118,8 +118,8 @@ class GuardedSession(SessionMemory[StateT]):
         """Periods since ``_seen`` in which the filter was not asked, before the newest state."""
         self._fastest_rates: dict[str, float] = {}
         """The largest rates since ``_seen``, measured or predicted, by unit."""
-        self._behind = ""
-        """Why the newest state is older than it says; empty if it is not."""
+        self._other_rate = ""
+        """How the stamps differ from the arrivals for now; empty if they do not."""
         self._accepted: StateT | None = None
         self._former_latent: FloatArray | None = None
         """(latents,) of the last decision of the session that this one continues."""
@@ -140,8 +140,8 @@ class GuardedSession(SessionMemory[StateT]):
         # Without a state to predict from, the filter itself refuses this one.
         if self._believed is None:
             return ""
-        if self._behind:
-            return f"the state is implausible, {self._behind}"
+        if self._other_rate:
+            return f"the state is implausible, {self._other_rate}"
         if self.problem and (self.lost * self.model.period > GRACE or self.problem not in (_LOST, _REPEATS)):
             return f"{self.problem}; predicted for {self.lost * self.model.period:.2g} s"
         return self.delayed
@@ -164,7 +164,7 @@ class GuardedSession(SessionMemory[StateT]):
         self._commands, self._trusted, self._measured = former._commands, former._trusted, former._measured
         self._accepted, self.latch_ordered = former._accepted, former.latch_ordered
         self._same_seconds, self._same_count = former._same_seconds, former._same_count
-        self._overbraked, self._behind = former._overbraked, former._behind
+        self._overbraked, self._other_rate = former._overbraked, former._other_rate
         self._seen, self._unasked, self._fastest_rates = former._seen, former._unasked, former._fastest_rates
         if same_model:
             # Without the actuators and the latent, the next state would be compared with another prediction.
@@ -185,7 +185,8 @@ class GuardedSession(SessionMemory[StateT]):
             return before
         raw, self._measured = self._measured, tuple(state.values)
         late = "" if arrived is None else self._clock.observe(state.robot_time, arrived)
-        self._behind = "" if arrived is None or self.limits is None or not self.can_stop else self._clock.behind
+        timed = arrived is not None and self.limits is not None and self.can_stop
+        self._other_rate = (self._clock.behind or self._clock.ahead) if timed else ""
         self.problem = _problem_of(state.values, len(self.model.system.state)) or self._out_of_range(state.values)
         usable, known = not self.problem, self._believed
         self._was_lost, self._gap = self.lost > 0, 0

@@ -4,7 +4,8 @@ With x the measured state, x^ the model's prediction from the last believed stat
 e = x - x^ (angles wrapped), four things are checked for the entries of each unit together:
 
     jump:        |e| over one period; after lost states it may be up to eight times as large
-    drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates
+    drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates; while the
+                 robot rests, over the last six
     unanswered:  the motion and the rate that the commands should have caused since the position last changed, within a
                  second
     repeats:     the state is exactly the one before, although its own rates say that the position changes
@@ -29,6 +30,10 @@ __all__ = ["NO_CONTRADICTION", "ClockMonitor", "Contradiction", "StateMonitor"]
 Plain = tuple[float, ...]
 
 _DRIFT_SECONDS: Final = 2.0
+_REST_SECONDS: Final = 6.0
+"""Time [s] over which the position of a resting robot may not drift by the limit: noise does not add up meanwhile."""
+_REST_SHARE: Final = 0.05
+"""Share of the limit of a jump below which the motion of a period counts as rest."""
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
@@ -39,6 +44,7 @@ commands act 0.2 s late has answered by then."""
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
+_DRIFTS: Final = "its position and its rates differ by {:.2g} {} within {:.2g} s"
 _WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
 _LOST_GROWTH: Final = 1.0
 _MOST_GROWTH: Final = 8.0
@@ -86,10 +92,15 @@ class StateMonitor:
 
     def restart(self) -> None:
         """Forgets the motion so far; the noise is still known."""
-        self._errors: deque[Plain] = deque(maxlen=max(2, round(_DRIFT_SECONDS / self._period)))
-        self._ways: deque[dict[str, float]] = deque(maxlen=self._errors.maxlen)
-        self._gaps: deque[bool] = deque(maxlen=self._errors.maxlen)
+        self._window = max(2, round(_DRIFT_SECONDS / self._period))
+        self._errors: deque[Plain] = deque(maxlen=self._window)
+        self._ways: deque[dict[str, float]] = deque(maxlen=self._window)
+        self._gaps: deque[bool] = deque(maxlen=self._window)
         """Whether a state was lost before each of the last ones."""
+        longest = max(2, round(_REST_SECONDS / self._period))
+        self._resting: dict[str, deque[Plain]] = {unit: deque(maxlen=longest) for unit in self._positions}
+        """The last errors while the robot rested, by unit of the position."""
+        self._drift_at_rest: dict[str, float] = {}
         self._unchanged = False
         """Whether no entry of the newest state differs from the one before."""
         self._anchor: Plain = ()
@@ -121,6 +132,11 @@ class StateMonitor:
             total = [error[index] + sum(row[index] for row in self._errors) for index in own]
             drift[unit] = hypot(*total), _norm(way, own) + sum(ways[unit] for ways in self._ways)
         self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
+        self._drift_at_rest = {
+            unit: hypot(*[error[index] + sum(row[index] for row in rows) for index in self._groups[unit]])
+            for unit, rows in self._resting.items()
+            if len(rows) >= self._window  # a shorter rest is within the window of a drift
+        }
         self._free = free
         return Evidence(jump, drift, self._unanswered(values), self._overbraking(values, before, predicted))
 
@@ -157,6 +173,11 @@ class StateMonitor:
             self._errors.append(tuple(0.0 for _ in error) if lost else error)
             self._ways.append(ways)
             self._gaps.append(lost > 0)
+            for unit, rows in self._resting.items():
+                if lost or ways[unit] > _REST_SHARE * self._limits.jump.get(unit, 0.0):
+                    rows.clear()
+                else:
+                    rows.append(error)
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
@@ -197,11 +218,10 @@ class StateMonitor:
                 if not size <= growth * limit and self._unchanged:
                     return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 if not size <= growth * limit:
-                    text = (
-                        f"its position and its rates differ by {size:.2g} {unit} within {_DRIFT_SECONDS:g} s "
-                        f"(at most {growth * limit:.2g} {unit})"
-                    )
+                    text = f"{_DRIFTS.format(size, unit, _DRIFT_SECONDS)} (at most {growth * limit:.2g} {unit})"
                     return Contradiction(text, self._others({unit}))
+        if not lost and (resting := self._problem_at_rest()).text:
+            return resting
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             factor = _RATED_FACTOR if f"{unit}/s" in self._rates else 1.0
@@ -209,6 +229,15 @@ class StateMonitor:
             if limit is not None and size > factor * limit:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
                 return Contradiction(text, ())
+        return NO_CONTRADICTION
+
+    def _problem_at_rest(self) -> Contradiction:
+        for unit, size in self._drift_at_rest.items():
+            limit = self._with_noise(self._limits.drift.get(unit), unit)
+            if limit is not None and not size <= limit:
+                seconds = self._period * (1 + len(self._resting[unit]))
+                text = f"{_DRIFTS.format(size, unit, seconds)} while it rests (at most {limit:.2g} {unit})"
+                return Contradiction(text, self._others({unit}))
         return NO_CONTRADICTION
 
     def _others(self, units: set[str]) -> tuple[int, ...]:
@@ -256,6 +285,8 @@ _LONGEST_INTERVAL: Final = 1.5
 _LEAD: Final = 0.6
 """s by which stamps may advance further than arrivals within the last seconds: a robot that was late catches up."""
 _LEAD_SECONDS: Final = 2.0
+_LEAD_AT_FIRST: Final = 0.19
+"""s of lead from which the robot brakes until it is explained: 0.3 s of a clock at a rate of 3."""
 _RATE: Final = "its stamps advance {:.2g} times as fast as the states arrive"
 _SLOW: Final = 0.5
 """Ratio of stamps to arrivals that is no jitter if every interval shows it."""
@@ -265,6 +296,7 @@ _LAG: Final = 0.21
 """s by which stamps may fall behind the arrivals within ``_LAG_SECONDS``: 0.3 s of a clock at a rate of 0.3."""
 _LAG_SECONDS: Final = 1.0
 _BEHIND: Final = "; they have fallen {:.2f} s behind within a second"
+_AHEAD: Final = "; they lead by {:.2f} s more than in the seconds before"
 
 
 @final
@@ -289,11 +321,24 @@ class ClockMonitor:
         """Arrival and lead of the states of the last second that lead more than all after them."""
         self._slow: list[tuple[float, float]] = []
         """Intervals of stamps and arrivals since the clock was last not slow."""
+        self._is_known = False
+        """Whether the largest lead of earlier seconds is known."""
 
     @property
     def lag(self) -> float:
         """Time [s] by which the newest stamp is behind its arrival, compared with the best of the last second."""
         return self._largest[0][1] - self._lead
+
+    @property
+    def ahead(self) -> str:
+        """Why the newest stamp leads by more than ever before; empty if it does not. It passes, or the clock is fast.
+
+        States that were held up in all of the last seconds, and then are not, look the same.
+        """
+        more = self._lead - self._peak
+        if not self._is_known or more <= _LEAD_AT_FIRST:
+            return ""
+        return self._ratio() + _AHEAD.format(more)
 
     @property
     def behind(self) -> str:
@@ -302,6 +347,12 @@ class ClockMonitor:
             return ""
         seconds = self._largest[-1][0] - self._largest[0][0]
         return _RATE.format(max(0.0, 1.0 - self.lag / seconds)) + _BEHIND.format(self.lag)
+
+    def _ratio(self) -> str:
+        """The rate of the stamps since the lead was last no larger than ever before."""
+        now, lead = self._leads[-1]
+        since, before = next((one for one in reversed(self._leads) if one[1] <= self._peak), self._leads[0])
+        return _RATE.format(1.0 + (lead - before) / (now - since) if now > since else inf)
 
     def observe(self, stamp: float, arrived: float) -> str:
         """Why the stamps [s] cannot be believed at this arrival [s] by another clock; empty if they can."""
@@ -323,11 +374,9 @@ class ClockMonitor:
             self._largest.popleft()
         self._leads.append((arrived, self._lead))
         while self._leads[0][0] <= arrived - _LEAD_SECONDS:
-            self._peak = max(self._peak, self._leads.popleft()[1])
+            self._is_known, self._peak = True, max(self._peak, self._leads.popleft()[1])
         if self._lead - self._peak > _LEAD:
-            since, before = self._leads[0]
-            ratio = 1.0 + (self._lead - before) / (arrived - since) if arrived > since else stamps / arrivals
-            return _RATE.format(ratio)
+            return self._ratio()
         if stamps < _SLOW * arrivals < _SLOW * _LONGEST_INTERVAL:
             self._slow.append((stamps, arrivals))
         else:
