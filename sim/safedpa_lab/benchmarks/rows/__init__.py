@@ -22,6 +22,7 @@ class Listed(NamedTuple):
 
 
 ROWS: Final = {
+    "kernel": Listed("everything that compiled decisions are to reach", 8.0, long=True),
     "filter": Listed("one decision of the safety filter", 9.0),
     "decision-parts": Listed("where the time of one decision goes", 0.8),
     "own-models": Listed("one decision with a user's own model and RolloutBarrier", 5.0),

@@ -13,7 +13,7 @@ from safedpa.errors import SafedpaError
 from safedpa.safety import SafetyFilter
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds
 from safedpa_lab.benchmarks.timing import in_turn
-from safedpa_lab.benchmarks.users_models import ROBOTS
+from safedpa_lab.benchmarks.users_models import ROBOTS, UsersRobot
 
 _SEED: Final = 4811
 _REQUESTS: Final = 300
@@ -29,16 +29,11 @@ def measure(effort: Effort) -> Row:
     ours, targets = list[Entry](), list[Target]()
     for name, robot in ROBOTS.items():
         asked = robot.requests(effort.of(40, _REQUESTS), _SEED)
-        with _environment("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="safedpa-kernels-")):
-            began = time.perf_counter()
-            compiled, barrier, _ = robot.made()
-            cold = time.perf_counter() - began
-        if barrier.not_compiled:
-            raise SafedpaError(f"{name}: not compiled: {barrier.not_compiled}")
+        compiled, cold = made_cold(name, robot)
         with _environment("SAFEDPA_COMPILE", "0"):
             plain, _, _ = robot.made()
         both: dict[str, tuple[Callable[[Any], Any], Sequence[Any]]] = {
-            "compiled": (_deciding(compiled), asked),
+            "compiled": (compiled, asked),
             "NumPy": (_deciding(plain), asked),
         }
         times = in_turn(both, calls, seconds / len(ROBOTS))
@@ -47,6 +42,20 @@ def measure(effort: Effort) -> Row:
         targets.append(Target(f"compiled without a cache, {name}", _COMPILE, cold, "s"))
     work = "one decision with a user's own model and RolloutBarrier"
     return Row("own-models", work, "p99", tuple(ours), targets=tuple(targets))
+
+
+def made_cold(name: str, robot: UsersRobot) -> tuple[Callable[[Any], Any], float]:
+    """What decides about a robot's requests, compiled without a cache, and the seconds that this took.
+
+    Raises SafedpaError where it is not compiled.
+    """
+    with _environment("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="safedpa-kernels-")):
+        began = time.perf_counter()
+        compiled, barrier, _ = robot.made()
+        cold = time.perf_counter() - began
+    if barrier.not_compiled:
+        raise SafedpaError(f"{name}: not compiled: {barrier.not_compiled}")
+    return _deciding(compiled), cold
 
 
 def _deciding(safe: SafetyFilter) -> Callable[[Any], Any]:
