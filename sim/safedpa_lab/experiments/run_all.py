@@ -106,6 +106,7 @@ PARTS: Final = (
         f"--scene pillars --scene people --scene rooms {_LOADS}",
         "--seeds 1 --seconds 1",
     ),
+    Part("sensing-robots", 60, "sensing-robots --seeds 100 --first-seed 4000 --seconds 15", "--seeds 1 --seconds 1"),
     Part("sensing-peers", 5, "sensing --seeds 4 --first-seed 5100 --no-perfect-knowledge"),
     Part("sensing-curves", 10, "sensing-curves --seeds 8 --first-seed 4900"),
     Part("sensing-margins", 20),
@@ -158,6 +159,7 @@ ELSEWHERE: Final = {
     "log-faults": "reads spoiled logs; tests require its counts",
     "full-disk": "mounts file systems; exit code 1 where a run fails",
     "long-logs": "times one size of logs; docs/evidence/speed.md has the sizes",
+    "object-storage": "kills workers next to a local S3 server; exit code 1 where results are missing",
     "silences": "hangs processes in real time; exit code 1 where a place reports it too late",
     "soak": "an hour in real time; exit code 1 where a limit is exceeded",
 }

@@ -10,6 +10,7 @@ from safedpa.bus.messages.messages import ScanMessage
 from safedpa.safety.barriers.planar_body import BodyPart
 from safedpa.stand_in import AbstractStandIn
 from safedpa_sim.sensing.laser import Laser
+from safedpa_sim.sensing.other_sources import OtherSource
 from safedpa_sim.sensing.people import Person
 from safedpa_sim.sensing.shapes import Outline, Point, Polygon
 
@@ -29,7 +30,7 @@ class StandInSensors:
 
     def __init__(
         self,
-        lasers: Sequence[Laser],
+        lasers: Sequence[Laser | OtherSource],
         people: Sequence[Person] = (),
         polygons: Sequence[Polygon] = (),
         pose: tuple[int, int, int] = (0, 1, 2),

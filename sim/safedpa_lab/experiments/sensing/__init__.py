@@ -107,6 +107,12 @@ EXPERIMENTS = (
                 "kind of robot; repeatable  [default: all]",
                 known="safedpa_lab.experiments.sensing.planar:ROBOTS",
             ),
+            repeated(
+                "--source",
+                "sources",
+                "the only kind of sensor; repeatable  [laser]",
+                known="safedpa_lab.experiments.sensing.planar:KNOWN_SOURCES",
+            ),
             PROCESSES,
             RECORD,
             FILE_OUT,

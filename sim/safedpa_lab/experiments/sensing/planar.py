@@ -17,7 +17,7 @@ from scipy.stats import beta
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import load_model, load_user_file_everywhere
 from safedpa.errors import InputError
-from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.barriers.planar_body import IS_STATIONARY
@@ -32,6 +32,7 @@ from safedpa_lab.experiments.sensing.nodes import ReportsEverything, edge_points
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.other_sources import SOURCES, make_sources
 from safedpa_sim.sensing.people import walkers_in
 from safedpa_sim.sensing.stand_in_sensors import StandInSensors
 
@@ -42,6 +43,7 @@ ROBOTS: Final[Mapping[str, Path | None]] = {
     "omni": Path(__file__).with_name("omni.py"),
 }
 """By name, the file that declares each robot; None: it ships."""
+KNOWN_SOURCES: Final = ("laser", *SOURCES)
 ARMS: Final = ("safedpa", "reported")
 """What the filter knows: what the laser sees, or everything."""
 _APART: Final = 0.03
@@ -59,6 +61,8 @@ class PlanarDrive:
     arm: str = ARMS[0]
     coming: float = 1.5
     """m/s; speed that perception assumes for hidden people."""
+    source: str = "laser"
+    """The only kind of sensor: a laser, or one of ``SOURCES``."""
 
 
 def _declared(name: str) -> Robot:
@@ -79,16 +83,19 @@ def run_planar_drive(wanted: PlanarDrive) -> dict[str, Any]:
     pose = (names.index(body.pose[0]), names.index(body.pose[1]), yaw)
 
     def sensors(stand_in: AbstractStandIn) -> StandInSensors:
-        laser = Laser(LaserSettings(mount=(0.0, 0.0, 0.0)), wanted.seed)
+        laser = (Laser(LaserSettings(mount=(0.0, 0.0, 0.0)), wanted.seed),)
+        looks = laser if wanted.source == "laser" else make_sources(wanted.source, wanted.seed)
         polygons = getattr(stand_in, "polygons", ())
-        empty = StandInSensors((laser,), polygons=polygons, pose=pose)
+        empty = StandInSensors((), polygons=polygons, pose=pose)
         start = empty.pose(stand_in)[:2]
         people = walkers_in(empty.solid(stand_in), stand_in.field, start, wanted.people, wanted.seed)
-        return StandInSensors((laser,), people, polygons, pose, body.parts)
+        return StandInSensors(looks, people, polygons, pose, body.parts)
 
     robot = StandInRobot(declared, 1.0 / declared.rate, wanted.seed, sensors=sensors)
     assert robot.sensors is not None
-    eyes = PerceptionNode(PerceptionSettings(coming=wanted.coming))
+    # A sensor of coarse steps repeats itself while the robot stands.
+    repeats = {name: SourceSettings(repeats=True) for name in robot.sensors.names if wanted.source != "laser"}
+    eyes = PerceptionNode(PerceptionSettings(coming=wanted.coming, sources=repeats))
     everything = ReportsEverything(robot.sensors.solid(robot.stand_in), robot.sensors.people)
     looks = eyes if wanted.arm == ARMS[0] else everything
     policy = PolicyNode(model, declared.default_controller)
@@ -154,24 +161,30 @@ def planar_experiment(
     people: int,
     processes: int = 2,
     robots: Sequence[str] = tuple(ROBOTS),
+    sources: Sequence[str] = KNOWN_SOURCES[:1],
     on_drive: ReportProgress = silent,
     record: Path | None = None,
 ) -> dict[str, Any]:
-    """Every robot with every seed and arm; a row for each robot and arm."""
-    kinds = [(robot, arm) for robot in robots for arm in ARMS]
-    wanted = [PlanarDrive(robot, seed, seconds, people, arm) for robot, arm in kinds for seed in seeds]
+    """Every robot with every seed and arm, and with each kind of sensor; a row for each."""
+    arms = [*((ARMS[0], source) for source in sources), (ARMS[1], KNOWN_SOURCES[0])]
+    kinds = [(robot, arm, source) for robot in robots for arm, source in arms]
+    wanted = [
+        PlanarDrive(*kind[:1], seed, seconds, people, kind[1], source=kind[2]) for kind in kinds for seed in seeds
+    ]
     found = driven(run_planar_drive, wanted, processes, on_drive, record)
-    rows = [_row(kind, [one for one in found if (one["robot"], one["arm"]) == kind], seconds) for kind in kinds]
+    by_kind = {kind: [one for one in found if (one["robot"], one["arm"], one["source"]) == kind] for kind in kinds}
+    rows = [_row(kind, drives, seconds) for kind, drives in by_kind.items()]
     return {"seconds": seconds, "people": people, "seeds": list(seeds), "rows": rows}
 
 
-def _row(kind: tuple[str, str], drives: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:
+def _row(kind: tuple[str, str, str], drives: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:
     hit, count = sum(bool(one["moving"]) for one in drives), len(drives)
     ticks = sum(sum(one["statuses"].values()) for one in drives)
     braked = sum(one["statuses"].get("fallback", 0) for one in drives)
     return {
         "robot": kind[0],
         "arm": kind[1],
+        "source": kind[2],
         "drives": count,
         "drives_with_a_contact_while_it_moved": hit,
         "at_most_95": 1.0 if hit == count else float(beta.ppf(0.95, hit + 1, count - hit)),
@@ -192,12 +205,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
 def page_of(result: Mapping[str, Any]) -> str:
     """Markdown with a table of all rows, and the command that made it."""
     seeds = result["seeds"]
-    rows = [
-        f"{row['robot']} | {row['arm']} | {row['drives']} | {row['drives_with_a_contact_while_it_moved']} "
-        f"| {100.0 * row['at_most_95']:.1f} % | {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} "
-        f"| {row['metres_a_minute']:.0f} | {100.0 * row['share_of_fallback']:.1f} %"
-        for row in result["rows"]
-    ]
+    rows = [_cells(row) for row in result["rows"]]
     hit = [f"- {row['robot']}, {row['arm']}: {what}" for row in result["rows"] for what in row["which"]]
     return page(
         "Other robots with a laser",
@@ -210,4 +218,13 @@ def page_of(result: Mapping[str, Any]) -> str:
             rows,
         ),
         *(("Into what:", "\n".join(hit)) if hit else ()),
+    )
+
+
+def _cells(row: Mapping[str, Any]) -> str:
+    knows = row["source"] if row["arm"] == ARMS[0] else "everything"
+    return (
+        f"{row['robot']} | {knows} | {row['drives']} | {row['drives_with_a_contact_while_it_moved']} "
+        f"| {100.0 * row['at_most_95']:.1f} % | {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} "
+        f"| {row['metres_a_minute']:.0f} | {100.0 * row['share_of_fallback']:.1f} %"
     )
