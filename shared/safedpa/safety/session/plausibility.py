@@ -206,20 +206,16 @@ class StateMonitor:
             limit = self._with_noise(self._limits.jump.get(unit), unit)
             largest = None if limit is None else growth * limit + unknown.get(unit, 0.0)
             if largest is not None and not size <= largest:
-                if self._unchanged:
-                    return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 text = f"it jumped by {size:.2g} {unit} against the prediction (at most {largest:.2g} {unit})"
-                return Contradiction(text, self._others({unit}))
+                return self._contradiction(size, unit, text)
         for unit, (size, way) in () if lost else evidence.drift.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
                 limit *= _GAPS_FACTOR if any(self._gaps) else 1.0
                 limit += self._limits.drift_share.get(unit, 0.0) * way
-                if not size <= growth * limit and self._unchanged:
-                    return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
                 if not size <= growth * limit:
                     text = f"{_DRIFTS.format(size, unit, _DRIFT_SECONDS)} (at most {growth * limit:.2g} {unit})"
-                    return Contradiction(text, self._others({unit}))
+                    return self._contradiction(size, unit, text)
         if not lost and (resting := self._problem_at_rest()).text:
             return resting
         for unit, size in evidence.unanswered.items():
@@ -230,6 +226,12 @@ class StateMonitor:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
                 return Contradiction(text, ())
         return NO_CONTRADICTION
+
+    def _contradiction(self, size: float, unit: str, text: str) -> Contradiction:
+        """``text``, unless the state is exactly the one before."""
+        if self._unchanged:
+            return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
+        return Contradiction(text, self._others({unit}))
 
     def _problem_at_rest(self) -> Contradiction:
         for unit, size in self._drift_at_rest.items():
