@@ -102,6 +102,23 @@ def test_what_depends_on_the_time_alone_is_not_nothing(library: None) -> None:
     assert "of what remains of unseen data depends on" in report.remainder.sentence
 
 
+class _Heating:
+    """A motor that weakens over seconds as it heats up, from a cold start in each log."""
+
+    def __init__(self) -> None:
+        self.heat = 0.0
+
+    def __call__(self, current: float, rate: float, time: float) -> float:
+        self.heat = 0.0 if time == 0.0 else self.heat + PERIOD / 20 * ((current / 6.0) ** 2 - self.heat / 6.0)
+        return 1.8 * current * (1.0 / (1.0 + 0.6 * self.heat) - 1.0)
+
+
+@pytest.mark.long
+def test_a_motor_that_weakens_with_use_is_not_nothing(library: None) -> None:
+    report = diagnose(arm(), logs(_Heating()))
+    assert report.verdict == "unexplained"
+
+
 @pytest.mark.long
 def test_noise_alone_depends_on_nothing(library: None) -> None:
     report: Report = diagnose(arm(), logs(_drag))

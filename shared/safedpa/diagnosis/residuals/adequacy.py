@@ -72,6 +72,8 @@ _FREQUENCIES = 160
 _MOST_COLUMNS = 200
 # Ages of past actions, in lengths of a window.
 _AGES = (0.1, 0.25, 0.5, 1.0, 2.0)
+# Share of the squares from which the standard errors of all tests suffice for one that was chosen among dozens.
+_MOST = 0.5
 # Time constants of the memory of an actuator, from half a window to a quarter of the longest stretch, and the share of
 # commands that are large ones.
 _MEMORIES, _LARGE_SHARE = 6, 0.4
@@ -145,7 +147,9 @@ def _weakening(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) ->
         (problem.unseen([index]) for index in range(len(states) * len(terms))), key=lambda squares: float(squares.sum())
     )
     share, errors = 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), problem.block_gain(now, remaining)
-    return (share, errors) if is_significant(errors, share) else (0.0, 0.0)
+    # What only a cold start shows is in few windows, which makes the standard error large.
+    sure = is_significant(errors, share) or (share > _MOST and errors > _SURE)
+    return (share, errors) if sure else (0.0, 0.0)
 
 
 def _weakening_terms(trial: EffectTrial, shooting: Shooting) -> list[RowTerm]:
