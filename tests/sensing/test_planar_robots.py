@@ -48,7 +48,7 @@ def body_of(parts: tuple[BodyPart, ...], **more: object) -> PlanarBody:
 
 
 def swept_distance(parts: tuple[BodyPart, ...], at: tuple[float, float], way: tuple[float, float]) -> float:
-    """The distance of a position in the body frame from the body at many places on its way."""
+    """The distance of a position in the body frame from the body at many places along it."""
     shares = np.linspace(0.0, 1.0, 401)
     return min(part.distance(at[0] - s * way[0], at[1] - s * way[1]) for part in parts for s in shares)
 

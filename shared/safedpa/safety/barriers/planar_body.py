@@ -346,8 +346,8 @@ def _to_part(place: tuple[Scalar, Scalar], numbers: Sequence[Scalar], sweep: _Sw
     high, low = aside[0], aside[0]
     for one in aside[1:]:
         high, low = operations.maximum(high, one), operations.minimum(low, one)
-    beside = operations.maximum(here - high, low - here)
-    depth = operations.maximum(depth, operations.where(sweep.length > _STANDS, beside, _OUTSIDE))
+    lateral = operations.maximum(here - high, low - here)
+    depth = operations.maximum(depth, operations.where(sweep.length > _STANDS, lateral, _OUTSIDE))
     return operations.where(depth < 0.0, depth, least)
 
 

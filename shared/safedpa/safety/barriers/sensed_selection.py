@@ -85,12 +85,12 @@ def select_movers(
         return f"mover {row}" if row < len(movers) else f"hidden {row - len(movers)}"
 
     if near.values and discs:
-        heights = swiftest.with_items([*discs, *everywhere], ()).scalar_rows(len(near.values)).h_floats(near.values)
+        h_values = swiftest.with_items([*discs, *everywhere], ()).scalar_rows(len(near.values)).h_floats(near.values)
         count = len(discs) - len(everywhere)
-        taken = below([*heights[:count], *heights[len(discs) :]], near.limit)
+        taken = below([*h_values[:count], *h_values[len(discs) :]], near.limit)
         if len(taken) > MOST_ROWS:
             left_out, taken = len(taken), _of_least_h(swiftest, discs, taken, near.compared)
-        who = _who_may_touch(heights[: count if stands else len(discs)], named)
+        who = _who_may_touch(h_values[: count if stands else len(discs)], named)
     return Selected([discs[place] for place in taken], tuple(map(named, taken)), left_out, who)
 
 
