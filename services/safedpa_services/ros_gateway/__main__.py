@@ -30,6 +30,7 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
 from safedpa.ros.sensor_messages import CAMERA_INFO, POLYGON
+from safedpa.runtime.scene import check_senses
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
@@ -122,6 +123,8 @@ def load_ros_interface(robot_file: RobotFile) -> tuple[AbstractFace, Limits, flo
     if robot_file.zones and TWIST not in face.commands:
         raise InputError(f"zones: got some, but the commands of a {robot_file.robot} have no velocity ({TWIST})")
     settings = settings_named(robot_file.settings or declared.settings_name)
+    if robot_file.sensors:
+        check_senses(model, settings, "[[scans]] or [[sources]]")
     limits = (tuple(settings.action_low), tuple(settings.action_high), tuple(settings.resting_action))
     return face, limits, 1.0 / (robot_file.rate or declared.rate)
 

@@ -30,10 +30,10 @@ from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import stopping_distance
 
-__all__ = ["BodyPart", "PlanarBody", "SensedMovers", "SensedPoints"]
+__all__ = ["IS_STATIONARY", "BodyPart", "PlanarBody", "SensedMovers", "SensedPoints"]
 
 IS_STATIONARY: Final = 0.1
-"""m/s; a slower robot counts as stationary, as for the car."""
+"""m/s; a slower robot counts as stationary."""
 _STANDS: Final = 1e-6
 """m; a shorter stopping distance has no direction."""
 _NUMBERS, _FORM = 8, 8
