@@ -131,6 +131,17 @@ def test_decisions_are_undone_in_reverse(searched):
     assert "viscous_drag" in [card.effect for card in searched.cards()]
 
 
+def test_what_was_proposed_for_an_undone_version_is_not_proposed_for_the_next_one(searched, found):
+    searched.add(searched.fitted_version("quadratic_drag"))
+    searched.propose(1, found)
+    searched.reject(found.candidates[-1].effect)
+    searched.undo()
+    searched.undo()
+    searched.add(searched.fitted_version("quadratic_drag"))
+    assert searched.proposed is None
+    assert searched.cards() == []
+
+
 def test_looking_at_an_earlier_version_changes_nothing_else(searched, versions):
     searched.add(searched.fitted_version("quadratic_drag"))
     searched.show_version(0)
