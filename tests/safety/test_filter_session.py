@@ -37,15 +37,15 @@ def brake(x: Any) -> list[float]:
     return [0.0 if x is None else float(np.clip(-x[1] / PERIOD, -2.0, 2.0))]
 
 
-def filter_of_the_mass() -> SafetyFilter:
+def filter_of_the_mass(backup: Any = brake) -> SafetyFilter:
     """A wall at 3 m; h is the room that is left after braking."""
     wall = FunctionBarrier(lambda x: 3.0 - x[0] - 0.1 * max(x[1], 0.0) - max(x[1], 0.0) ** 2 / 3.6, kind="wall")
     settings = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon={"wall": 0.01})
-    return SafetyFilter(lambda x: (A @ x, B), [wall], settings, backup=brake)
+    return SafetyFilter(lambda x: (A @ x, B), [wall], settings, backup=backup)
 
 
-def session_of_the_mass(limits: StateLimits | None = LIMITS) -> FilterSession:
-    return FilterSession(filter_of_the_mass(), period=PERIOD, system=MASS, limits=limits)
+def session_of_the_mass(limits: StateLimits | None = LIMITS, backup: Any = brake) -> FilterSession:
+    return FilterSession(filter_of_the_mass(backup), period=PERIOD, system=MASS, limits=limits)
 
 
 def drive(
@@ -384,8 +384,10 @@ def test_commands_that_act_up_to_an_allowed_delay_later_are_no_jump(late: int, l
     assert bool(session.latched) is latched
 
 
-def test_a_robot_that_braked_by_itself_during_a_pause_is_not_braked_into_reverse_without_a_state() -> None:
-    session = session_of_the_mass()
+@pytest.mark.parametrize("backup", [brake, lambda x: [50.0 * value for value in brake(x)]])
+def test_a_robot_that_braked_by_itself_during_a_pause_is_not_braked_into_reverse_without_a_state(backup: Any) -> None:
+    """Its backup may ask for more than the bounds."""
+    session = session_of_the_mass(backup=backup)
     for tick in range(2):
         session.decide([-40.0 + PERIOD * tick, 1.0], [0.0], time=PERIOD * tick)
     for tick in range(30, 40):

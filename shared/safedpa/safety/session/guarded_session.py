@@ -27,7 +27,7 @@ from safedpa.safety.session.measurement import MeasuredState
 from safedpa.safety.session.plausibility import NO_CONTRADICTION, ClockMonitor, Contradiction, StateMonitor
 from safedpa.safety.session.session_memory import SessionMemory, StateT
 from safedpa.safety.session.state_limits import Evidence, StateLimits
-from safedpa.safety.validation import InvalidInput, checked_input
+from safedpa.safety.validation import InvalidInput, checked_input, checked_output
 from safedpa.safety.verdict import Status, Verdict
 
 __all__ = ["GRACE", "GuardedSession"]
@@ -409,10 +409,14 @@ class GuardedSession(SessionMemory[StateT]):
         return values
 
     def _backup_at(self, values: Plain) -> Plain | None:
-        """The backup action (actions,) at a predicted state; None if there is none."""
-        backup = self.filter.tools.backup
+        """The backup action (actions,) at a predicted state, within the bounds; None if there is none."""
+        backup, settings = self.filter.tools.backup, self.filter.settings
+        if backup is None:
+            return None
         with suppress(Exception):  # the user's own function; the decision reports what it raises
-            return None if backup is None else tuple(np.asarray(backup(np.array(values)), dtype=float).tolist())
+            action = checked_output("backup", backup(np.array(values)))
+            if action.shape == settings.low.shape and np.isfinite(action).all():
+                return tuple(np.clip(action, settings.low, settings.high).tolist())
         return None
 
     def _advanced(

@@ -88,7 +88,7 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
         step = hypot(*(truth.values[index] - before[index] for index in places))
         way += step
         before = truth.values
-        if source.is_faulty and began < 0.0:
+        if source.is_faulty_at(tick.state.tick) and began < 0.0:
             began, since = tick.state.robot_time, 0.0
         since += step if began >= 0.0 else 0.0
         if len(truth.collisions) > contacts:

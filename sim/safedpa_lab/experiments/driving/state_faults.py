@@ -132,10 +132,9 @@ class FaultyState:
         """Simulates one period of the truth."""
         self.robot.advance()
 
-    @property
-    def is_faulty(self) -> bool:
-        """Whether the fault has begun."""
-        return self._fault.kind != "none" and self._seconds >= self._begin
+    def is_faulty_at(self, tick: int) -> bool:
+        """Whether the fault has begun at this tick."""
+        return self._fault.kind != "none" and tick * self.robot.period >= self._begin
 
     @property
     def _begin(self) -> float:
@@ -150,7 +149,7 @@ class FaultyState:
         truth = self.robot.state_message()
         noisy = tuple((np.array(truth.values) + self._noise * self._draw.normal(size=len(self._noise))).tolist())
         lost = self._draw.uniform() < self._lost_share
-        values = self._measured(noisy) if self.is_faulty else noisy
+        values = self._measured(noisy) if self.is_faulty_at(self.robot.tick) else noisy
         changed: dict[str, Any] = {"values": (nan,) * len(values) if lost else values}
         if self._fault.kind == "clock":
             # A simulated clock that runs at another rate: its stamps are those of the ticks, the arrivals are not.
