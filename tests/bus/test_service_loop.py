@@ -118,6 +118,12 @@ def test_a_loop_without_processor_time_catches_up_with_every_tick_only_for_a_nod
         fleet.wait(0.0)
     assert [step[1] for step in fleet.node.steps] == (list(range(10)) if every_tick else [9])
     assert not any(isinstance(step[2], Stale) for step in fleet.node.steps)
+    fleet.clock.now += 5.0
+    for tick in range(10, 50):  # delivered at one moment
+        fleet.at_one_moment(["r"], tick, period=0.05)
+    for _ in range(20):
+        fleet.wait(0.0)
+    assert len(fleet.node.steps) == (50 if every_tick else 2)
 
 
 @pytest.mark.parametrize("age", [1, 2, 40])

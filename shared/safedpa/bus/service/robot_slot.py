@@ -57,6 +57,8 @@ _NO_SLACK: Mapping[Topic, int] = {}
 # Rate limit of a robot's states, a token bucket. Without it one robot could take the CPU time of all others.
 # States accepted at once: a network that stalled delivers several states together.
 _BURST = 10.0
+LONG_BURST = 200.0
+"""The same for a node that steps every tick: on a busy machine the network delivers those of seconds at once."""
 # Accepted average rate relative to the robot's stated period; 2 tolerates jitter and clock errors.
 _PACE = 2.0
 # s; a shorter stated period counts as this one, so that a robot cannot raise its limit at will.
@@ -99,6 +101,8 @@ class RobotSlot:
     """Whether the node has prepared the state."""
     trace: ComputationTrace = field(default_factory=ComputationTrace)
     """Trace of the newest step."""
+    burst: float = _BURST
+    """States accepted at once after a pause."""
     skipped: list[float] = field(default_factory=list)
     """Ticks since then that the node has prepared but not stepped."""
     _credit: float = _BURST
@@ -110,7 +114,7 @@ class RobotSlot:
         if state.lockstep:
             return True
         earned = _PACE * max(at - self._credited, 0.0) / max(state.period, _SHORTEST_PERIOD)
-        self._credit, self._credited = min(_BURST, self._credit + earned), at
+        self._credit, self._credited = min(self.burst, self._credit + earned), at
         if self._credit < 1.0:
             return False
         self._credit -= 1.0

@@ -33,7 +33,14 @@ from safedpa.bus.messages.service_info import SETUP_SECONDS
 from safedpa.bus.messages.topics import ACTION, HEALTH, NO_ROBOT, SETUP, STATE
 from safedpa.bus.service.handshake import ModelHandshake
 from safedpa.bus.service.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.service.robot_slot import ComputationTrace, HeartbeatCounts, RobotSlot, consumed, heartbeat
+from safedpa.bus.service.robot_slot import (
+    LONG_BURST,
+    ComputationTrace,
+    HeartbeatCounts,
+    RobotSlot,
+    consumed,
+    heartbeat,
+)
 from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage, RejectedMessage
@@ -447,6 +454,8 @@ class ServiceLoop:
         robot, at = item.robot, item.at
         self._node.forget(robot)  # data of an earlier epoch is about another drive
         self._slots[robot] = slot = RobotSlot(state, at, at, self.clock(), item.bundled)
+        if self._node.every_tick:
+            slot.burst = LONG_BURST
         slot.keeps_pace(state, at)
         self._mentioned.pop(robot, None)
         self._service_log.met(robot, state.tick, again=again)
