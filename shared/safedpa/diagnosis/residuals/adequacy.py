@@ -1,12 +1,14 @@
 """Adequacy: whether what a model leaves of unseen data is noise and disturbance, or depends on what was driven.
 
-Measurement noise and a disturbance from outside do not depend on state, action, time or history. So three regressions
+Measurement noise and a disturbance from outside do not depend on state, action, time or history. So four regressions
 are tried on unseen folds:
 
 - of the missing rates on powers, products and piecewise linear functions of every state and action, on past actions,
   and on the time, all together, with a ridge penalty;
 - of the missing rates on each action times a low-pass of its size: an actuator that weakens as it heats up, or a clutch
   that slips, depends on all that was commanded before;
+- of each missing rate on the model's rate times a piecewise linear function of the size of the state: a gain that
+  differs within a band of speeds;
 - of the size of the residual of each window on the sizes of the states and actions in it: what grows with the command
   is no disturbance from outside, even if its mean is 0.
 
@@ -46,6 +48,7 @@ from safedpa.diagnosis.residuals.weak_sindy import (
     usual_sizes,
 )
 from safedpa.diagnosis.search.regions import clip_outliers, residual_inputs
+from safedpa.operations import NUMPY
 
 # Share of the squares, and standard errors, from which the residual depends on what was driven. Where nothing is
 # missing, the share was at most 0.01 with three or more standard errors. And the error that the dependence makes, in
@@ -77,6 +80,8 @@ _MOST = 0.5
 # Time constants of the memory of an actuator, from half a window to a quarter of the longest stretch, and the share of
 # commands that are large ones.
 _MEMORIES, _LARGE_SHARE = 6, 0.4
+# Knots of the gain of a rate over the size of its state.
+_BANDS = 8
 # Windows in a third of all that are compared, and multiples of the median at which their squares are clipped.
 _MIN_THIRD, _CLIPPED = 5, 20.0
 # Variance of the time at which a command changes, in squares of the shift that was tried: it is anywhere within a
@@ -95,7 +100,7 @@ def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) 
         fitted = fit(trial.fit.model, trial.fit.paths, windows, trial.fit.scale, steps=2)
         tried.append((trial_of(fitted, windows, (), None), windows))
     best, windows = min(tried, key=lambda item: item[0].fit.value)
-    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening)]
+    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening, _gain_by_size)]
     share, errors = max(found, key=lambda item: item[0])
     spread, variable, spread_errors = _spread(best, windows, _squares_by_timing(best, windows))
     return Remainder(share, errors, spread, variable, spread_errors, noise_share(best, windows))
@@ -142,10 +147,38 @@ def _weakening(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) ->
     if not terms:
         return 0.0, 0.0
     problem = regression_of(trial, shooting, states, terms)
-    now = problem.unseen([])
-    remaining = min(
-        (problem.unseen([index]) for index in range(len(states) * len(terms))), key=lambda squares: float(squares.sum())
-    )
+    return _best_of(problem, [[index] for index in range(len(states) * len(terms))])
+
+
+def _gain_by_size(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
+    """Returns the same for a rate that the model has, times a piecewise linear function of the size of its state."""
+    windows, model = shooting.windows, trial.fit.model
+    named = dict(zip(windows.system.state_names, windows.states.T, strict=True))
+    action = dict(zip(windows.system.action_names, effective_actions(model, windows).T, strict=True))
+    values = {item.name: model.settings[f"base.{item.name}"].value for item in model.base.parameters}
+    rates = model.base.rates(named, action, values, NUMPY)
+    found = [(0.0, 0.0)]
+    for state in states:
+        size = np.abs(named[state])
+        knots = np.unique(np.quantile(size, np.linspace(0.02, 0.98, _BANDS)))
+        rate = np.broadcast_to(rates[state], size.shape)
+        bands = [rate * np.interp(size, knots, weights) for weights in np.eye(len(knots))]
+        terms = [RowTerm(f"{state} {index}", values) for index, values in enumerate([rate, *bands])]
+        problem = regression_of(trial, shooting, [state], terms)
+        # Compared with a constant gain: noise of the state and the time of commands look like one.
+        found.append(_best_of(problem, [[*range(1, 1 + len(bands))]], problem.unseen([0])))
+    return max(found)
+
+
+def _best_of(
+    problem: Regression, groups: Sequence[Sequence[int]], now: FloatArray | None = None
+) -> tuple[float, float]:
+    """Returns share and standard errors of the group of columns that predicts unseen squares best, if significant.
+
+    ``now`` (windows,) are the squares without it; None: those of the free parameters alone.
+    """
+    now = problem.unseen([]) if now is None else now
+    remaining = min((problem.unseen(group) for group in groups), key=lambda squares: float(squares.sum()))
     share, errors = 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), problem.block_gain(now, remaining)
     # What only a cold start shows is in few windows, which makes the standard error large.
     sure = is_significant(errors, share) or (share > _MOST and errors > _SURE)
