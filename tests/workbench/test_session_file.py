@@ -124,11 +124,14 @@ def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, short_
     async def second():
         controller = SessionController(choice, tmp_path / "out")
         await worked(controller, lambda b: b.session is not None and b.session.number > b.session.base - 1)
+        controller.session.show_version(0)
+        await controller.save()  # the present version, not the one that is looked at
         controller.close()
         return [version.error for version in controller.session.versions], controller.session.decisions
 
     before = finished(first())
     after, decisions = finished(second())
     assert after == before
+    assert [item.name for item in load_model(tmp_path / "out" / "model.toml").effects] == ["quadratic_drag"]
     assert [(do, effect) for do, effect, _ in decisions] == [("rejected", "viscous_drag"), ("added", "quadratic_drag")]
     assert {"opening", "opened", "busy", "candidates", "versions"} <= set(events)
