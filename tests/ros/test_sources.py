@@ -1,6 +1,7 @@
 """Sources of the gateway: clouds, depth images, ranges and grids become rays; mounts come from tf or the file."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from safedpa.ros.decoding import DecodingError
-from safedpa.ros.encoding import decode, encode
+from safedpa.ros.encoding import decode, encode, type_store
 from safedpa.ros.outgoing import odometry_of
 from safedpa.ros.sensor_messages import (
     CAMERA_INFO,
@@ -27,6 +28,9 @@ from safedpa.ros.sensor_messages import (
     points_of,
 )
 from safedpa.ros.transforms import TransformTree, pose_matrix, roll_pitch_yaw
+from safedpa_services.command_line.group import safedpa
+from safedpa_services.ros_gateway.bag_sources import read_sources
+from safedpa_services.ros_gateway.robot_file import parse_robot_file
 from safedpa_services.ros_gateway.sensor_inputs import TRANSFORMS, FootprintInput, LatestMessage, pose_paths
 from safedpa_services.ros_gateway.sensor_tables import LASER, ExclusionArea, FrameTopics, SourceTopic
 from safedpa_services.ros_gateway.sources import BodyFrames, SourceReader, SourceReading, SourceReceiver
@@ -355,3 +359,44 @@ def test_angles_of_a_pose_are_those_it_was_made_of_and_a_chain_back_is_the_inver
     assert there is not None
     assert back is not None
     assert there.matrix @ back.matrix == pytest.approx(np.eye(4), abs=1e-9)
+
+
+def test_sources_of_a_bag_are_read_as_while_driving(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    text = """
+        format = 2
+        robot = "differential_drive"
+        [odometry]
+        topic = "/odom"
+        [command]
+        topic = "/cmd_vel"
+        [surroundings]
+        field = [-9.0, 9.0, -9.0, 9.0]
+        footprint = [0.0, 0.0, 0.2]
+        [[sources]]
+        topic = "points"
+        type = "sensor_msgs/msg/PointCloud2"
+        name = "cloud"
+    """
+    (tmp_path / "robot.toml").write_text(text, encoding="utf-8")
+    cloud = [[1.0, 0.0, 0.3], [0.0, 2.0, 0.3]]
+    sent = [
+        ("/points", CLOUD, cloud_of(cloud, 1)), ("/tf_static", TRANSFORMS, tf_of("base_link", "sensor", 0.2)),
+        ("/points", CLOUD, cloud_of(cloud, 2)), ("/points", CLOUD, cloud_of(cloud, 3, point_step=1)),
+        ("/points", CLOUD, cloud_of(cloud, 4)),
+    ]  # fmt: skip
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kinds = {topic: kind for topic, kind, _ in sent}
+        lines = {topic: writer.add_connection(topic, kind, typestore=type_store()) for topic, kind in kinds.items()}
+        for number, (topic, _, data) in enumerate(sent):
+            writer.write(lines[topic], 200_000_000 * number, data)
+    found = list(read_sources(tmp_path / "bag", parse_robot_file(text)))
+    assert [isinstance(reading, SourceReading) for _, _, reading in found] == [False, True, False, True]
+    assert found[1][2].points == pytest.approx(np.array([[1.2, 0.0], [0.2, 2.0]]))
+    assert safedpa.run(["ros", "sources", str(tmp_path / "robot.toml"), str(tmp_path / "bag")]) == 0
+    notice = capsys.readouterr().out
+    assert "2 of 4 messages can be used, longest gap 0.40 s" in notice
+    assert "1 refused: there is no transform from 'sensor' to 'base_link' yet" in notice
+    assert safedpa.run(["ros", "sources", str(tmp_path / "robot.toml"), str(tmp_path / "robot.toml")]) == 2
+    assert "cannot be read as a rosbag2" in capsys.readouterr().err

@@ -308,7 +308,7 @@ def test_parameters_of_nav2_become_a_robot_file_and_differences_are_listed(tmp_p
         ("slowdown_ratio: 0.4", "slowdown_ratio: .nan", "number"),
         ("observation_sources:", "sources:", "no node with"), ("max_points: 5", "max_points: true", "max_points"),
         ("theta_max: 1.0", "theta_max: -2.0", "angular"), ("{type: scan,", "{type: [scan,", "not valid YAML"),
-        ("slowdown_ratio: 0.4", "slowdown_ratio: 4", "ratio"),
+        ("slowdown_ratio: 0.4", "slowdown_ratio: 4", "ratio"), ("use_sim_time: true", "<<: {a: 1}", "merge key"),
     ],
 )  # fmt: skip
 def test_parameters_that_contradict_themselves_cost_one_line(before, after, message, tmp_path, capsys):

@@ -116,3 +116,39 @@ def _from_collision_monitor(file: Path, out: Path | None, robot: str, endpoint: 
     click.echo("Differences from Nav2:" if out is not None else "# Differences from Nav2:")
     for line in found.differences:
         click.echo(f"- {line}" if out is not None else f"# - {line}")
+
+
+@command.command(name="sources")
+@click.argument("file", type=PATH, metavar="ROBOT.toml")
+@click.argument("bag", type=PATH)
+@as_json_option
+@needs("ros")
+def _sources(file: Path, bag: Path, as_json: bool) -> None:
+    """Read the sensors of ROBOT.toml from the rosbag2 BAG.
+
+    Shows how many messages of each can be used, why others cannot, and the longest gap between two.
+    """
+    from safedpa_services.ros_gateway.bag_sources import summarize_sources
+    from safedpa_services.ros_gateway.robot_file import load_robot_file
+
+    robot_file = load_robot_file(file)
+    found = summarize_sources(bag, robot_file)
+    if as_json:
+        rows = {
+            name: {
+                "messages": one.messages, "used": one.used, "measured": one.measured, "reasons": dict(one.reasons),
+                "longest_gap": one.longest_gap if one.used else None,
+            }
+            for name, one in found.items()
+        }  # fmt: skip
+        click.echo(json.dumps(rows))
+        return
+    for topic in robot_file.sensors:
+        one = found[topic.name]
+        line = f"{topic.name}   {topic.type} on {topic.topic}: {one.used} of {one.messages} messages can be used"
+        if one.used:
+            line += f", longest gap {one.longest_gap:.2f} s (time-out {topic.time_out:g} s)"
+            line += f", {100.0 * one.measured:.0f} % of the rays see something"
+        click.echo(line)
+        for reason, count in one.reasons.most_common(3):
+            click.echo(f"    {count} refused: {reason}")

@@ -74,6 +74,8 @@ def _loaded(path: Path) -> Any:
         data = file_of_at_most(path, "yaml_bytes")
         if len(data) > _MOST_BYTES:
             raise InputError(f"got {len(data)} bytes, wanted {_MOST_BYTES} at most: the part of the collision monitor")
+        if b"<<" in data:  # a few lines of merges can become gigabytes
+            raise InputError("got a merge key '<<', wanted the parameters written out")
         return YAML(typ="safe").load(data.decode("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read ({getattr(error, 'strerror', None) or 'not UTF-8'})") from error

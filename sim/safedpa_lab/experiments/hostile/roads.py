@@ -85,6 +85,7 @@ ROADS: tuple[Road, ...] = tuple(
         ("up --perception", _TOML, (*_UP, "--laser", "--perception", "{file}")),
         ("serve: robot", _TOML, ("serve", "{file}", "--out", "{folder}/runs")),
         ("ros run: robot", _TOML, ("ros", "run", "{file}")),
+        ("ros sources: robot", _TOML, ("ros", "sources", "{file}", "{good}")),
         ("ros from-collision-monitor", (".yaml",), ("ros", "from-collision-monitor", "{file}")),
         ("train --configuration", _TOML, ("train", "car", "--configuration", "{file}", "--out", "{folder}/out")),
         _map("compare", "car", "{good}", "--columns", "{file}", "--out", "{folder}/out"),
