@@ -98,7 +98,8 @@ def test_no_h_of_a_differential_drive_falls_while_it_brakes_as_guaranteed(speed,
         towards = state[:2] - place
         place = place + pace * w * towards / max(float(np.hypot(*towards)), 1e-9)
         now = h(state, place)
-        if not hidden:
+        stands = abs(state[3]) + 0.117 * abs(state[4]) <= 0.1
+        if not (hidden or stands):  # in the last step it stands for a part of it
             assert now >= before - 1e-3
         before = now
 
@@ -180,7 +181,7 @@ def surroundings(state, **more) -> SurroundingsMessage:
 def test_near_discs_enter_a_decision_and_far_ones_do_not() -> None:
     scene, state = scene_of(MODEL, SETTINGS), sensed_robot().state_message()
     scene.learn(MODEL.latent)
-    seen = surroundings(state, points=((0.5, 0.0, 0.05), (40.0, 0.0, 0.05)), movers=((0.9, 0.0, 0.2, 0.0, 0.0, 1.5),))
+    seen = surroundings(state, points=((0.28, 0.0, 0.05), (40.0, 0.0, 0.05)), movers=((0.55, 0.0, 0.2, 0.0, 0.0, 1.5),))
     barriers = scene.around(state, seen)
     assert not isinstance(barriers, str)
     assert {"point 0", "mover 0"} <= set(barriers.names)

@@ -63,8 +63,7 @@ class Rays:
                 f"rays: got {len(self.ranges)} ranges and {len(self.free)} free lengths, wanted 2 to {_MOST_RAYS} "
                 "ranges, and as many free lengths or none"
             )
-        if len(self.mount) != 3 or not all(map(isfinite, self.mount)):
-            raise InputError(f"mount: got {self.mount}, wanted x, y in m and yaw in rad, finite")
+        _check_mount(self.mount)
         if not 0.0 <= self.nearest < self.farthest <= _LARGEST:
             raise InputError(f"ranges: got {self.nearest:g} to {self.farthest:g} m, wanted the nearest first, finite")
 
@@ -162,6 +161,7 @@ def rays_of_points(
     if table.ndim != 2 or table.shape[1] not in (2, 3):
         raise InputError(f"points: got shape {table.shape}, wanted (points, 2) or (points, 3): x, y, z in m")
     first, step = _sectors(field_of_view, rays)
+    _check_mount(mount)
     table = table[np.isfinite(table).all(axis=1) & (np.abs(table) < _LARGEST).all(axis=1)]
     x, y, yaw = mount
     away_x, away_y = table[:, 0] - x, table[:, 1] - y
@@ -296,6 +296,11 @@ def rays_of_polygon(
         met = np.isfinite(safe) & (length >= 0.0) & (share >= 0.0) & (share <= 1.0)
         least = np.minimum(least, np.where(met, length, farthest))
     return Rays((*sensor, 0.0), first, step, tuple(least.tolist()), 0.0, farthest)
+
+
+def _check_mount(mount: Sequence[float]) -> None:
+    if len(mount) != 3 or not all(map(isfinite, mount)):
+        raise InputError(f"mount: got {tuple(mount)}, wanted x, y in m and yaw in rad, finite")
 
 
 def _sectors(field_of_view: float, rays: int) -> tuple[float, float]:

@@ -17,6 +17,7 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics
+from safedpa.errors import InputError
 from safedpa.safety.barriers.base import AbstractBarrier
 from safedpa.safety.barriers.disc_selection import fastest_of
 from safedpa.safety.barriers.planar_body import IS_STATIONARY, BodyPart, PlanarBody, SensedMovers, SensedPoints
