@@ -132,7 +132,7 @@ def test_an_empty_or_unknown_folder_and_the_folder_of_the_logs_as_output_are_ref
 
 
 def test_a_store_whose_package_is_missing_is_one_line(monkeypatch) -> None:
-    def missing(_url: str) -> None:
+    def missing(_url: str, **_: object) -> None:
         raise ImportError("Install s3fs to access S3")
 
     monkeypatch.setattr(fsspec.core, "url_to_fs", missing)

@@ -137,8 +137,8 @@ class StoredResults:
 
     def write(self, result: RobotResult) -> None:
         """See ``Results``."""
-        # Without result.json the robot counts as not diagnosed, whichever of its files are there.
-        remove([self._file(result.name, _RESULT)])
+        # result.json comes last and is never missing in between: an earlier one is of other inputs, and so not current,
+        # or of the same, and then its files are the same too. A worker that outlives its command can do no harm.
         remove([self._file(result.name, part) for part in _PARTS if part not in result.texts and part != _RESULT])
         for name, text in (*result.texts.items(), (_RESULT, json.dumps(result.document, indent=1) + "\n")):
             write_file(self._file(result.name, name), text.encode())

@@ -103,7 +103,7 @@ def _recordings_below(folder: Path) -> list[Path]:
 
 def _recordings_in_store(url: str) -> list[Path]:
     base = url.rstrip("/")
-    names = [name.removeprefix(f"{base}/") for name in find_files(base)]
+    names = [name.removeprefix(f"{base}/") for name in find_files(base, remembers=True)]
     earlier = tuple(f"{name.removesuffix('fleet.json')}" for name in names if name.endswith("/fleet.json"))
     recordings = (name for name in names if name.lower().endswith(_ENDINGS) and not f"/{name}".count("/."))
     return [Path(f"{base}/{name}") for name in recordings if not name.startswith(earlier)]

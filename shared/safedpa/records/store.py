@@ -47,9 +47,10 @@ def url_of(path: str | Path) -> str:
     return f"{found[1]}://{found[2]}" if found else ""
 
 
-def open_store(url: str) -> tuple[Any, str]:
+def open_store(url: str, *, remembers: bool = False) -> tuple[Any, str]:
     """Returns the fsspec file system of a URL and the place in it.
 
+    With ``remembers`` it answers from listings that it made before, which others may have changed since.
     Raises MissingExtraError if fsspec or the package of that store is not installed.
     """
     url = url_of(url) or url
@@ -57,7 +58,7 @@ def open_store(url: str) -> tuple[Any, str]:
     import fsspec
 
     try:
-        store, place = fsspec.core.url_to_fs(url)
+        store, place = fsspec.core.url_to_fs(url, use_listings_cache=remembers)
     except ImportError as error:
         package = _PACKAGES.get(url.partition(":")[0])
         how = f"pip install {package}" if package else " ".join(str(error).split())[:200]
@@ -76,13 +77,13 @@ def _transfer(url: str, what: str, failure: type[SafedpaError]) -> Iterator[None
         raise failure(f"{url}: cannot be {what} ({reason}); check the address and the access rights") from error
 
 
-def find_files(url: str) -> list[str]:
+def find_files(url: str, *, remembers: bool = False) -> list[str]:
     """Returns the URLs of all files below a folder, sorted. Raises TransferError if it cannot be listed.
 
     Names that no local folder could have (``..``, empty parts) are left out: they would leave a folder of results.
     """
     url = url_of(url) or url
-    store, place = open_store(url)
+    store, place = open_store(url, remembers=remembers)
     with _transfer(url, "listed", TransferError):
         store.invalidate_cache(place)
         names = store.find(place)
@@ -98,9 +99,9 @@ def _is_plain(part: str) -> bool:
 def version_of(url: str) -> dict[str, Any]:
     """Returns size and version of a file, as the store reports them. Raises OSError if it cannot be asked.
 
-    After ``find_files`` this asks the listing and not the store.
+    After ``find_files(..., remembers=True)`` this asks the listing and not the store.
     """
-    store, place = open_store(url)
+    store, place = open_store(url, remembers=True)
     try:
         info = store.info(place)
     except Exception as error:

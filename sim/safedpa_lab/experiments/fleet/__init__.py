@@ -1,6 +1,7 @@
 """The diagnosis of a simulated fleet, compared with the truth.
 
 ``diagnosis`` writes, diagnoses and judges a fleet, and asks which effects the size of the error would miss.
+``object_storage`` diagnoses many small logs in a local S3-compatible store, with workers that are killed.
 """
 
 from __future__ import annotations
@@ -33,5 +34,24 @@ EXPERIMENTS = (
         report=f"{__name__}.diagnosis:report",
         extras=("sim", "diagnosis"),
         small=("--robots", "5", "--runs", "2", "--seconds", "10"),
+    ),
+    Experiment(
+        name="object-storage",
+        help="""Diagnose many small logs in a local S3-compatible store with two Ray workers, one of which is killed.
+
+    The command is killed after half of the robots, too, and resumed. One log in fifty is unreadable. Needs the
+    packages moto, flask, flask-cors, py-partiql-parser and s3fs. Exit code 1 if a robot is missing, or a worker
+    needs 500 MiB.""",
+        run=f"{__name__}.object_storage:run",
+        parameters=(
+            integer("--logs", 10000, "robots with one log each", least=10),
+            number("--seconds", 3.0, "per log", positive=True),
+            integer("--seed", 0, "seed of the drives", least=0),
+            path("--record", "also write the result to this file", writes="json", metavar="FILE.json"),
+        ),
+        report=f"{__name__}.object_storage:report",
+        verdict=f"{__name__}.object_storage:verdict",
+        extras=("sim", "diagnosis"),
+        small=("--logs", "10", "--seconds", "1"),
     ),
 )
