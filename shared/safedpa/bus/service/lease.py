@@ -3,7 +3,7 @@
 The router grants the lease (``LeaseTable``), because a service that it cannot reach reaches no robot either. The holder
 counts from the moment at which it *asked*, and for less time than the router does, so its lease ends first: whatever
 fails, hangs or is cut off, two instances never hold it at once. A holder that cannot renew in time sends nothing more
-and ends its process. A message that was on its way then is of an earlier tick, which the robot refuses.
+and ends its process. A message that was in flight then is of an earlier tick, which the robot refuses.
 
 This assumes that the monotonic clocks of router and holder run at the same rate, within a quarter.
 """
