@@ -82,7 +82,7 @@ def test_a_target_is_reached_from_its_own_side() -> None:
 def test_rows_are_chosen_in_their_order() -> None:
     everything = chosen_rows((), Effort(full=True))
     assert everything == list(ROWS)
-    assert set(everything) - set(chosen_rows((), Effort())) == {"largest-fleet", "long-logs", "weights"}
+    assert set(everything) - set(chosen_rows((), Effort())) == {"kernel", "largest-fleet", "long-logs", "weights"}
     assert chosen_rows(("start", "filter"), Effort()) == ["filter", "start"]
     with pytest.raises(InputError, match="adaptation"):
         chosen_rows(("adaption",), Effort())

@@ -23,12 +23,13 @@ from safedpa_lab.benchmarks import latency
 from safedpa_lab.benchmarks.filter_problem import MODELS, problem_with
 from safedpa_lab.benchmarks.fleet import FleetTrial
 from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row
-from safedpa_lab.benchmarks.rows import diagnosis, long_logs, sense_to_act, start, weights
+from safedpa_lab.benchmarks.rows import diagnosis, kernel, long_logs, sense_to_act, start, weights
 from safedpa_lab.benchmarks.rows import largest_fleet as row
 from safedpa_lab.benchmarks.rows.decision_parts import WHOLE, measure, parts
 from safedpa_lab.benchmarks.rows.diagnosis import dart_drives, written
 from safedpa_lab.benchmarks.rows.start import answers, seconds_to_pages
 from safedpa_lab.benchmarks.table import row_lines
+from safedpa_lab.benchmarks.users_models import ROBOTS
 from safedpa_lab.experiments.diagnosis.real_logs_data import CAR
 from safedpa_sim.training.configuration import load_configuration
 
@@ -58,6 +59,19 @@ def test_every_part_of_either_model_has_its_line() -> None:
     row = measure(Effort(quick=True))
     assert ({entry.problem for entry in row.ours}, len(row.ours)) == (set(MODELS.values()), 2 * 9 + 1)
     assert all(0.0 < entry.figures["p50"] <= entry.figures["p999"] for entry in row.ours)
+
+
+@pytest.mark.long
+def test_the_row_of_compiled_decisions_has_a_target_for_every_part_that_was_measured() -> None:
+    """In a quick run: neither loop nor fleet. Where a part is missing, the row says why."""
+    found = kernel.measure(Effort(quick=True))
+    wanted = {"physics, 8 obstacles", "physics, no feasible action", "256 points of a scan", "the first decision"}
+    assert all(any(part in target.what for target in found.targets) for part in wanted)
+    assert all(target.got > 0.0 for target in found.targets)
+    measured = {entry.problem for entry in found.ours if not entry.missing}
+    assert {"networks f and g, 32 obstacles", "1,080 rays"} <= measured
+    assert all(f"p99 of a RolloutBarrier, {name}" in str(found.targets) for name in measured & set(ROBOTS))
+    assert all(entry.figures or entry.missing for entry in (*found.ours, *found.peers))
 
 
 def _drives(folder: Path, count: int, seconds: float = 12.0) -> Path:
