@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import importlib
 import os
 import sys
 from importlib.metadata import EntryPoint, entry_points, version
+from importlib.util import find_spec
+from pathlib import Path
 
 import click
 
@@ -162,15 +165,31 @@ def _fail(message: str, code: int) -> int:
 
 
 def _print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:
-    """Prints the version, and whether the filter's decisions are compiled."""
+    """Prints the version, a digest of the source, and whether the filter's decisions are compiled."""
     del option
     if wanted and not context.resilient_parsing:
         from safedpa.native.library import why_not_compiled
 
         reason = why_not_compiled()
         kind = f"Python ({reason})" if reason else "compiled"
-        click.echo(f"safedpa, version {version('safedpa')}; the filter's decisions: {kind}")
+        click.echo(
+            f"safedpa, version {version('safedpa')}; source {_source_digest()}; the filter's decisions: {kind}"
+        )
         context.exit()
+
+
+def _source_digest() -> str:
+    """Returns twelve hex digits of a SHA-256 over the source and settings of this installation.
+
+    A checkout and a wheel that was built from it have the same digest.
+    """
+    digest = hashlib.sha256()
+    for package in ("safedpa", "safedpa_services", "safedpa_sim"):
+        found = find_spec(package)
+        for folder in map(Path, (found.submodule_search_locations or ()) if found else ()):
+            for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".toml", ".c")):
+                digest.update(f"{package}/{path.relative_to(folder).as_posix()}|".encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 @click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
