@@ -3,7 +3,7 @@
     python deploy/kubernetes_region.py --namespace west --certificates keys --robots 4 | kubectl apply -f -
 
 Images, commands, health checks, limits and rights are read from the compose file; the objects are those of
-``kubernetes_region.yml.j2``. docs/guides/run-a-fleet.md describes the differences. ``--certificates`` is a folder of
+``kubernetes_region.yml.j2``. docs/guides/kubernetes.md describes the differences. ``--certificates`` is a folder of
 ``safedpa certificates``: each role's three files become a Secret that its pod alone mounts; without it the Secrets have
 to exist. ``--robots`` simulates so many; real robots reach the router by a load balancer, from the networks that
 ``--robots-from`` names. ``--kustomize DIR`` writes a base for Kustomize instead of one document: a file per object.
