@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -100,3 +101,34 @@ def test_services_say_in_one_line_that_they_need_linux() -> None:
     assert found.stdout.endswith("2\n")
     lines = found.stderr.splitlines()
     assert [line.split(";")[0] for line in lines] == ["safedpa: 'safedpa up' needs Linux", "policy needs Linux"]
+
+
+CORE = (
+    "safety/test_filter_verdicts.py", "safety/test_filter_conditions.py", "safety/test_filter_session.py",
+    "safety/test_barriers.py", "records/test_tables.py", "records/test_segments.py",
+)  # fmt: skip
+"""Quick tests of the filter and of reading logs; those that use POSIX themselves are none of them."""
+TESTS = """
+import os, pytest
+
+class OnlyTheTests:
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self):
+        sys.platform = "win32"
+        try:
+            return (yield)
+        finally:
+            sys.platform = "linux"
+
+sys.platform, os.getuid = "linux", lambda: 0  # pytest's own start is that of this system
+options = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:xdist", "-m", "not long and not slow"]
+sys.exit(pytest.main([*options, "--rootdir", {root!r}, *{files!r}], [OnlyTheTests()]))
+"""
+
+
+@pytest.mark.long
+def test_the_core_tests_pass_without_posix() -> None:
+    root = Path(__file__).resolve().parents[2]
+    found = printed(TESTS.format(root=str(root), files=[str(root / "tests" / name) for name in CORE]))
+    assert found.returncode == 0, found.stdout[-3000:] + found.stderr[-1000:]
+    assert " passed" in found.stdout
