@@ -395,3 +395,14 @@ def test_a_robot_that_braked_by_itself_during_a_pause_is_not_braked_into_reverse
         assert abs(verdict.action[0]) <= 0.5, "it rests since half a second after the pause began"
     session.decide([-39.5, 0.0], [2.0], time=PERIOD * 40)
     assert session.latched == ""
+
+
+def test_commands_from_before_a_pause_have_acted_when_it_ends() -> None:
+    """The mass braked by itself in the pause, and rests when it is asked again."""
+    session = session_of_the_mass(StateLimits(jump={"m": 1.0}, unanswered={"m/s": 0.2}))
+    for tick in range(10):
+        session.decide([-40.0 + 0.5 * 2.0 * (PERIOD * tick) ** 2, 2.0 * PERIOD * tick], [2.0], time=PERIOD * tick)
+    for tick in range(40, 44):
+        applied = [0.0] if tick == 40 else None
+        session.decide([-39.5, 0.0], [2.0], time=PERIOD * tick, applied=applied)
+    assert session.latched == ""

@@ -191,6 +191,9 @@ class GuardedSession(SessionMemory[StateT]):
         usable, known = not self.problem, self._believed
         self._was_lost, self._gap = self.lost > 0, 0
         self.evidence = None
+        # What the robot applied by itself in a pause takes its time, too: older commands have acted by then.
+        missing = 0 if before is None or before.epoch != state.epoch else state.tick - before.tick - 1
+        self._commands.extendleft([tuple(state.applied)] * min(max(0, missing), _MOST_COMMANDS))
         self._commands.appendleft(self._applied(state))
         compared = not usable or bool(self.latched) or self.limits is not None
         predicted = self._predicted(state) if known is not None and compared else None
@@ -322,7 +325,8 @@ class GuardedSession(SessionMemory[StateT]):
             found[rate] = less + (speed if gap else 0.0)
             found[rate.removesuffix("/s")] = period * (self.lost * less + gap * speed)
         for late in range(1, self._allowed_periods + 1) if gap else ():
-            other = self._along_commands(known.values, state, gap + 1, late, held=True)
+            # The commands before the pause.
+            other = self._along_commands(known.values, state, gap + 1, gap + late, held=True)
             for unit, size in self._monitor.distances(other, predicted).items() if other else ():
                 found[unit] = max(size, found.get(unit, 0.0))
         return found
