@@ -72,7 +72,7 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("up --force 0.004", "--force: got one for a car, which has none"),
     ("up --robot pendulum --load box", "--load: got one for a pendulum"),
     ("up --robot pendulum --change hitch", "--change: got one for a pendulum"),
-    ("up --robot pendulum --laser", "--laser: got one for a pendulum"),
+    ("up --robot pendulum --laser", "--laser: got sensors for the robot 'pendulum'"),
     ("up --robot pendulum --wind -1", "--wind: got -1.0"),
     ("up --robot pendulum --wind-direction 999", "--wind-direction: got 999.0"),
     ("up --robot pendulum --payload 11", "--payload: got 11.0, wanted 0 to 10 kg"),

@@ -86,10 +86,15 @@ class StandInRobot(SimulatedRobot):
     def state_message(self) -> StateMessage:
         """Returns state k with the surroundings of the stand-in."""
         seen = self.stand_in
-        known = {"goal": seen.goal, "field": seen.field, "footprint": seen.footprint}
-        if self.sensors is not None:
-            return self._state(**known, sources=self.sensors.names, pose=self.sensors.reported_pose(seen))
-        return self._state(**known, obstacles=seen.obstacles)
+        sensors = self.sensors
+        return self._state(
+            goal=seen.goal,
+            obstacles=seen.obstacles if sensors is None else (),
+            field=seen.field,
+            footprint=seen.footprint,
+            sources=() if sensors is None else sensors.names,
+            pose=() if sensors is None else sensors.reported_pose(seen),
+        )
 
     def scans(self) -> Sequence[ScanMessage]:
         """Returns the new scans of its sensors."""

@@ -148,8 +148,8 @@ class Boxes(AbstractStandIn):
             x, y = self._draw.uniform(-2.4, 2.4, 2).tolist()
             outline = Outline(((0.0, 0.0, 0.35),), self.polygons)
             if clearance_at(outline, x, y) > 1.1:
-                size = self._draw.uniform((0.4, 0.3), (0.9, 0.6))
-                self.polygons = (*self.polygons, box(x, y, *size.tolist(), float(self._draw.uniform(0.0, pi))))
+                length, width, yaw = self._draw.uniform((0.4, 0.3, 0.0), (0.9, 0.6, pi)).tolist()
+                self.polygons = (*self.polygons, box(x, y, length, width, yaw))
         self._goal = self._next_goal()
 
     @property

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
-from safedpa.safety.barriers.planar_body import IS_STATIONARY
+from safedpa.safety.barriers import planar_body
 from safedpa.safety.settings import FilterSettings
 
 _SPEEDS = 9
@@ -78,6 +78,8 @@ def _latents(model: AbstractDynamics) -> NDArray[np.float64] | None:
     return np.array([model.latent, *product(*((one.low, one.high) for one in ranges))])[:, None]
 
 
+IS_STATIONARY: Final = planar_body.IS_STATIONARY
+"""m/s; a slower car counts as stationary."""
 _LAG: Final = 0.05
 """s; delay until the motor brakes as commanded."""
 _SHARE: Final = 3.0
