@@ -95,7 +95,9 @@ def test_the_diagnosed_model_needs_less_margin(monkeypatch, tmp_path, capsys):
 
 @pytest.fixture
 def two_pendulums(monkeypatch):
-    """Two pendulums of two short runs each, one with friction, shown at two horizons."""
+    """Two pendulums of two short runs each, one with friction, shown at two horizons; three effects are tried."""
+    few = [effect("pendulum", name) for name in ("coulomb_friction", "viscous_friction", "tip_mass")]
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: few)
     cases = [
         Case("pendulum", 11, {"coulomb_friction": {"torque": 0.1}}, "pendulum", runs=2, seconds=8.0),
         Case("pendulum", 12, {}, "pendulum", runs=2, seconds=8.0),
