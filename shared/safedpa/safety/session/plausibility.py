@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from math import hypot, inf, pi
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
@@ -129,11 +130,11 @@ class StateMonitor:
         drift = {}
         for unit in self._positions:
             own = self._groups[unit]
-            total = [error[index] + sum(row[index] for row in self._errors) for index in own]
-            drift[unit] = hypot(*total), _norm(way, own) + sum(ways[unit] for ways in self._ways)
+            total = [error[index] + sum(map(itemgetter(index), self._errors)) for index in own]
+            drift[unit] = hypot(*total), _norm(way, own) + sum(map(itemgetter(unit), self._ways))
         self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
         self._drift_at_rest = {
-            unit: hypot(*[error[index] + sum(row[index] for row in rows) for index in self._groups[unit]])
+            unit: hypot(*[error[index] + sum(map(itemgetter(index), rows)) for index in self._groups[unit]])
             for unit, rows in self._resting.items()
             if len(rows) >= self._window  # a shorter rest is within the window of a drift
         }
