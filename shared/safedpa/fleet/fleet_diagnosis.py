@@ -32,7 +32,6 @@ from safedpa.fleet.document import Analysis, analyse_fleet, fleet_document
 from safedpa.fleet.one_robot import (
     Options,
     Task,
-    diagnose_into,
     diagnose_robot,
     failed_result,
     file_stamp,
@@ -40,7 +39,7 @@ from safedpa.fleet.one_robot import (
 )
 from safedpa.fleet.outcome import outcome_of
 from safedpa.fleet.page import fleet_page
-from safedpa.fleet.results import Results, StoredResults, plotly_script, results_at
+from safedpa.fleet.results import Results, StoredResults, diagnose_into, plotly_script, results_at
 from safedpa.fleet.robots import DiscoveredRobots, RobotLogs, robots_in, split_recording
 from safedpa.records.readers.table import regular_file
 from safedpa.records.store import find_files, url_of, write_file

@@ -154,18 +154,6 @@ def _most_mebibytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
-def diagnose_into(out: str, task: Task) -> RobotResult:
-    """Diagnoses one robot and writes the result below the URL ``out``, where the worker runs; returns it without texts.
-
-    Raises RecordingError if it cannot be written.
-    """
-    from safedpa.fleet.results import StoredResults
-
-    result = diagnose_robot(task)
-    StoredResults(out).write(result)
-    return RobotResult(result.name, result.document)
-
-
 def failed_result(task: Task, reason: str) -> RobotResult:
     """Returns the result of a robot whose process died or raised an unexpected exception."""
     return RobotResult(task.robot.name, _document(task, "failed", reason, []))

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from uuid import uuid4
 
 from safedpa.errors import RecordingError
-from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, same_files
+from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, diagnose_robot, same_files
 from safedpa.records.store import find_files, read_files, remove, url_of, write_file
 from safedpa.records.writers.tables import atomic_path
 
@@ -28,8 +28,10 @@ __all__ = [
     "Results",
     "StoredResults",
     "clear_others",
+    "diagnose_into",
     "has_current_result",
     "iterate_results",
+    "plotly_script",
     "read_result",
     "results_at",
     "write_result",
@@ -71,6 +73,16 @@ def results_at(out: Path) -> FolderResults | StoredResults:
     """Returns the results in a folder, or those at a URL that was given as a path."""
     url = url_of(out)
     return StoredResults(url) if url else FolderResults(out)
+
+
+def diagnose_into(out: str, task: Task) -> RobotResult:
+    """Diagnoses one robot and writes the result below the URL ``out``, where the worker runs; returns it without texts.
+
+    Raises RecordingError if it cannot be written.
+    """
+    result = diagnose_robot(task)
+    StoredResults(out).write(result)
+    return RobotResult(result.name, result.document)
 
 
 def plotly_script() -> bytes:
