@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from safedpa.bus import ReceivedMessage
+from safedpa.bus import Message, ReceivedMessage, RejectedMessage, Topic
 from safedpa.bus.transport.ports import free_port
 from safedpa_services.dashboard.display_settings import DisplaySettings
 from safedpa_services.dashboard.fleet_view import FleetView
@@ -92,12 +92,14 @@ def test_a_client_that_does_not_read_lags_until_it_leaves(behind: tuple[str, int
 
 
 def test_fewer_frames_are_drawn_while_a_viewer_lags_and_all_again_afterwards(
-    look: DisplaySettings, drive: Callable[[int], Iterator[list[tuple]]]
+    look: DisplaySettings, drive: Callable[[int], Iterator[list[tuple[Topic, Message]]]]
 ) -> None:
     view, drawn = FleetView(look), {True: 0, False: 0}
     for k, messages in enumerate(drive(800)):
         lags, at = k < 200, 0.05 * k
-        items = [ReceivedMessage(topic, "r1", message, b"", "key", at) for topic, message in messages]
+        items: list[ReceivedMessage | RejectedMessage] = [
+            ReceivedMessage(topic, "r1", message, b"", "key", at) for topic, message in messages
+        ]
         frames = view.take(items, at, waited=1.0 if lags else -3.0)
         if k < 200 or k >= 600:
             drawn[lags] += sum(any(entry.path[-1] == "barrier" for entry in frame.entries) for frame in frames)

@@ -53,7 +53,9 @@ def test_metrics_have_the_age_of_each_message_and_no_value_of_an_old_one(fleet: 
 
 
 @pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
-def test_the_status_shows_no_h_and_no_verdict_of_the_past_and_its_document_has_their_ages(fleet: Any, age: float):
+def test_the_status_shows_no_h_and_no_verdict_of_the_past_and_its_document_has_their_ages(
+    fleet: Any, age: float
+) -> None:
     fleet.drive(1)
     fleet.now += age
     document = document_of(fleet.overview)
