@@ -155,11 +155,18 @@ def test_robots_of_ones_own_drive_by_a_laser(robot: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("source", ["cloud", "depth", "range", "grid"])
+@pytest.mark.parametrize("source", ["cloud", "depth", "grid"])
 def test_other_sources_alone_are_enough_to_drive(source: str) -> None:
     found = run_planar_drive(PlanarDrive("omni", 11, 4.0, 0, source=source))
     assert found["statuses"].get("fallback", 0) <= 5
     assert found["way"] > 0.2
+    assert not found["moving"]
+
+
+@pytest.mark.long
+def test_a_ring_of_range_sensors_alone_touches_nothing() -> None:
+    found = run_planar_drive(PlanarDrive("omni", 11, 4.0, 0, source="range"))
+    assert sum(found["statuses"].values()) == 80
     assert not found["moving"]
 
 
