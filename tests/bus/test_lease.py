@@ -17,6 +17,7 @@ from safedpa.bus.service.lease import (
 from safedpa.bus.transport.memory import MemoryBroker, MemoryTransport
 from safedpa.errors import InputError
 from safedpa.runtime.stop_orders import StopOrders
+from safedpa_services.router.router import DuplicateCertificates
 
 
 class World:
@@ -133,3 +134,14 @@ def test_stop_orders_are_inherited_and_unreadable_ones_stop_the_fleet() -> None:
     assert after.reason("r2")
     with pytest.raises(InputError, match="wanted stop, go or status"):
         after.answer("r1", Request(do="dance"))
+
+
+@pytest.mark.parametrize(("standby", "cut"), [("safety_filter", {"third"}), ("", {"second", "third"})])
+def test_with_a_standby_a_second_filter_stays_and_a_third_is_cut_off(standby: str, cut: set[str]) -> None:
+    members, gone = [("first", "safety_filter"), ("p", "policy")], set[str]()
+    certificates = DuplicateCertificates(lambda: members, lambda found: gone.update(found) or len(found), standby)
+    for session in ("", "second", "third"):
+        members += [(session, "safety_filter")] if session else []
+        for _ in range(20):
+            certificates.look()
+    assert gone == cut

@@ -11,7 +11,7 @@ fsspec = pytest.importorskip("fsspec")
 
 from safedpa.errors import InputError, MissingExtraError, RunError  # noqa: E402
 from safedpa.fleet import Fleet, Options, diagnose_fleet, robots_in_folder, robots_of_files  # noqa: E402
-from safedpa.records.store import TransferError, find_files, read_files, remove, write_file  # noqa: E402
+from safedpa.records.store import TransferError, find_files, matching, read_files, remove, write_file  # noqa: E402
 from safedpa_services.command_line.group import safedpa  # noqa: E402
 
 LOGS, OUT = Path("memory://fleet/logs"), Path("memory://fleet/out")
@@ -152,3 +152,14 @@ def test_recordings_of_many_robots_are_split_once_into_the_store(tmp_path: Path)
     ((_, content),) = read_files(["memory://fleet/out/fleet.json"])
     assert content is not None
     assert json.loads(content)["by"] == "robot"
+
+
+def test_runs_match_a_url_with_a_star_and_a_recording_by_url_is_replayed(tmp_path: Path, capsys: Any) -> None:
+    stored("r1/a.csv", "r1/b.csv")
+    assert matching("memory://fleet/logs/r1/*.csv") == [f"memory://fleet/logs/r1/{name}.csv" for name in "ab"]
+    assert matching(tmp_path / "*.csv") == [str(tmp_path / "*.csv")]
+    with pytest.raises(TransferError, match="matches no file"):
+        matching("memory://fleet/none/*")
+    write_file("memory://fleet/damaged.mcap", b"no recording")
+    assert safedpa.run(["replay", "memory://fleet/damaged.mcap"]) == 2
+    assert "no such file" not in capsys.readouterr().err

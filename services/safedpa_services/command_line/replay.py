@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,13 +60,23 @@ def command(**options: Any) -> int:
     eta or margin was tried; 1: an output differs.
     """
     from safedpa.dynamics import load_user_file
-    from safedpa.replay.setups import complete_setups
-    from safedpa.replay.tape import read_tape
+    from safedpa.records.readers.table import regular_file
+    from safedpa.records.store import url_of
 
     if options["rrd"] is not None:
         need("view", what="--rrd")
     if options["effects"] is not None:
         load_user_file(options["effects"])
+    with ExitStack() as copies:
+        runs = [copies.enter_context(regular_file(run)) if url_of(run) else run for run in options["runs"]]
+        return _replayed({**options, "runs": tuple(runs)})
+
+
+def _replayed(options: dict[str, Any]) -> int:
+    """Replays recordings on this machine; returns the exit code."""
+    from safedpa.replay.setups import complete_setups
+    from safedpa.replay.tape import read_tape
+
     _check_out(options)
     change = _change(options)
     tape = read_tape(options["runs"], options["robot"])

@@ -143,11 +143,13 @@ def _check_inputs(named: InputSelection) -> None:
     """Raises InputError for an invalid model or an unknown kind of file; the page handles the contents of files."""
     from safedpa.dynamics import load_model
     from safedpa.records.readers.bags.detect import kind_of
+    from safedpa.records.store import url_of
 
     if named.model:
         load_model(named.model)
     for run in named.runs:
-        kind_of(Path(run))
+        if not url_of(run):  # which would be transferred twice
+            kind_of(Path(run))
 
 
 def _take_pictures(options: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from safedpa.progress import progress
 from safedpa.records import ColumnMap, load_run
 from safedpa.records.column_map.file import column_map_of
 from safedpa.records.run import Run
+from safedpa.records.store import matching, url_of
 from safedpa.systems import System
 
 __all__ = ["Columns", "Logs", "Model", "files_of", "model_of", "read_log", "runs_of", "title_of"]
@@ -69,8 +70,9 @@ def title_of(model: Model) -> str:
 
 
 def runs_of(logs: Logs, model: PhysicsModel, columns: Columns) -> list[Run]:
-    """Returns the runs, reading files with a progress bar; several files get distinct names."""
-    given = [logs] if isinstance(logs, (Run, str, Path)) else list(logs)
+    """Returns the runs, reading files with a progress bar; several files get distinct names. URLs may have a ``*``."""
+    named_logs = [logs] if isinstance(logs, (Run, str, Path)) else list(logs)
+    given = [one for log in named_logs for one in ([log] if isinstance(log, Run) or not url_of(log) else matching(log))]
     if not given:
         raise InputError("runs: got none; wanted recordings of a robot")
     paths = [item for item in given if not isinstance(item, Run)]

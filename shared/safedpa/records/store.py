@@ -16,7 +16,17 @@ from typing import Any
 from safedpa.errors import MissingExtraError, RecordingError, RunError, SafedpaError
 from safedpa.extras import need
 
-__all__ = ["TransferError", "find_files", "open_store", "read_files", "remove", "url_of", "version_of", "write_file"]
+__all__ = [
+    "TransferError",
+    "find_files",
+    "matching",
+    "open_store",
+    "read_files",
+    "remove",
+    "url_of",
+    "version_of",
+    "write_file",
+]
 
 _URL = re.compile(r"(https?|s3|gs|gcs|az|abfss?|hdfs|s?ftp|hf|memory):/{1,2}([^/].*)")
 """A URL, also if ``Path`` removed one of its slashes."""
@@ -90,6 +100,23 @@ def find_files(url: str, *, remembers: bool = False) -> list[str]:
     base = place.rstrip("/")
     below = (name.removeprefix(base).lstrip("/") for name in names if name.startswith(f"{base}/"))
     return sorted(f"{url.rstrip('/')}/{name}" for name in below if all(_is_plain(part) for part in name.split("/")))
+
+
+def matching(path: str | Path) -> list[str]:
+    """Returns the URLs that match one with ``*``, sorted; any other path or URL alone.
+
+    Raises TransferError without a match, or if the store cannot be asked.
+    """
+    url = url_of(path)
+    if "*" not in url:
+        return [url or str(path)]
+    store, place = open_store(url)
+    with _transfer(url, "listed", TransferError):
+        names = store.glob(place)
+        if not names:
+            raise TransferError(f"{url}: matches no file; check the address")
+        kind = url.partition(":")[0]
+        return sorted(name if url_of(name) else f"{kind}://{name.lstrip('/')}" for name in names)
 
 
 def _is_plain(part: str) -> bool:
