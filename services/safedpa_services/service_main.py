@@ -106,7 +106,7 @@ def _lease_of(service: PreparedService, leased: LeasedTransport, bus: Bus, stop:
 
 
 def _reported(keeper: LeaseKeeper, stop: StopSignal) -> bool:
-    """Tells the keeper that the loop makes progress; returns whether it should end."""
+    """Reports progress of the loop to the keeper; returns whether the loop should end."""
     keeper.progress(SHUTDOWN_SECONDS if stop() else 0.0)  # while it ends, the loop asks no more
     return stop()
 
