@@ -351,10 +351,18 @@ class Gateway:
             "sense_to_act": f"{age + seconds:.6f}",
             "command_stamp": str(sent),
             "periods_braked": str(self.watchdog_ticks),
-            **({"zone": f"{self._limit.action} {self._limit.zone}".strip()} if self._sensor_inputs.zones else {}),
+            **self._zone_facts(),
             **self._sensor_inputs.refusals([sensor.name for sensor in self._robot_file.sensors]),
         }
         self._health_publisher.gateway(self.why, facts)
+
+    def _zone_facts(self) -> dict[str, str]:
+        zones = self._sensor_inputs.zones
+        if zones is None:
+            return {}
+        missing = zones.missing()
+        facts = {"zone": f"{self._limit.action} {self._limit.zone}".strip()}
+        return {**facts, "zone_refused": missing} if missing else facts
 
     def _check_intruder(self) -> None:
         """Checks for another publisher on the driver's topic, without blocking."""
