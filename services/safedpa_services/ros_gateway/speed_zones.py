@@ -23,7 +23,7 @@ from safedpa.ros.graph import Attachment
 from safedpa.ros.sensor_messages import POLYGON, corners_of
 from safedpa_services.ros_gateway.sensor_tables import SpeedZone, VelocityPolygon
 
-__all__ = ["BOOL", "Limit", "SpeedZones", "ToggleInput", "ZonePolygon"]
+__all__ = ["BOOL", "Limit", "SpeedZones", "ToggleInput", "ZonePolygon", "scaled", "velocity_of"]
 
 BOOL = "std_msgs/msg/Bool"
 _NUMBERS = {"": 0, "stop": 1, "slowdown": 2, "limit": 4}
