@@ -78,6 +78,31 @@ def test_commands_and_the_base_are_recognised(
     assert started.unused == ()
 
 
+@pytest.mark.parametrize("base", ["coupled", pytest.param(None, marks=pytest.mark.long)])
+def test_a_state_that_another_one_drives_gets_a_coupled_base(base: str | None, tmp_path: Path) -> None:
+    """A voltage drives a current and the current a speed, which acts back: exact between rows, with noise."""
+    random = np.random.default_rng(1)
+    voltage = np.repeat(random.uniform(-10.0, 10.0, 30), 20)
+    # i' = 4 u - 10 i - 0.8 w, w' = 20 i - 1.5 w, in steps of a tenth of a period of 0.02 s
+    now, rows = np.zeros(2), []
+    for u in voltage:
+        rows.append(now)
+        for _ in range(10):
+            now = now + 0.002 * np.array([4.0 * u - 10.0 * now[0] - 0.8 * now[1], 20.0 * now[0] - 1.5 * now[1]])
+    noisy = np.array(rows) + random.normal(0.0, [0.02, 0.2], (len(rows), 2))
+    table = np.column_stack([0.02 * np.arange(len(rows)), noisy, voltage])
+    np.savetxt(tmp_path / "log.csv", table, "%.6g", ",", header="time_s,i_A,speed_rad_s,cmd_V", comments="")
+    roles = {"states": {"i": "i_A", "speed": "speed_rad_s"}, "actions": {"volts": "cmd_V"}}
+    started = safedpa.init(tmp_path / "log.csv", tmp_path / "out", **roles, base=base, robot="two_stage_motor")
+    assert started.kinds == {"i": "coupled"}
+    assert started.error < 0.2
+    safedpa.list_effects(effects=tmp_path / "out" / "robot.py")
+    values = {path: one.value for path, one in safedpa.load_model(tmp_path / "out" / "model.toml").settings.items()}
+    assert "base.speed_by_volts" not in values  # the voltage drives the speed by the current only
+    assert values["base.speed_by_i"] == pytest.approx(20.0, rel=0.1)
+    assert values["base.i_by_volts"] == pytest.approx(4.0, rel=0.1)
+
+
 def test_named_columns_a_named_base_and_the_parameters_of_the_plant(tmp_path: Path) -> None:
     write_log(tmp_path / "log.csv", "own_joint", "t,c1,c2,c3", {})
     roles = {"states": {"angle": "c1", "omega": "c2"}, "actions": {"current": "c3"}}

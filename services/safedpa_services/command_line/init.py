@@ -47,9 +47,9 @@ def command(
 
     LOG is a table, or several with the same columns: CSV, Parquet or arrays. Recognises time, commands, states, and
     pairs of position and rate; compares bases on the last part of each log: integrator, first_order, double_integrator,
-    joint, position_loop, bicycle, differential_drive, multirotor, planar. DIR gets robot.py (system, base, effects),
-    model.toml and columns.toml. It is a proposal: check names, units and bounds. The last line printed is the command
-    that diagnoses the model.
+    joint, position_loop, coupled (states that drive each other), bicycle, differential_drive, multirotor, planar. DIR
+    gets robot.py (system, base, effects), model.toml and columns.toml. It is a proposal: check names, units and bounds.
+    The last line printed is the command that diagnoses the model.
     """
     from safedpa.api.starting import init
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,8 +20,8 @@ from safedpa.records.column_map.recognise import PlanarMotion, changes
 from safedpa.systems import System, Variable
 
 __all__ = [
-    "KINDS", "WHOLE", "Chain", "ProposedBase", "RateTerm", "base_of", "bases_of_chain", "fitted_start", "follows",
-    "moving", "planar_rates", "turning_base", "whole_robot",
+    "KINDS", "WHOLE", "Chain", "ProposedBase", "RateTerm", "base_of", "bases_of_chain", "coupled_base", "fitted_start",
+    "follows", "moving", "needed_terms", "planar_rates", "turning_base", "whole_robot",
 ]  # fmt: skip
 
 WHOLE: Final = {
@@ -30,13 +31,17 @@ WHOLE: Final = {
     "planar": "positions on the floor, a heading, and velocities in the body's frame that change them",
 }
 """Bases of whole robots, with the names that they need."""
-KINDS: Final = ("integrator", "first_order", "double_integrator", "joint", "position_loop", *WHOLE)
+KINDS: Final = ("integrator", "first_order", "double_integrator", "joint", "position_loop", "coupled", *WHOLE)
 _SPANS = (2, 4, 8, 16, 32)
 """Rows over which changes are compared with the integrated equations; the best fit is taken."""
+_MIDDLE = 8
+"""The one of them over which terms are compared."""
 _RANGE = 20.0
 """Bounds of a proposed parameter, as a multiple of its fitted value."""
 _LINE = 100
 """Longest line of a rate in the proposed file; longer ones have a line for each summand."""
+_SPARE = 0.01
+"""Share of the lowest error on unseen rows by which terms that are left out may raise it."""
 _FOLLOWS = (0.3, 1.6)
 """Slopes of a state over a command for which the state may follow the command in the same unit: 1 if it is quick."""
 
@@ -220,6 +225,49 @@ def _equations(base: AbstractBase, names: Sequence[str], part: Part, span: int) 
     return np.concatenate(left), np.concatenate(right)
 
 
+def needed_terms(
+    proposed: ProposedBase, base: AbstractBase, training: Sequence[Part], rest: Sequence[Part]
+) -> ProposedBase:
+    """The base without the parameters that changes in unseen rows do not need, least needed first."""
+    names = [item.name for item in base.parameters]
+    state_of = {term.parameter: state for state, terms in proposed.rates.items() for term in terms}
+    grams = []
+    for parts in (training, rest):
+        rows = [_equations(base, names, part, _MIDDLE) for part in parts if len(part[0]) > 2 * _MIDDLE]
+        if not rows:
+            return proposed
+        both = np.concatenate([np.column_stack(row) for row in rows])
+        grams.append(both.T @ both / len(both))
+
+    def unseen(used: list[int]) -> float:
+        size = np.sqrt(np.maximum(np.diag(grams[0])[used], 1e-300))
+        inverse = np.linalg.pinv(grams[0][np.ix_(used, used)] / np.outer(size, size), rcond=1e-9, hermitian=True)
+        values = np.append(-inverse @ (grams[0][used, -1] / size) / size, 1.0)
+        rows = [*used, len(names)]
+        return float(values @ grams[1][np.ix_(rows, rows)] @ values)
+
+    used = list(range(len(names)))
+    lowest = unseen(used)
+    while True:
+        count = Counter(state_of[names[index]] for index in used)
+        # a state without a rate could drive nothing
+        errors = {
+            index: unseen([other for other in used if other != index])
+            for index in used
+            if count[state_of[names[index]]] > 1
+        }
+        least = min(errors, key=lambda index: errors[index], default=None)
+        if least is None or errors[least] > (1.0 + _SPARE) * lowest:
+            break
+        used.remove(least)
+        lowest = min(lowest, errors[least])
+    left = {names[index] for index in used} | {""}
+    return replace(
+        proposed,
+        rates={state: tuple(one for one in terms if one.parameter in left) for state, terms in proposed.rates.items()},
+    )
+
+
 @dataclass(frozen=True)
 class Chain:
     """A state that commands change: ``position`` and, where there is one, its ``rate``; the commands that drive it."""
@@ -265,9 +313,7 @@ def _following(chain: Chain, name: str, parameter: str, unit: str) -> RateTerm |
 
 def _gain(chain: Chain, command: Variable, state: Variable) -> RateTerm:
     own = f"{command.name}_" if len(chain.commands) > 1 else ""
-    rate = f"{state.unit}2" if state.unit.endswith("/s") else f"{state.unit}/s"
-    per = f"({command.unit})" if {" ", "/"} & set(command.unit) else command.unit
-    unit = rate if per == "1" else f"{rate}/{per}"
+    unit = _rate_unit(state.unit, command.unit)
     return RateTerm(f"{chain.prefix}{own}gain", unit, f'action["{command.name}"]')
 
 
@@ -314,6 +360,34 @@ def whole_robot(system: System) -> list[ProposedBase]:
         }
         found.append(ProposedBase("multirotor", rates))
     return found
+
+
+def coupled_base(system: System, rate_of: Mapping[str, str]) -> ProposedBase:
+    """Rates that are linear in all states and actions: states that drive each other, as a current drives a motor.
+
+    A state in ``rate_of`` changes by its rate, which is linear instead. Angles that wrap drive nothing.
+    """
+    rates: dict[str, tuple[RateTerm, ...]] = {}
+    sources = [("state", item) for item in system.state if not item.angle] + [("action", one) for one in system.action]
+    for state in system.state:
+        if state.name in rate_of:
+            rates[state.name] = (RateTerm("", "", f'state["{rate_of[state.name]}"]'),)
+            continue
+        terms = [
+            RateTerm(f"{state.name}_by_{item.name}", _rate_unit(state.unit, item.unit), f'{kind}["{item.name}"]')
+            for kind, item in sources
+        ]
+        rates[state.name] = (*terms, RateTerm(f"{state.name}_offset", _rate_unit(state.unit, "1"), ""))
+    return ProposedBase("coupled", rates)
+
+
+def _rate_unit(unit: str, per: str) -> str:
+    """The unit of a coefficient: that of the rate of a state over that of what it multiplies."""
+    if per == unit:
+        return "1/s"
+    rate = f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
+    factor = f"({per})" if {" ", "/"} & set(per) else per
+    return rate if factor == "1" else f"{rate}/{factor}"
 
 
 def planar_rates(motion: PlanarMotion, turn: str) -> dict[str, tuple[RateTerm, ...]]:

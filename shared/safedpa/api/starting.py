@@ -22,9 +22,11 @@ from safedpa.api.proposed_bases import (
     ProposedBase,
     base_of,
     bases_of_chain,
+    coupled_base,
     fitted_start,
     follows,
     moving,
+    needed_terms,
     planar_rates,
     turning_base,
     whole_robot,
@@ -52,6 +54,10 @@ _OF_REST = 0.4
 """Share of the last part of a log that the default horizon lasts at most."""
 _CLEARLY = 0.95
 """A later base is taken instead of a simpler one if its error is below this share of the simpler one's."""
+_MOST_COUPLED = 8
+"""States that are tried as driving each other at most: their coefficients grow with the square."""
+_FURTHER = 0.7
+"""Error, in units of the usual change, below which a state that only other states drive is predicted at all."""
 _DERIVED_ROWS = 5
 """Window of a derived rate, in periods."""
 _DRIVEN = 0.02
@@ -223,6 +229,8 @@ class _Fit:
     """That of constant velocity."""
     source: str
     kinds: dict[str, str]
+    by_state: Mapping[str, float]
+    """Error of each state that is not a rate."""
 
 
 class _Proposal:
@@ -261,15 +269,34 @@ class _Proposal:
             if whole is None:
                 raise InputError(f"base: {base} needs other states or actions: {WHOLE[base]}")
             return whole
+        coupled = self._coupled() if base in (None, "coupled") else None
         chains = self._chains(base)
+        best = whole
         if chains:
             best = chains[0] if len(chains) == 1 else self._fitted(_joined([one.proposed for one in chains]))
             best = replace(best, kinds={head: kind for one in chains for head, kind in one.kinds.items()})
-            return best if whole is None or best.error < whole.error else whole
-        if whole is None:
+            best = best if whole is None or best.error < whole.error else whole
+        if coupled is not None and (best is None or _explains_more(coupled, best)):
+            return coupled
+        if best is None:
             why = f" ({self.reasons[-1]})" if self.reasons else ""
             raise InputError(f"{self.logs[0]}: no base fits the columns{why}; name them with --state and --action")
-        return whole
+        return best
+
+    def _coupled(self) -> _Fit | None:
+        """States that drive each other, with the coefficients that unseen rows need; None for a single state."""
+        measured = self._measured()
+        if not 1 < len([name for name in measured if name not in self.pairs.values()]) <= _MOST_COUPLED:
+            return None
+        system = System(self.robot, tuple(map(self._variable, measured)), self.actions)
+        full = coupled_base(system, {name: rate for name, rate in self.pairs.items() if name in measured})
+        try:
+            training, rest = self._runs(system)
+            parts = [list(chain.from_iterable(run.parts() for run in runs)) for runs in (training, rest)]
+            return self._best([needed_terms(full, base_of(self._source(system, full)), *parts)])
+        except SafedpaError as error:
+            self.reasons.append(f"coupled: {error}")
+            return None
 
     def _planar(self) -> _Fit | None:
         """A body on a plane: known kinematics, and a base for each velocity in its frame; None for other logs."""
@@ -364,9 +391,7 @@ class _Proposal:
     def _fitted(self, proposed: ProposedBase) -> _Fit:
         """The base, fitted to the first part of the log, and its error on the rest: of positions, if there are any."""
         system = System(self.robot, tuple(map(self._variable, proposed.rates)), self._driving(proposed))
-        mapping = parse_column_map(self.map_text(system), self.logs[0].stem)
-        parts = [_parts(read_log(log, system, mapping)) for log in self.logs]
-        training, rest = ([run for run in runs if run.stretches] for runs in zip(*parts, strict=True))
+        training, rest = self._runs(system)
         stretches = list(chain.from_iterable(run.parts() for run in training))
         values = fitted_start(base_of(self._source(system, proposed)), stretches)
         terms = [term for rate in proposed.rates.values() for term in rate]
@@ -387,7 +412,15 @@ class _Proposal:
         if not np.isfinite(per_state[heads]).any():
             raise RunError(f"{self.logs[0]}: {proposed.kind} diverges")
         error, of_naive = (float(np.nanmean(found[heads])) for found in (per_state, naive))
-        return _Fit(proposed, model, error, of_naive, source, kinds)
+        by_state = {system.state_names[at]: float(per_state[at]) for at in heads}
+        return _Fit(proposed, model, error, of_naive, source, kinds, by_state)
+
+    def _runs(self, system: System) -> tuple[list[Run], list[Run]]:
+        """The first and the last part of each log."""
+        mapping = parse_column_map(self.map_text(system), self.logs[0].stem)
+        parts = [_parts(read_log(log, system, mapping)) for log in self.logs]
+        training, rest = ([run for run in runs if run.stretches] for runs in zip(*parts, strict=True))
+        return training, rest
 
     def _driving(self, proposed: ProposedBase) -> tuple[Variable, ...]:
         text = " ".join(term.expression for terms in proposed.rates.values() for term in terms)
@@ -439,6 +472,16 @@ def _parts(run: Run) -> tuple[Run, Run]:
     first = tuple(Stretch(part.start, min(part.stop, at)) for part in run.stretches if part.start < at)
     last = tuple(Stretch(max(part.start, at), part.stop) for part in run.stretches if part.stop > at)
     return replace(run, stretches=first), replace(run, stretches=last)
+
+
+def _explains_more(coupled: _Fit, best: _Fit) -> bool:
+    """Whether a coupled base predicts the states of a simpler one clearly better, or as well and further states too."""
+    if not set(best.by_state) <= set(coupled.by_state):
+        return False
+    own = float(np.mean([coupled.by_state[name] for name in best.by_state]))
+    further = [error for name, error in coupled.by_state.items() if name not in best.by_state]
+    as_good = bool(further) and max(further) < _FURTHER and own < best.error / _CLEARLY
+    return own < _CLEARLY * best.error or as_good
 
 
 def _joined(bases: Sequence[ProposedBase]) -> ProposedBase:
