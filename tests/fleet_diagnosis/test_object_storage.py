@@ -97,7 +97,7 @@ def test_an_unreadable_log_costs_itself_and_one_that_did_not_arrive_is_tried_aga
     stored("r3/a.csv")
 
     memory = type(fsspec.filesystem("memory"))
-    usual = vars(memory)["_open"]
+    usual = memory.open
 
     def broken(store: Any, path: str, mode: str = "rb", **more: Any) -> Any:
         if mode == "rb" and path.endswith("r3/a.csv"):
@@ -105,7 +105,7 @@ def test_an_unreadable_log_costs_itself_and_one_that_did_not_arrive_is_tried_aga
         return usual(store, path, mode, **more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(memory, "_open", broken)
+        patch.setattr(memory, "open", broken)
         assert diagnosed()["diagnosed_now"] == 1
     assert diagnosed()["diagnosed_now"] == 1
 
