@@ -172,9 +172,7 @@ def _print_version(context: click.Context, option: click.Parameter, wanted: bool
 
         reason = why_not_compiled()
         kind = f"Python ({reason})" if reason else "compiled"
-        click.echo(
-            f"safedpa, version {version('safedpa')}; source {_source_digest()}; the filter's decisions: {kind}"
-        )
+        click.echo(f"safedpa, version {version('safedpa')}; source {_source_digest()}; the filter's decisions: {kind}")
         context.exit()
 
 
