@@ -30,7 +30,7 @@ from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import stopping_distance
 
-__all__ = ["IS_STATIONARY", "BodyPart", "PlanarBody", "SensedMovers", "SensedPoints"]
+__all__ = ["IS_STATIONARY", "BodyPart", "Motion", "PlanarBody", "SensedMovers", "SensedPoints"]
 
 IS_STATIONARY: Final = 0.1
 """m/s; a slower robot counts as stationary."""
