@@ -151,7 +151,10 @@ def cache_folder() -> Path:
 
 
 def load_module() -> Any:
-    """Returns the extension module of decisions, with ``Step``, ``Networks``, ``Rows`` and ``Search``. Raises NoKernelError."""
+    """Returns the extension module of decisions, with ``Step``, ``Networks``, ``Rows`` and ``Search``.
+
+    Raises NoKernelError without a compiled module.
+    """
     with _LOADING:  # two copies would have two sets of types
         return _loaded_module()
 
