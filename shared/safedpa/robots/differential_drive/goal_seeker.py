@@ -65,7 +65,6 @@ class WheeledSeeker:
                 way = towards + (needed if aside >= 0.0 else -needed)
         return way
 
-
     def _sensed_way(self, state: StateMessage, x: float, y: float) -> float:
         """Returns the direction along the route around what the sensors see."""
         if self._route is None:
