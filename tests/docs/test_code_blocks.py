@@ -24,7 +24,7 @@ ELSEWHERE = {
     "docs/guides/replay.md": "tests/replay/test_recorded_files.py",
     "docs/guides/safety.md": "tests/safety/test_safety_docs.py",
 }
-HERE = ("compare", "fleet-diagnosis", "implausible-states", "own-system", "workbench")
+HERE = ("compare", "fleet-diagnosis", "implausible-states", "own-system", "sensing", "workbench")
 FEW = ("quadratic_drag", "rolling_resistance", "steering_offset")
 
 
@@ -95,6 +95,12 @@ def test_the_blocks_about_a_system_of_ones_own_declare_it() -> None:
     found = run("own-system", {"System": System, "Variable": Variable, "general_effects": general_effects})
     assert found["BALL"].name == "ball"
     assert len(found["EFFECTS"]) > 5
+
+
+def test_the_block_about_the_body_of_a_robot_prints_its_motion(capsys: pytest.CaptureFixture[str]) -> None:
+    found = run("sensing", {})
+    assert capsys.readouterr().out == f"{found['body'].motion.name}\n"
+    assert f"    {found['body'].motion.name}\n" in (DOCS / "guides" / "sensing.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
