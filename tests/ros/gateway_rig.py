@@ -22,6 +22,7 @@ from safedpa.bus import (
 )
 from safedpa.robots.car.adapters.ros import CarFace
 from safedpa_services.ros_gateway.gateway import Gateway, HealthPublisher
+from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     CommandTopic,
@@ -31,7 +32,6 @@ from safedpa_services.ros_gateway.robot_file import (
     RobotFile,
     RosConnection,
 )
-from safedpa_services.ros_gateway.sensor_inputs import SensorInputs
 
 DRIVE = "ackermann_msgs/msg/AckermannDriveStamped"
 ASKED = RobotFile(

@@ -20,6 +20,7 @@ from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
 from safedpa_services.ros_gateway.gateway import HealthPublisher
+from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     LocalisationTopic,
@@ -32,7 +33,6 @@ from safedpa_services.ros_gateway.sensor_inputs import (
     TRANSFORMS,
     LatestMessage,
     PoseAndTwist,
-    SensorInputs,
     TransformListener,
     goal_paths,
     pose_paths,

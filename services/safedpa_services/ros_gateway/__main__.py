@@ -35,6 +35,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
 from safedpa_services.ros_gateway.gateway import TWIST, Gateway, HealthPublisher, Limits
+from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file, uses_transforms
 from safedpa_services.ros_gateway.sensor_inputs import (
@@ -42,7 +43,6 @@ from safedpa_services.ros_gateway.sensor_inputs import (
     FootprintInput,
     LatestMessage,
     NominalInput,
-    SensorInputs,
     TransformListener,
     goal_paths,
     pose_paths,

@@ -32,8 +32,9 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
+from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
 from safedpa_services.ros_gateway.robot_file import RobotFile
-from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist, SensorInputs
+from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist
 from safedpa_services.ros_gateway.speed_zones import Limit, scaled, velocity_of
 
 TWIST = "geometry_msgs/msg/Twist"

@@ -10,9 +10,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, final
 
 from safedpa.arrays import FloatArray
 from safedpa.bus.messages.messages import LARGEST_NUMBER
@@ -23,12 +23,7 @@ from safedpa.ros.encoding import decode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.sensor_messages import POLYGON, corners_of, covering_capsule
 from safedpa.safety.session.plausibility import ClockMonitor
-from safedpa_services.ros_gateway.publisher_monitor import TWO_PUBLISHERS, CommandEchoMonitor, PublisherMonitor
-
-if TYPE_CHECKING:
-    from safedpa_services.ros_gateway.simulated_clock import SimulatedClock
-    from safedpa_services.ros_gateway.sources import SourceReceiver
-    from safedpa_services.ros_gateway.speed_zones import SpeedZones, ToggleInput
+from safedpa_services.ros_gateway.publisher_monitor import TWO_PUBLISHERS, PublisherMonitor
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _STAMP = "header.stamp"
@@ -292,32 +287,3 @@ class TransformListener(Receiver):
 def nanoseconds(stamp: Any) -> int:
     """Returns a ``builtin_interfaces/Time`` as nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-@dataclass(frozen=True)
-class SensorInputs:
-    """All inputs of the gateway from ROS; None for topics that the robot's file does not name."""
-
-    odometry: LatestMessage
-    driver: CommandEchoMonitor
-    nominal: NominalInput | None = None
-    goal: LatestMessage | None = None
-    localised: TransformListener | None = None
-    sources: tuple[SourceReceiver, ...] = ()
-    footprint: FootprintInput | None = None
-    zones: SpeedZones | None = None
-    counted: Mapping[str, ToggleInput] = field(default_factory=dict)
-    """Whether a source counts in the zones, by its name; missing: it does."""
-    simulated: SimulatedClock | None = None
-
-    @property
-    def refused(self) -> int:
-        """Number of refused messages."""
-        inputs = (self.odometry, self.nominal, self.goal, self.localised, self.footprint, *self.sources)
-        return sum(one.refused for one in inputs if one is not None)
-
-    def refusals(self, scans: Sequence[str]) -> dict[str, str]:
-        """Returns why the newest messages were refused, by input; sources are named by ``scans``."""
-        named = dict(zip(scans, self.sources, strict=True))
-        inputs = {"goal": self.goal, "nominal": self.nominal, "footprint": self.footprint, **named}
-        return {f"{name}_refused": one.why for name, one in inputs.items() if one is not None and one.why}
