@@ -99,9 +99,9 @@ class StateMonitor:
         self._gaps: deque[bool] = deque(maxlen=self._window)
         """Whether a state was lost before each of the last ones."""
         longest = max(2, round(_REST_SECONDS / self._period))
-        self._resting: dict[str, deque[Plain]] = {unit: deque(maxlen=longest) for unit in self._positions}
-        """The last errors while the robot rested, by unit of the position."""
-        self._drift_at_rest: dict[str, float] = {}
+        self._resting: deque[tuple[Plain, dict[str, float]]] = deque(maxlen=longest)
+        """The last errors and predicted motions while the robot rested."""
+        self._drift_at_rest: dict[str, tuple[float, float]] = {}
         self._unchanged = False
         """Whether no entry of the newest state differs from the one before."""
         self._anchor: Plain = ()
@@ -133,11 +133,11 @@ class StateMonitor:
             total = [error[index] + sum(map(itemgetter(index), self._errors)) for index in own]
             drift[unit] = hypot(*total), _norm(way, own) + sum(map(itemgetter(unit), self._ways))
         self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
-        self._drift_at_rest = {
-            unit: hypot(*[error[index] + sum(map(itemgetter(index), rows)) for index in self._groups[unit]])
-            for unit, rows in self._resting.items()
-            if len(rows) >= self._window  # a shorter rest is within the window of a drift
-        }
+        self._drift_at_rest = {}
+        if len(self._resting) >= self._window:  # a shorter rest is within the window of a drift
+            for unit in self._positions:
+                total = [error[index] + sum(row[index] for row, _ in self._resting) for index in self._groups[unit]]
+                self._drift_at_rest[unit] = hypot(*total), sum(ways[unit] for _, ways in self._resting)
         self._free = free
         return Evidence(jump, drift, self._unanswered(values), self._overbraking(values, before, predicted))
 
@@ -174,11 +174,10 @@ class StateMonitor:
             self._errors.append(tuple(0.0 for _ in error) if lost else error)
             self._ways.append(ways)
             self._gaps.append(lost > 0)
-            for unit, rows in self._resting.items():
-                if lost or ways[unit] > _REST_SHARE * self._limits.jump.get(unit, 0.0):
-                    rows.clear()
-                else:
-                    rows.append(error)
+            if lost or any(way > _REST_SHARE * self._limits.jump.get(unit, 0.0) for unit, way in ways.items()):
+                self._resting.clear()
+            else:
+                self._resting.append((error, ways))
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
@@ -235,10 +234,13 @@ class StateMonitor:
         return Contradiction(text, self._others({unit}))
 
     def _problem_at_rest(self) -> Contradiction:
-        for unit, size in self._drift_at_rest.items():
+        for unit, (size, way) in self._drift_at_rest.items():
             limit = self._with_noise(self._limits.drift.get(unit), unit)
-            if limit is not None and not size <= limit:
-                seconds = self._period * (1 + len(self._resting[unit]))
+            if limit is None:
+                continue
+            limit += self._limits.drift_share.get(unit, 0.0) * way
+            if not size <= limit:
+                seconds = self._period * (1 + len(self._resting))
                 text = f"{_DRIFTS.format(size, unit, seconds)} while it rests (at most {limit:.2g} {unit})"
                 return Contradiction(text, self._others({unit}))
         return NO_CONTRADICTION
