@@ -50,7 +50,7 @@ def dashboard(seconds_of_a_turn: float = 0.0) -> tuple[Dashboard, Inbox]:
     broker = MemoryBroker()
     heard = Bus(MemoryTransport(broker), "f").inbox((HEALTH,), keep_all=True)
     recording: Any = SimpleNamespace(arrange=lambda _fields: None, draw=lambda _frames: time.sleep(seconds_of_a_turn))
-    view: Any = SimpleNamespace(fields={}, left_out=3, refused=2, take=lambda _items, _now: [])
+    view: Any = SimpleNamespace(fields={}, left_out=3, refused=2, take=lambda _items, _now, **_: [])
     return Dashboard(Bus(MemoryTransport(broker), "f"), view, recording, "*", ""), heard
 
 
