@@ -340,6 +340,7 @@ def declared(barriers: Any, can_stop: bool = True) -> DeclaredScene:
         name="toy",
         can_stop=can_stop,
         barriers=barriers,
+        planar_body=lambda *_: None,
         backup=lambda state, _model, _settings: np.array([state[0]]),
     )
     return DeclaredScene(robot, load_model("pendulum"), PENDULUM)
@@ -382,7 +383,9 @@ def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(mon
     model, own = load_model("pendulum"), scene_of(load_model("pendulum"), PENDULUM)
     assert not isinstance(own, DeclaredScene)
     for scene in (own, None):
-        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, can_stop=True, name="any", backup=None)
+        robot = SimpleNamespace(
+            scene=lambda *_, scene=scene: scene, can_stop=True, name="any", backup=None, planar_body=lambda *_: None
+        )
         monkeypatch.setattr(scenes, "robot_like", lambda _, robot=robot: robot)
         found = scene_of(model, PENDULUM)
         assert found is own if scene is own else isinstance(found, DeclaredScene)
