@@ -11,6 +11,7 @@ from safedpa.bus.messages.codec import encode
 from safedpa.bus.messages.messages import StateMessage
 from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.errors import RunError
+from safedpa.limits import LimitError
 from safedpa.records import McapRecorder, Run, load_run
 from safedpa.robots.car.system import CAR
 
@@ -43,7 +44,7 @@ def sound(path: Path) -> bool:
     """Whether the file was read; asserts what must hold either way."""
     try:
         run = load_run(path, CAR)
-    except RunError as error:
+    except (RunError, LimitError) as error:
         sentence = str(error)
     else:
         assert_trustworthy(run)

@@ -272,6 +272,10 @@ def _records_in(
                 raise ValueError("the file ends within a record")
 
 
+_NO_CHUNK = 1 << 40
+"""Bytes that no chunk of a recording has."""
+
+
 @final
 class _SizeBudget:
     """Counts the channels and the unpacked bytes of one file against their limits."""
@@ -290,7 +294,12 @@ class _SizeBudget:
             raise too_much("mcap_channels", self._channels, str(self._path))
 
     def take(self, declared: int) -> None:
-        """Counts a chunk of ``declared`` bytes; raises LimitError if it, or all chunks together, are too large."""
+        """Counts a chunk of ``declared`` bytes; raises LimitError if it, or all chunks together, are too large.
+
+        Raises ValueError for a length that no chunk has: it is damaged.
+        """
+        if declared > max(_NO_CHUNK, self.chunk_bytes):
+            raise ValueError(f"a chunk of {declared} bytes")
         if declared > self.chunk_bytes:
             raise too_much("mcap_chunk_bytes", f"{declared} bytes", str(self._path))
         self._left -= declared
