@@ -33,7 +33,7 @@ Plain = tuple[float, ...]
 _DRIFT_SECONDS: Final = 2.0
 _REST_SECONDS: Final = 6.0
 """Time [s] over which the position of a resting robot may not drift by the limit: noise does not add up meanwhile."""
-_REST_SHARE: Final = 0.05
+_REST_SHARE: Final = 0.02
 """Share of the limit of a jump below which the motion of a period counts as rest."""
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
