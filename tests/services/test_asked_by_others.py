@@ -80,11 +80,12 @@ def test_the_demonstration_drives(tmp_path: Path) -> None:
     phrase = [sys.executable, "-m", "safedpa_services", "demo", "--yes", "--headless", "--out", str(tmp_path)]
     with subprocess.Popen(phrase, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        notice = [next(process.stdout), next(process.stdout)]
+        notice = [next(process.stdout) for _ in range(3)]
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=120.0)
-    assert "its steering is bent" in notice[0]
-    assert "still learning the usual error" in notice[1]
+    assert notice[0].startswith("Starting a simulated car")
+    assert "its steering is bent" in notice[1]
+    assert "still learning the usual error" in notice[2]
     assert out.startswith("Drove for ")
     assert "0 collisions" in out
     assert error.startswith("safedpa: demo: drove for ")
