@@ -37,7 +37,7 @@ KINDS = MappingProxyType(
         "robot.restarted": "A robot sends a new epoch: it was restarted.",
         "robot.forgotten": "A robot was silent for so long that a service drops its data.",
         "robot.second_refused": "A second robot uses a name that is already in use; its messages are ignored.",
-        "robot.other_type": "The gateway reads nominal actions of another type than configured, or sees such a publisher.",
+        "robot.other_type": "A publisher of nominal actions has another type than configured.",
         "robot.zone": "Another speed zone of the gateway limits the robot; the sentence names it.",
         "message.refused": "A message was malformed or out of order; the sentence says why.",
         "filter.fallback_entered": "The safety filter cannot decide and brakes; the sentence says why.",
