@@ -19,10 +19,12 @@ def run(name: str, *arguments: Any, **named: Any) -> str:
 @pytest.mark.long
 def test_a_plain_distance_stalls_the_unicycle_and_a_point_ahead_lets_it_pass(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is an extra")
-    plain, ahead, _, issue = run("unicycle_among_discs", tmp_path / "a.png").strip().split("\n")
+    plain, ahead, _, issue, note = run("unicycle_among_discs", tmp_path / "a.png").strip().split("\n")
     assert float(re.findall(r"ends at ([\d.]+)", plain)[0]) < 1.0
     assert float(re.findall(r"ends at ([\d.]+)", ahead)[0]) > 2.9
     assert issue.startswith("- stall:")
+    assert note.startswith("Note (decision):")
+    assert f"    {plain}\n    {ahead}\n" in GALLERY
     assert (tmp_path / "a.png").stat().st_size > 5000
 
 
