@@ -20,8 +20,8 @@ from safedpa.records.column_map.recognise import PlanarMotion, changes
 from safedpa.systems import System, Variable
 
 __all__ = [
-    "KINDS", "WHOLE", "Chain", "ProposedBase", "RateTerm", "base_of", "bases_of_chain", "coupled_base", "fitted_start",
-    "follows", "moving", "needed_terms", "planar_rates", "turning_base", "whole_robot",
+    "KINDS", "WHOLE", "ProposedBase", "RateTerm", "StateChain", "base_of", "bases_of_chain", "coupled_base",
+    "fitted_start", "follows", "moving", "needed_terms", "planar_rates", "turning_base", "whole_robot",
 ]  # fmt: skip
 
 WHOLE: Final = {
@@ -269,7 +269,7 @@ def needed_terms(
 
 
 @dataclass(frozen=True)
-class Chain:
+class StateChain:
     """A state that commands change: ``position`` and, where there is one, its ``rate``; the commands that drive it."""
 
     position: Variable
@@ -281,7 +281,7 @@ class Chain:
     """Before the names of the parameters; empty for a robot with one chain."""
 
 
-def bases_of_chain(chain: Chain) -> list[ProposedBase]:
+def bases_of_chain(chain: StateChain) -> list[ProposedBase]:
     """The bases that the columns of a chain allow, simplest first."""
     position, rate = chain.position, chain.rate
     pushed = tuple(_gain(chain, command, rate or position) for command in chain.commands)
@@ -305,13 +305,13 @@ def bases_of_chain(chain: Chain) -> list[ProposedBase]:
     return [ProposedBase(kind, {position.name: way, rate.name: terms}) for kind, terms in kinds]
 
 
-def _following(chain: Chain, name: str, parameter: str, unit: str) -> RateTerm | None:
+def _following(chain: StateChain, name: str, parameter: str, unit: str) -> RateTerm | None:
     if not chain.follows:
         return None
     return RateTerm(f"{chain.prefix}{parameter}", unit, f'(action["{chain.follows}"] - state["{name}"])', 1, True)
 
 
-def _gain(chain: Chain, command: Variable, state: Variable) -> RateTerm:
+def _gain(chain: StateChain, command: Variable, state: Variable) -> RateTerm:
     own = f"{command.name}_" if len(chain.commands) > 1 else ""
     unit = _rate_unit(state.unit, command.unit)
     return RateTerm(f"{chain.prefix}{own}gain", unit, f'action["{command.name}"]')
@@ -408,7 +408,7 @@ def planar_rates(motion: PlanarMotion, turn: str) -> dict[str, tuple[RateTerm, .
     return {**found, motion.yaw: (RateTerm("", "", f'state["{turn}"]'),)}
 
 
-def turning_base(chain: Chain, forward: str) -> list[ProposedBase]:
+def turning_base(chain: StateChain, forward: str) -> list[ProposedBase]:
     """A turn rate that commands change in proportion to the forward velocity, as of a rudder or a steered wheel."""
     name = chain.position.name
     pushed = tuple(

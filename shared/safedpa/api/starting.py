@@ -18,8 +18,8 @@ from safedpa.api.inputs import read_log
 from safedpa.api.proposed_bases import (
     KINDS,
     WHOLE,
-    Chain,
     ProposedBase,
+    StateChain,
     base_of,
     bases_of_chain,
     coupled_base,
@@ -350,7 +350,7 @@ class _Proposal:
         # a state predicted worse than by no change is not driven by these commands, such as x by a steering angle alone
         return [one for one in fitted if one.error < 1.0] or fitted
 
-    def _chain(self, name: str, several: bool) -> list[Chain]:
+    def _chain(self, name: str, several: bool) -> list[StateChain]:
         """The state with its measured rate; without one alone, and with its slope."""
         commands = self._commands_of(name)
         if not commands:
@@ -363,7 +363,7 @@ class _Proposal:
             self.quantities[command] = self.quantities[command].with_si(position.unit)
         self.actions = tuple(self._variable(item.name, command=True) for item in self.columns.actions)
         prefix = f"{name}_" if several else ""
-        one = Chain(position, None, commands, copied[0] if copied else "", prefix)
+        one = StateChain(position, None, commands, copied[0] if copied else "", prefix)
         if name in self.pairs:
             return [replace(one, rate=self._variable(self.pairs[name]))]
         if position.unit.endswith("/s"):

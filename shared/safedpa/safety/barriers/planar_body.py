@@ -30,7 +30,7 @@ from safedpa.operations import Operations, Scalar
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import stopping_distance
 
-__all__ = ["IS_STATIONARY", "BodyPart", "Motion", "PlanarBody", "SensedMovers", "SensedPoints"]
+__all__ = ["IS_STATIONARY", "BodyPart", "PlanarBody", "SensedMovers", "SensedPoints", "VelocityFrame"]
 
 IS_STATIONARY: Final = 0.1
 """m/s; a slower robot counts as stationary."""
@@ -43,7 +43,7 @@ _OUTSIDE: Final = -1e3
 _MOST_CORNERS: Final = 12
 
 
-class Motion(IntEnum):
+class VelocityFrame(IntEnum):
     """How the state describes the velocity."""
 
     UNKNOWN = 0
@@ -186,9 +186,10 @@ class PlanarBody:
             raise InputError("planar body, turning: got 0 with a turn rate, wanted the seconds in which a turn ends")
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> VelocityFrame:
         """How the state describes the velocity."""
-        return (Motion.UNKNOWN, Motion.HEADING, Motion.WORLD if self.world else Motion.BODY)[len(self.velocity)]
+        moves = VelocityFrame.WORLD if self.world else VelocityFrame.BODY
+        return (VelocityFrame.UNKNOWN, VelocityFrame.HEADING, moves)[len(self.velocity)]
 
     def form(self, states: Sequence[str], parts: Sequence[BodyPart]) -> tuple[int, ...]:
         """Returns the variant of the equations for a system with these states. Raises InputError for an unknown one."""
@@ -283,10 +284,10 @@ def _sweep(given: Given, operations: Operations, cosine: Scalar, sine: Scalar) -
         return slow + operations.maximum(size - corner, 0.0) / deceleration
 
     rate: Scalar = given.state[turn] if turn >= 0 else 0.0
-    if motion == Motion.UNKNOWN:
+    if motion == VelocityFrame.UNKNOWN:
         growth = stopping_distance(largest, deceleration, gain, operations)
         return _Sweep(0.0, 0.0, 0.0, growth, largest, seconds(largest))
-    if motion == Motion.HEADING:
+    if motion == VelocityFrame.HEADING:
         speed = given.state[first]
         if wheels:
             aside = 0.5 * turning * rate
@@ -304,7 +305,7 @@ def _sweep(given: Given, operations: Operations, cosine: Scalar, sine: Scalar) -
     length = stopping_distance(size, deceleration, gain, operations)
     share = operations.where(size * gain <= deceleration, 1.0 / gain, length / operations.maximum(size, 1e-9))
     turned = operations.absolute(rate) * turning
-    if motion == Motion.WORLD:
+    if motion == VelocityFrame.WORLD:
         x, y = share * (cosine * one + sine * other), share * (cosine * other - sine * one)
         return _Sweep(x, y, length, arm * turned, size, seconds(size))
     return _Sweep(share * one, share * other, length, (arm + length) * turned, size, seconds(size))
