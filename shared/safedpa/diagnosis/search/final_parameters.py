@@ -9,6 +9,7 @@ Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11 (ja
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -124,25 +125,21 @@ def uncertain_effects(search: SearchState, deviations: float = _UNCERTAIN) -> li
     return [name for name in search.added if max(ratios.get(name, [np.inf])) < deviations]
 
 
-# Standard errors beyond which the exponential of a gain no longer changes a weight.
-_MOST_GAIN = 30.0
-
-
 def with_timing_uncertainty(final: Fit, search: SearchState) -> Fit:
     """Returns the fit with deviations that allow for commands which change between two rows.
 
     A log has the command that is in force at each row. If it changed a share s of a period before, the mean command
     over the period before the row is (1 - s) u[k] + s u[k + 1], and a fit with s = 0 finds delays that are s periods
     too short. Parameters are fitted for s = 0 and s = 1/2, which is the mean of changes at any time. With the shift d
-    of a parameter between the two and the probability w of the one that the search did not take (equal ones before the
-    recordings are compared), the variance is std^2 + w d^2.
+    of a parameter between the two, the variance is std^2 + w d^2. w is the probability that the timing which the search
+    did not take predicts unseen blocks better: the normal distribution of the gain in its standard errors.
     """
     if not final.free.any() or not final.model.system.action:
         return final
     other = search.shooting.with_commands(between_rows=not search.between_rows)
     taken, rival = (fit(final.model, final.paths, windows, final.scale) for windows in (search.shooting, other))
     gain = ratio_gain(trial_of(taken, search.shooting, (), None), trial_of(rival, other, (), None), search.shooting)
-    weight = 1.0 / (1.0 + float(np.exp(-np.clip(gain, -_MOST_GAIN, _MOST_GAIN))))
+    weight = 0.5 * math.erfc(-gain / math.sqrt(2.0))
     shift = np.where(taken.free & rival.free, rival.values - taken.values, 0.0)
     return replace(final, stated=np.hypot(final.deviations(search.shooting), np.sqrt(weight) * np.abs(shift)))
 
