@@ -313,6 +313,23 @@ def test_a_position_that_drifts_slowly_is_found_while_the_robot_rests(speed: flo
     assert not found or tick * PERIOD <= 4.0
 
 
+@pytest.mark.parametrize(("speed", "found"), [(0.05, True), (0.01, False)])
+def test_a_position_that_drifts_slowly_is_found_while_the_robot_moves(speed: float, found: bool) -> None:
+    """It drifts by less than the limit within two seconds, and with noise; without a rate it could be any motion."""
+    session = session_of_the_mass(replace(LIMITS, jump={"m": 0.1, "m/s": 0.3}, drift={"m": 0.16}))
+    random, x = np.random.default_rng(7), np.array([-40.0, 0.5])
+    for tick in range(200):
+        late = max(0, tick - 40) * PERIOD
+        verdict = session.decide(
+            x + [speed * late, 0.0] + [0.01, 0.02] * random.normal(size=2), [0.3 - 0.6 * (tick % 2)]
+        )
+        if session.latched:
+            break
+        x = A @ x + B @ verdict.action
+    assert ("within 4 s" in session.latched) is found
+    assert not found or late <= 3.0
+
+
 # limits
 def test_limits_from_healthy_drives_believe_them_and_their_file_reads_back(tmp_path: Path) -> None:
     rows = [Evidence({"m": size}, {"m": (2.0 * size, way)}, {"m": 0.0}) for size, way in ((0.01, 0.0), (0.02, 3.0))]

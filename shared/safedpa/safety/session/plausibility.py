@@ -6,6 +6,8 @@ e = x - x^ (angles wrapped), four things are checked for the entries of each uni
     jump:        |e| over one period; after lost states it may be up to eight times as large
     drift:       |sum of e| over the last two seconds, positions only: a pose that contradicts its own rates; while the
                  robot rests, over the last six
+    slow drift:  the same between the means of the first and the last half second of four, without lost states; the
+                 noise of single states cancels in the means, so its limit is lower
     unanswered:  the motion and the rate that the commands should have caused since the position last changed, within a
                  second
     repeats:     the state is exactly the one before, although its own rates say that the position changes
@@ -35,13 +37,20 @@ _REST_SECONDS: Final = 6.0
 """Time [s] over which the position of a resting robot may not drift by the limit: noise does not add up meanwhile."""
 _REST_SHARE: Final = 0.02
 """Share of the limit of a jump below which the motion of a period counts as rest."""
+_LONG_DRIFT_SECONDS: Final = 4.0
+_MEAN_SECONDS: Final = 0.5
+_SLOW_DRIFT: Final = 0.6
+"""Share of the limit of ``drift`` for the means: noise hardly counts in them, but each change of the acceleration under
+an unknown delay moves the prediction, by up to half of that limit."""
+_SLOW_DRIFT_SHARE: Final = 0.6
+"""The same for the share of the way: over twice the time its largest values are closer to the usual ones."""
 _ANSWER_SECONDS: Final = 1.0
 _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
-_EXACT_SHARE: Final = 0.75
+_EXACT_SHARE: Final = 2.0 / 3.0
 """Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
 noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low; one whose
-commands act 0.2 s late has answered by then."""
+commands act 0.2 s late has answered by then: one period of the fastest start is 0.59 of the limit."""
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
@@ -59,6 +68,17 @@ _GAPS_FACTOR: Final = 2.0
 sum."""
 _NOISE_STEP: Final = 0.02
 """Share by which the estimated median changes per state."""
+
+
+class _Sums(NamedTuple):
+    """Running sums at one state since the last lost one."""
+
+    errors: Plain
+    """(states,) sum of the errors."""
+    of_errors: Plain
+    """(states,) sum of these sums, for their means."""
+    ways: dict[str, float]
+    """Predicted motion by unit."""
 
 
 class Contradiction(NamedTuple):
@@ -94,6 +114,9 @@ class StateMonitor:
     def restart(self) -> None:
         """Forgets the motion so far; the noise is still known."""
         self._window = max(2, round(_DRIFT_SECONDS / self._period))
+        self._mean_states = max(1, round(_MEAN_SECONDS / self._period))
+        longer = max(2 * self._mean_states, round(_LONG_DRIFT_SECONDS / self._period))
+        self._sums: deque[_Sums] = deque(maxlen=longer)
         self._errors: deque[Plain] = deque(maxlen=self._window)
         self._ways: deque[dict[str, float]] = deque(maxlen=self._window)
         self._gaps: deque[bool] = deque(maxlen=self._window)
@@ -102,6 +125,7 @@ class StateMonitor:
         self._resting: deque[tuple[Plain, dict[str, float]]] = deque(maxlen=longest)
         """The last errors and predicted motions while the robot rested."""
         self._drift_at_rest: dict[str, tuple[float, float]] = {}
+        self._slow_drift: dict[str, tuple[float, float]] = {}
         self._unchanged = False
         """Whether no entry of the newest state differs from the one before."""
         self._anchor: Plain = ()
@@ -134,6 +158,7 @@ class StateMonitor:
             drift[unit] = hypot(*total), _norm(way, own) + sum(map(itemgetter(unit), self._ways))
         self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
         self._drift_at_rest = {}
+        self._slow_drift = self._drift_of_means(error)
         if len(self._resting) >= self._window:  # a shorter rest is within the window of a drift
             for unit in self._positions:
                 total = [error[index] + sum(row[index] for row, _ in self._resting) for index in self._groups[unit]]
@@ -174,6 +199,7 @@ class StateMonitor:
             self._errors.append(tuple(0.0 for _ in error) if lost else error)
             self._ways.append(ways)
             self._gaps.append(lost > 0)
+            self._add(error, ways, lost)
             if lost or any(way > _REST_SHARE * self._limits.jump.get(unit, 0.0) for unit, way in ways.items()):
                 self._resting.clear()
             else:
@@ -193,6 +219,34 @@ class StateMonitor:
             self._anchor = self._free = values
             self._anchored = 0
         return again
+
+    def _add(self, error: Plain, ways: dict[str, float], lost: int) -> None:
+        """Adds to the running sums, which begin again after a lost state."""
+        if lost:
+            self._sums.clear()
+            return
+        if not self._sums:
+            zeros = (0.0,) * len(error)
+            self._sums.append(_Sums(zeros, zeros, dict.fromkeys(ways, 0.0)))
+        last = self._sums[-1]
+        errors = tuple([a + b for a, b in zip(last.errors, error, strict=True)])
+        of_errors = tuple([a + b for a, b in zip(last.of_errors, errors, strict=True)])
+        self._sums.append(_Sums(errors, of_errors, {unit: last.ways[unit] + way for unit, way in ways.items()}))
+
+    def _drift_of_means(self, error: Plain) -> dict[str, tuple[float, float]]:
+        """|difference of the means of the summed errors|, and the way in that time, for positions with rates."""
+        sums, count = self._sums, self._mean_states
+        if sums.maxlen is None or len(sums) < sums.maxlen:
+            return {}
+        first, second, before, last = sums[0], sums[count], sums[-count], sums[-1]
+        found = {}
+        for unit in self._rates.values():
+            parts = []
+            for index in self._groups[unit]:
+                newest = last.errors[index] + error[index] + last.of_errors[index] - before.of_errors[index]
+                parts.append((newest - second.of_errors[index] + first.of_errors[index]) / count)
+            found[unit] = hypot(*parts), last.ways[unit] - first.ways[unit]
+        return found
 
     def problem(
         self, evidence: Evidence, lost: int = 0, unknown: Mapping[str, float] = MappingProxyType({})
@@ -216,8 +270,8 @@ class StateMonitor:
                 if not size <= growth * limit:
                     text = f"{_DRIFTS.format(size, unit, _DRIFT_SECONDS)} (at most {growth * limit:.2g} {unit})"
                     return self._contradiction(size, unit, text)
-        if not lost and (resting := self._problem_at_rest()).text:
-            return resting
+        if not lost and (slow := self._problem_of_slow_drift()).text:
+            return slow
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             factor = _RATED_FACTOR if f"{unit}/s" in self._rates else 1.0
@@ -233,16 +287,21 @@ class StateMonitor:
             return Contradiction(f"it does not change although it should have moved by {size:.2g} {unit}", ())
         return Contradiction(text, self._others({unit}))
 
-    def _problem_at_rest(self) -> Contradiction:
-        for unit, (size, way) in self._drift_at_rest.items():
-            limit = self._with_noise(self._limits.drift.get(unit), unit)
-            if limit is None:
-                continue
-            limit += self._limits.drift_share.get(unit, 0.0) * way
-            if not size <= limit:
-                seconds = self._period * (1 + len(self._resting))
-                text = f"{_DRIFTS.format(size, unit, seconds)} while it rests (at most {limit:.2g} {unit})"
-                return Contradiction(text, self._others({unit}))
+    def _problem_of_slow_drift(self) -> Contradiction:
+        at_rest = self._period * (1 + len(self._resting))
+        over = self._period * len(self._sums)
+        for drifts, share, way_share, seconds, when in (
+            (self._slow_drift, _SLOW_DRIFT, _SLOW_DRIFT_SHARE, over, ""),
+            (self._drift_at_rest, 1.0, 1.0, at_rest, " while it rests"),
+        ):
+            for unit, (size, way) in drifts.items():
+                limit = self._with_noise(self._limits.drift.get(unit), unit)
+                if limit is None:
+                    continue
+                limit = share * limit + way_share * self._limits.drift_share.get(unit, 0.0) * way
+                if not size <= limit:
+                    text = f"{_DRIFTS.format(size, unit, seconds)}{when} (at most {limit:.2g} {unit})"
+                    return Contradiction(text, self._others({unit}))
         return NO_CONTRADICTION
 
     def _others(self, units: set[str]) -> tuple[int, ...]:
