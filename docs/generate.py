@@ -38,7 +38,6 @@ from safedpa.live.node import DiagnosisNode
 from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
-from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_lab.experiments.pendulum import report as pendulum_report
 from safedpa_lab.experiments.point import relinearised as point_relinearised_report
 from safedpa_lab.experiments.point import report as point_report
@@ -145,12 +144,11 @@ def metrics() -> str:
 
 
 def commands() -> str:
-    """Every command with the first sentence of its help, and every experiment."""
+    """Every command with the first sentence of its help."""
     rows = ["| command | what it does |", "|---|---|"]
     context = click.Context(safedpa)
     for name in safedpa.list_commands(context):
         rows.append(f"| `safedpa {name}` | {_first_sentence(safedpa.get_command(context, name))} |")
-    rows += [f"| `safedpa experiment {name}` | {each.summary} |" for name, each in EXPERIMENTS.items()]
     return "\n".join(rows)
 
 

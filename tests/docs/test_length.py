@@ -6,20 +6,53 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 sys.path.insert(0, str(DOCS))
 
-from measure import measured, sentences  # noqa: E402  # next to the pages
+from measure import (  # noqa: E402  # next to the pages
+    LONG,
+    PARTS,
+    READ,
+    docstrings,
+    generated,
+    helps,
+    in_navigation,
+    lengths,
+    pages_of,
+    sentences,
+    text_of,
+    words,
+)
+
+TEXTS = [text_of(page) for part in ("", *PARTS) for page in pages_of(part)]
 
 
-def test_evidence_and_developer_pages_stay_short() -> None:
-    pages = [page for part in ("evidence", "developers") for page in (DOCS / part).rglob("*.md")]
-    length, *_ = measured(pages)
-    assert 0 < length <= 25_000
+def test_tutorials_guides_and_written_reference_stay_short() -> None:
+    pages = [text_of(page) for part in READ for page in pages_of(part)]
+    written = sum(map(words, pages)) - sum(map(generated, pages))
+    assert 10_000 < written <= 30_000
+
+
+def test_all_pages_together_stay_short() -> None:
+    assert 10_000 < sum(words(text) for text in TEXTS) <= 60_000
+
+
+def test_the_main_navigation_is_short() -> None:
+    assert 10 < in_navigation() <= 45
 
 
 def test_sentences_are_short_on_average_and_hardly_ever_long() -> None:
-    _, _, count, mean, long = measured(sorted(DOCS.rglob("*.md")))
-    assert count > 1000
-    assert mean <= 16
-    assert long <= 2
+    running = [len(one.split()) for text in TEXTS for one in sentences(text)]
+    of_all = [length for text in TEXTS for length in lengths(text)]
+    assert len(of_all) > len(running) > 1000
+    for found in (running, of_all):
+        assert sum(found) / len(found) <= 16
+        assert sum(one > LONG for one in found) / len(found) <= 0.02
+
+
+def test_help_and_docstrings_have_short_sentences() -> None:
+    for texts in (helps(), docstrings()):
+        found = [length for text in texts for length in lengths(text)]
+        assert len(found) > 100
+        assert sum(found) / len(found) <= 16
+        assert sum(one > LONG for one in found) / len(found) <= 0.02
 
 
 PAGE = """# A title
@@ -27,7 +60,7 @@ PAGE = """# A title
 One short sentence. And `safedpa up` is
 another one.
 
-| a | b |
+| a | A cell of words. The next one. |
 
 ```sh
 ls . Files
@@ -37,5 +70,6 @@ ls . Files
 """
 
 
-def test_code_tables_and_headings_are_no_sentences() -> None:
+def test_code_and_headings_are_no_sentences_and_cells_of_tables_are_found_apart() -> None:
     assert sentences(PAGE) == ["One short sentence.", "And CODE is another one.", "- A short item."]
+    assert sentences(PAGE, tables=True) == ["A cell of words.", "The next one."]
