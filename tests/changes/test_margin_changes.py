@@ -22,7 +22,7 @@ from safedpa.live.versions import OfferedEffect
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.calibration import margin_text
-from safedpa.safety.margins.transition import MarginRamp, margin_change
+from safedpa.safety.margins.transition import MarginRamp, margin_change, margin_table
 
 CAR = load_model("car")
 SETTINGS = settings_named("car")
@@ -213,6 +213,22 @@ def test_the_sentence_about_a_change_at_its_limits(old: dict[str, float], h: flo
     assert all(phrase in text for phrase in reported)
     assert bool(text) == bool(reported)
     assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
+    table = margin_table(old, {"a": 0.125}, {"a": h}, 0.5)
+    assert bool(table) == bool(reported)
+    if reported:
+        kind, now, then, h_now, effect = table.split("\n")[1].split(" | ")
+        assert f"the margin of {kind} goes from {now} to {then} where h is {h_now}" in text
+        assert text.endswith(effect)
+
+
+def test_the_table_of_margins_begins_with_the_kind_that_would_stop_the_robot() -> None:
+    old, new, h = {"a": 0.1, "b": 0.1, "c": 0.1, "d": 0.1}, {"a": 0.05, "b": 2.0, "c": 0.3, "d": 0.1}, {"a": 1, "b": 1}
+    assert margin_table(old, new, h, 0.5).split("\n") == [
+        "margin of | now | then | h now | takes effect",
+        "b | 0.1 | 2 | 1 | at once it would stop the robot here, so it follows h, all of it from 6 on",
+        "a | 0.1 | 0.05 | 1 | at once",
+        "c | 0.1 | 0.3 | - | once such a barrier is near",
+    ]
 
 
 def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:

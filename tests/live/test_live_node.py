@@ -113,7 +113,9 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
     worker.ready = WorkOutcome(documents={"steering_offset": driven.document}, margin=margin_of(2.0))
     driven.until(lambda: worker.begun[-1].effect == "steering_gain")
     first, second = driven.ask("status").foreseen
-    assert first.startswith("the margin of obstacle goes from 0.05 to 2 where h is 1: at once it would stop")
+    head, row = first.split("\n")
+    assert head == "margin of | now | then | h now | takes effect"
+    assert row.startswith("obstacle | 0.05 | 2 | 1 | at once it would stop")
     assert second == ""
     assert driven.changes == [], "nothing was offered to anybody"
     assert driven.ask("accept", "steering_offset").ok
@@ -204,3 +206,10 @@ def test_a_state_of_another_kind_of_robot_is_refused(driven, state_of, verdict_o
 def test_a_broken_model_file_is_refused(worker):
     with pytest.raises(ModelFileError):
         DiagnosisNode("format = 1", worker)
+
+
+@pytest.mark.parametrize("applied_by", ["filter", "watchdog"])
+def test_a_search_gives_way_to_a_drive_that_misses_ticks(driven, state_of, verdict_of, applied_by):
+    state = replace(state_of(next(driven.rows)), applied_by=applied_by)
+    driven.node.step("r1", state, {LATENT: Stale(LATENT, None), VERDICT: verdict_of(state)})
+    assert driven.worker.gave_way == (applied_by == "watchdog")

@@ -18,6 +18,7 @@ from safedpa_services.workbench import page, tab
 from safedpa_services.workbench.live.links import QueryResult
 from safedpa_services.workbench.live.page import LivePage
 from safedpa_services.workbench.live.store import RobotHistory
+from safedpa_services.workbench.panels.elements import with_table
 from safedpa_services.workbench.rerun_viewer import RerunViewerServer
 from safedpa_services.workbench.session.controller import SessionController
 from safedpa_services.workbench.session.inputs import InputSelection
@@ -115,6 +116,24 @@ def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_
     drag, wind = shown(Link(reported(STATUS)), look)
     assert drag.startswith("If you accept: the margin goes from 1 to 2. Now h is 0.40, the margin 0.030.")
     assert "is being computed" in wind
+
+
+def test_the_margins_of_an_offer_are_a_table(shown):
+    rows = ("margin of | now | then | h now | takes effect", "obstacle | 0.03 | 0.115 | 0.4 | at once")
+
+    async def look(page, tab):
+        await page.ask_status()
+        return next(line for line in tab.lines if line.startswith("If you accept: "))
+
+    line = shown(Link(reported(replace(STATUS, foreseen=("\n".join(rows),)))), look)
+    assert line.startswith("If you accept: all services switch")
+    assert "<th>margin of</th><th>now</th>" in line
+    assert "<td>obstacle</td><td>0.03</td><td>0.115</td><td>0.4</td><td>at once</td>" in line
+
+
+def test_markup_in_a_table_is_escaped():
+    assert with_table("text\na | b\n<i> | 1").endswith("<td>&lt;i&gt;</td><td>1</td></tr></tbody></table>")
+    assert with_table("a < b") == "a &lt; b"
 
 
 def test_the_end_of_a_change_pops_up_once(shown):

@@ -81,6 +81,8 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
 
     with bus_of(options) as bus:
         seen = request_answer(bus, robot, Request(do="status"), REQUEST, _NO_ANSWER)
+        if do == "accept" and not options["as_json"]:
+            _report_margin(seen, effect)
         who = options["who"] or getpass.getuser()
         request = Request(do=do, effect=effect, model=seen.fingerprint, finding=seen.finding, who=who)
         answer = request_answer(bus, robot, request, REQUEST, _NO_ANSWER)
@@ -111,6 +113,15 @@ def _await_end(bus: Bus, robot: str, started: Answer) -> Answer:
     raise SafedpaError(
         f"change {started.change} is not over after {_LONGEST_CHANGE_SECONDS:.0f} s; check that the robot drives"
     )
+
+
+def _report_margin(seen: Answer, effect: str) -> None:
+    """Prints the table of the margins that the effect would change, if the diagnosis has computed it."""
+    table = dict(zip(seen.candidates, seen.foreseen, strict=False)).get(effect, "")
+    rows = [line.split(" | ") for line in table.split("\n") if " | " in line]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=False)]
+    for row in rows:
+        print_plain("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip())
 
 
 def _report(robot: str, end: Answer, *, as_json: bool) -> None:

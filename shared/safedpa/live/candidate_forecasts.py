@@ -16,7 +16,7 @@ from safedpa.errors import InputError
 from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import margin_from_text
-from safedpa.safety.margins.transition import margin_change
+from safedpa.safety.margins.transition import margin_table
 from safedpa.safety.settings import FilterSettings
 
 PredictEffect = Callable[[str, str, VerdictMessage | None], str]
@@ -88,7 +88,7 @@ def forecast_with(settings: str) -> PredictEffect:
         unknown = verdict is None or (verdict.status in _WITHOUT_H and verdict.h_now == verdict.h_next == 0.0)
         h = {} if verdict is None or unknown else dict.fromkeys(new, verdict.h_now)
         same = ", ".join(f"{kind} {value:.3g}" for kind, value in sorted(new.items()))
-        return margin_change(old, new, h, known.eta) or f"the margin stays as it is: {same}"
+        return margin_table(old, new, h, known.eta) or f"the margin stays as it is: {same}"
 
     return predict_effect
 

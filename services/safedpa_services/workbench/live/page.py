@@ -303,9 +303,14 @@ def _consequence_texts(answer: Answer, history: RobotHistory) -> dict[str, str]:
     known = verdict is not None and age is not None and not is_stale(age)
     now = f" Now h is {verdict.h_now:.2f}, the margin {verdict.margin:.3f}." if known and verdict is not None else ""
     pending = "its effect on the margin is being computed; the filter reports it before the model is used"
-    after = "All services switch to it at the same tick; the robot keeps driving."
+    after = "all services switch to it at the same tick; the robot keeps driving."
     foreseen = zip_longest(answer.candidates, answer.foreseen[: len(answer.candidates)], fillvalue="")
-    return {effect: f"If you accept: {text or pending}.{now} {after}" for effect, text in foreseen}
+    texts = {}
+    for effect, reported in foreseen:
+        is_table = "\n" in reported
+        phrase = f"{after}{now}\n{reported}" if is_table else f"{reported or pending}.{now} {_capitalized(after)}"
+        texts[effect] = f"If you accept: {phrase}"
+    return texts
 
 
 def _capitalized(sentence: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from safedpa_services.workbench.panels.elements import button, escaped, panel, text
+from safedpa_services.workbench.panels.elements import button, escaped, panel, text, with_table
 from safedpa_services.workbench.session.candidate_cards import CandidateCard
 from safedpa_services.workbench.session.session import Session
 
@@ -78,7 +78,7 @@ class CandidatesPanel:
         """Sets the consequence of adding each effect; the open card shows it above its buttons."""
         self._consequences = consequences
         if self._consequence is not None:
-            self._consequence.set_content(escaped(self._consequences.get(self.effect, "")))
+            self._consequence.set_content(with_table(self._consequences.get(self.effect, "")))
             self._consequence.set_visibility(self.effect in self._consequences)
 
     def move(self, by: int) -> None:
@@ -137,7 +137,8 @@ class CandidatesPanel:
             )
         if card.signature:
             text(f"Without it: {card.signature}.", "quiet", "div")
-        self._consequence = text(self._consequences.get(card.effect, ""), "consequence", "div")
+        consequence = with_table(self._consequences.get(card.effect, ""))
+        self._consequence = ui.html(consequence, sanitize=False, tag="div").classes("consequence")
         self._consequence.set_visibility(card.effect in self._consequences)
         with ui.element("div").classes("row"):
             add, reject = self._labels

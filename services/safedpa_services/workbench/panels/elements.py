@@ -40,6 +40,20 @@ def escaped(content: str) -> str:
     return content.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
 
 
+def with_table(content: str) -> str:
+    """Escaped text in which the lines with cells separated by `` | `` become a table, the first one its head."""
+    lines = escaped(content).split("\n")
+    rows = [line.split(" | ") for line in lines if " | " in line]
+    text = " ".join(line for line in lines if " | " not in line)
+    if not rows:
+        return text
+    head, *body = (
+        "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
+        for tag, cells in zip(("th", *("td" for _ in rows[1:])), rows, strict=True)
+    )
+    return f"{text}<table><thead>{head}</thead><tbody>{''.join(body)}</tbody></table>"
+
+
 def set_accessible_name(element: _Element, title: str) -> _Element:
     """Sets the name that screen readers announce, on the focusable part of the control; returns the control."""
     part = "input, textarea, .q-slider__track-container"
