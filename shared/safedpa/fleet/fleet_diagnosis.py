@@ -158,7 +158,9 @@ def diagnose_fleet(
 def _diagnosed(results: Results, todo: Sequence[Task], workers: Workers) -> Iterator[None]:
     """Diagnoses robots and has their results written: by the workers in object storage, otherwise here."""
     if isinstance(results, StoredResults):
-        for result in workers(partial(diagnose_into, results.url), todo, failed_result):
+        earlier = results.robots()
+        jobs = [replace(task, is_first=task.robot.name not in earlier) for task in todo]
+        for result in workers(partial(diagnose_into, results.url), jobs, failed_result):
             if result.document["status"] == "failed":  # of a worker that was killed
                 results.write(result)
             yield

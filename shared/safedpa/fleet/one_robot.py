@@ -118,6 +118,8 @@ class Task:
     robot: RobotLogs
     options: Options
     digest: str
+    is_first: bool = False
+    """Whether no file of an earlier result exists."""
 
 
 @dataclass(frozen=True)

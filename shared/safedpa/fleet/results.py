@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 from uuid import uuid4
@@ -40,6 +41,10 @@ __all__ = [
 ROBOTS = "robots"
 """Folder that contains a folder per robot."""
 _RESULT, _REPORT = "result.json", "report.json"
+_WITH_REPORT = ("diagnosed", "no_verdict")
+"""Statuses of robots that have a report.json."""
+_GROUP = 200
+"""Robots whose results are in memory at the same time."""
 _PARTS = (_RESULT, _REPORT, "report.html", "model.toml")
 """Files of a robot."""
 
@@ -81,7 +86,7 @@ def diagnose_into(out: str, task: Task) -> RobotResult:
     Raises RecordingError if it cannot be written.
     """
     result = diagnose_robot(task)
-    StoredResults(out).write(result)
+    StoredResults(out).write(result, is_first=task.is_first)
     return RobotResult(result.name, result.document)
 
 
@@ -147,21 +152,29 @@ class StoredResults:
             if _is_current(_parsed(content), of_urls[url])
         }
 
-    def write(self, result: RobotResult) -> None:
-        """See ``Results``."""
+    def robots(self) -> set[str]:
+        """Returns the names of the robots of which any file exists."""
+        return set(self._present())
+
+    def write(self, result: RobotResult, *, is_first: bool = False) -> None:
+        """See ``Results``; of a robot without earlier files (``is_first``) nothing has to be removed."""
         # result.json comes last and is never missing in between: an earlier one is of other inputs, and so not current,
         # or of the same, and then its files are the same too. A worker that outlives its command can do no harm.
-        remove([self._file(result.name, part) for part in _PARTS if part not in result.texts and part != _RESULT])
+        if not is_first:
+            remove([self._file(result.name, part) for part in _PARTS if part not in result.texts and part != _RESULT])
         for name, text in (*result.texts.items(), (_RESULT, json.dumps(result.document, indent=1) + "\n")):
             write_file(self._file(result.name, name), text.encode())
 
     def iterate(self, tasks: Sequence[Task]) -> Iterator[Pair]:
         """See ``Results``."""
-        urls = (self._file(task.robot.name, part) for task in tasks for part in (_RESULT, _REPORT))
-        contents = (_parsed(content) for _, content in read_files(urls))
-        for found, report in zip(contents, contents, strict=True):
-            if found is not None and found.get("format") == FORMAT:
-                yield found, report
+        names = iter([task.robot.name for task in tasks])
+        while group := list(islice(names, _GROUP)):
+            parsed = (_parsed(content) for _, content in read_files(self._file(name, _RESULT) for name in group))
+            found = [item for item in parsed if item is not None and item.get("format") == FORMAT]
+            urls = [self._file(item["robot"], _REPORT) for item in found if item["status"] in _WITH_REPORT]
+            reports = dict(read_files(urls))
+            for item in found:
+                yield item, _parsed(reports.get(self._file(item["robot"], _REPORT)))
 
     def write_file(self, name: str, content: bytes) -> None:
         """See ``Results``."""

@@ -39,13 +39,13 @@ EXPERIMENTS = (
         name="object-storage",
         help="""Diagnose many small logs in a local S3-compatible store with two Ray workers, one of which is killed.
 
-    The command is killed after half of the robots, too, and resumed. One log in fifty is unreadable. Needs the
-    packages moto, flask, flask-cors, py-partiql-parser and s3fs. Exit code 1 if a robot is missing, or a worker
-    needs 500 MiB.""",
+    The command is killed after half of the robots, too, and resumed. One log in fifty is unreadable, one in fifty
+    lasts --seconds, the others one second, which is read and too short for a diagnosis. Needs the packages moto,
+    flask, flask-cors, py-partiql-parser and s3fs. Exit code 1 if a robot is missing, or a worker needs 500 MiB.""",
         run=f"{__name__}.object_storage:run",
         parameters=(
             integer("--logs", 10000, "robots with one log each", least=10),
-            number("--seconds", 3.0, "per log", positive=True),
+            number("--seconds", 3.0, "of a long log", positive=True),
             integer("--seed", 0, "seed of the drives", least=0),
             path("--record", "also write the result to this file", writes="json", metavar="FILE.json"),
         ),

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 
 from safedpa.errors import SafedpaError
 from safedpa.extras import need
-from safedpa.records.store import find_files, read_files, write_file
+from safedpa.records.store import find_files, read_files
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 
 MOST_MEBIBYTES: Final = 500
@@ -31,7 +31,13 @@ _LOGS, _OUT = "s3://safedpa-fleet/logs", "s3://safedpa-fleet/out"
 _KINDS = 20
 """Different logs, which the robots share: writing a log must not take longer than reading it."""
 _BROKEN_EVERY = 50
+_LONG_EVERY = 50
+"""One log in so many is long enough for a diagnosis; the others measure the reading and the results of a robot."""
+_SHORT_SECONDS = 1.0
 _LOOK_SECONDS = 0.5
+_LOOK_SHARE = 0.05
+"""Most of the time that looking at the results takes: a list of ten thousand robots keeps the store busy."""
+_UPLOADED_AT_ONCE = 500
 
 
 def run(options: Options, report_progress: ReportProgress) -> Result:
@@ -50,7 +56,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
     return {
         "experiment": "object-storage",
         "logs": logs,
-        "seconds_of_a_log": options["seconds"],
+        "seconds_of_a_long_log": options["seconds"],
         "seed": options["seed"],
         "broken": broken,
         "worker_killed": killed["worker"],
@@ -60,10 +66,11 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
         "results": len(results),
         "robots_in_the_document": len(document["robots"]),
         "complete": len(results) == logs == len(document["robots"]),
-        "statuses": dict(Counter(result["status"] for result in results)),
+        "statuses": dict(Counter(_status(result) for result in results)),
+        "processor_seconds_of_a_diagnosis": round(_mean_seconds(results, ("diagnosed", "no_verdict")), 3),
+        "processor_seconds_of_the_others": round(_mean_seconds(results, ("too_short", "unreadable")), 3),
         "most_mebibytes_of_a_worker": max(result["memory_mebibytes"] for result in results),
         "most_mebibytes_of_the_command": max(killed["command"], document["command_mebibytes"]),
-        "processor_seconds_of_a_log": float(np.mean([result["processor_seconds"] for result in results])),
         "seconds": round(seconds, 1),
         "load": round(os.getloadavg()[0], 1),
     }
@@ -132,11 +139,19 @@ def _upload(logs: int, seconds: float, seed: int) -> int:
     """Writes the logs, of which some are no tables; returns the number of those."""
     import fsspec
 
-    fsspec.filesystem("s3").mkdir(_LOGS.split("/")[2])
-    kinds = [_log(seconds, np.random.default_rng([seed, number])) for number in range(_KINDS)]
-    for number in range(logs):
-        content = b"this is no log\n1\n" if number % _BROKEN_EVERY == 1 else kinds[number % _KINDS]
-        write_file(f"{_LOGS}/r{number:05d}/drive.csv", content)
+    store = fsspec.filesystem("s3")
+    store.mkdir(_LOGS.split("/")[2])
+    short, long = ([_log(length, np.random.default_rng([seed, number])) for number in range(_KINDS)]
+                   for length in (_SHORT_SECONDS, seconds))  # fmt: skip
+
+    def content(number: int) -> bytes:
+        if number % _BROKEN_EVERY == 1:
+            return b"this is no log\n1\n"
+        return long[number // _LONG_EVERY % _KINDS] if number % _LONG_EVERY == 0 else short[number % _KINDS]
+
+    for first in range(0, logs, _UPLOADED_AT_ONCE):
+        numbers = range(first, min(first + _UPLOADED_AT_ONCE, logs))
+        store.pipe({f"{_LOGS}/r{number:05d}/drive.csv": content(number) for number in numbers})
     return sum(number % _BROKEN_EVERY == 1 for number in range(logs))
 
 
@@ -163,12 +178,16 @@ def _killed_diagnosis(logs: int, environment: Mapping[str, str], done: Any) -> d
     running = subprocess.Popen(_command(), stdout=subprocess.DEVNULL, start_new_session=True)
     worker, most = False, 0
     try:
-        while running.poll() is None and (count := _finished()) < logs // 2:
+        while running.poll() is None:
+            begin = time.monotonic()
+            count = _finished()
+            if count >= logs // 2:
+                break
             done(count)
             most = max(most, _peak(running.pid))
             if not worker and count >= logs // 6:
                 worker = _kill_a_worker(environment["AWS_ENDPOINT_URL"])
-            time.sleep(_LOOK_SECONDS)
+            time.sleep(max(_LOOK_SECONDS, (time.monotonic() - begin) / _LOOK_SHARE))
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)
@@ -211,6 +230,17 @@ def _current() -> tuple[int, int]:
 def _results() -> list[dict[str, Any]]:
     names = [name for name in find_files(_OUT) if name.endswith("/result.json")]
     return [json.loads(content) for _, content in read_files(names) if content is not None]
+
+
+def _status(result: Mapping[str, Any]) -> str:
+    """Returns the status; ``too_short`` for a log that was read and is shorter than the horizon."""
+    short = result["status"] == "unreadable" and not result["unreadable_files"]
+    return "too_short" if short else str(result["status"])
+
+
+def _mean_seconds(results: Sequence[Mapping[str, Any]], statuses: Sequence[str]) -> float:
+    found = [result["processor_seconds"] for result in results if _status(result) in statuses]
+    return float(np.mean(found)) if found else 0.0
 
 
 def _workers(endpoint: str) -> list[int]:
