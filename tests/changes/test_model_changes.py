@@ -204,16 +204,18 @@ def test_a_model_that_is_made_on_demand(fleet: Any, candidate_of: Any) -> None:
     assert fleet.models == {"print drag"}
 
 
-def test_a_model_that_cannot_be_made_or_not_in_time_is_dropped(fleet: Any) -> None:
+def test_a_model_that_cannot_be_made_is_dropped_and_a_late_one_is_awaited_three_times(fleet: Any) -> None:
     for reason in ("the data do not tell", ""):
         fleet.changes.propose(1, {"drag": OfferedEffect("drag")})
         fleet.ask("accept", "drag")
         if reason:
             fleet.changes.failed(reason)
-        fleet.turn(1300)
+        fleet.turn(3500)
+        assert (fleet.changes.wanted is None) is bool(reason)
+        fleet.turn(200)
         assert fleet.changes.wanted is None
-        assert (reason or "not made in time") in fleet.changes.sentence
-    assert steps(fleet) == ["drop", "drop"]
+        assert (reason or "not made within 60 s") in fleet.changes.sentence
+    assert steps(fleet) == ["drop"] * 4
 
 
 @pytest.mark.parametrize("name", SERVICES)

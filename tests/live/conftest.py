@@ -80,6 +80,7 @@ class HandedWorker(AbstractWorker):
     def __init__(self) -> None:
         self.begun: list[SearchJob] = []
         self.cancelled = 0
+        self.gave_way = 0
         self.ready: WorkOutcome | None = None
         self._busy = False
 
@@ -98,6 +99,9 @@ class HandedWorker(AbstractWorker):
         del robot
         self.cancelled += self._busy
         self._busy, self.ready = False, None
+
+    def give_way(self) -> None:
+        self.gave_way += 1
 
     def busy(self, robot: str) -> bool:
         del robot

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,17 +108,50 @@ def test_a_work_that_always_dies_ends_in_a_sentence(worker, prepare):
 
 
 @pytest.mark.processes
-def test_a_work_that_takes_longer_than_ten_minutes_is_given_up(prepare):
+def test_a_work_that_has_used_its_processor_time_is_not_begun_again(worker, prepare):
+    worker.begin("r1", prepare)
+    pid, outcome = worker.process_of("r1"), None
+    os.kill(pid, signal.SIGXCPU)  # as the kernel does at the limit
+    while outcome is None:
+        outcome = worker.outcome("r1")
+    assert outcome.failure == "its process took more than 300 s of processor time"
+    assert gone(pid)
+
+
+@pytest.mark.processes
+def test_a_work_that_takes_longer_than_an_hour_is_given_up(prepare):
     now = [1000.0]
     worker = ProcessWorker(clock=lambda: now[0])
     try:
         worker.begin("r1", prepare)
         os.kill(worker.process_of("r1"), signal.SIGSTOP)
-        now[0] += 500.0
+        now[0] += 3500.0
         assert worker.outcome("r1") is None
         now[0] += 200.0
         assert "took too long" in worker.outcome("r1").failure
         assert not worker.busy("r1")
+    finally:
+        worker.close()
+
+
+@pytest.mark.long
+@pytest.mark.processes
+def test_a_work_pauses_for_at_most_half_of_the_time_while_a_drive_misses_ticks(prepare):
+    now = [1000.0]
+    worker = ProcessWorker(clock=lambda: now[0])
+    try:
+        worker.begin("r1", replace(prepare, task="search"))
+        asleep = Path(f"/proc/{worker.process_of('r1')}/wchan")
+        deadline = time.monotonic() + PATIENCE
+        while "nanosleep" not in asleep.read_text():  # signals during its start have no effect
+            assert time.monotonic() < deadline
+            now[0] += 2.0
+            worker.give_way()
+            time.sleep(0.02)
+        worker.give_way()
+        time.sleep(1.5)
+        assert "nanosleep" not in asleep.read_text(), "the second one came too soon after the first"
+        assert awaited(worker).failure == ""
     finally:
         worker.close()
 

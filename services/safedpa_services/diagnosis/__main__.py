@@ -25,10 +25,15 @@ from safedpa.systems.robots import DEFAULT_ROBOT
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.service_main import service_parser
 
+_NICENESS = 5
+"""Also of its searches. The control loop has priority. Three busy processes on two cores leave a process of this
+niceness a fifth of a core, and one of niceness 10 a fifteenth: a search that takes 4 s of processor time would need a
+minute."""
+
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
-    os.nice(10)  # the control loop has priority
+    os.nice(_NICENESS)
     worker = ProcessWorker(options.settings)
     node = _node(options, worker)
     try:

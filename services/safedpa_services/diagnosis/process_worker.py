@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import final
 
 from safedpa.live.search_jobs import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.systems.robots import DEFAULT_ROBOT
-from safedpa_services.diagnosis.work_files import read_outcome, write_work
+from safedpa_services.diagnosis.work_files import CPU_SECONDS, PAUSE_SECONDS, PAUSE_SIGNAL, read_outcome, write_work
 
 _MOST_STARTS = 3
-_LONGEST_SECONDS = 600.0
-"""A job runs at the lowest priority and may take long on a busy machine; beyond this limit it counts as failed."""
+_LONGEST_SECONDS = 3600.0
+"""A job that has not ended after this time hangs. Its processor time is limited, too; a busy machine only delays it."""
 
 
 @dataclass
@@ -28,6 +30,8 @@ class _WorkerJob:
     process: subprocess.Popen[bytes]
     began: float
     starts: int = 1
+    paused: float = -inf
+    """Start of its last pause [s]."""
 
 
 @final
@@ -56,11 +60,13 @@ class ProcessWorker(AbstractWorker):
         if code is None and self._clock() - job.began < _LONGEST_SECONDS:
             return None
         found = read_outcome(job.folder) if code == 0 else None
-        if found is None and code is not None and job.starts < _MOST_STARTS:
+        spent = code == -signal.SIGXCPU
+        if found is None and code is not None and job.starts < _MOST_STARTS and not spent:
             _kill(job.process)
             job.process, job.starts = self._start(job.folder), job.starts + 1
             return None
         reason = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
+        reason = f"took more than {CPU_SECONDS} s of processor time" if spent else reason
         self.cancel(robot)
         return WorkOutcome(failure=f"its process {reason}") if found is None else found
 
@@ -70,6 +76,13 @@ class ProcessWorker(AbstractWorker):
             return
         _kill(job.process)
         shutil.rmtree(job.folder, ignore_errors=True)
+
+    def give_way(self) -> None:  # noqa: D102
+        now = self._clock()
+        for job in self._jobs.values():
+            if now - job.paused >= 2.0 * PAUSE_SECONDS:
+                job.paused = now
+                job.process.send_signal(PAUSE_SIGNAL)
 
     def busy(self, robot: str) -> bool:  # noqa: D102
         return robot in self._jobs

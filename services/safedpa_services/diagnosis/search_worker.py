@@ -1,16 +1,19 @@
-"""``python -m safedpa_services.diagnosis.search_worker FOLDER``: runs one search or calibration at the lowest priority.
+"""``python -m safedpa_services.diagnosis.search_worker FOLDER``: runs one search or calibration.
 
-The process ends when its standard input closes, that is, when the service ends for whatever reason.
+The process ends when its standard input closes, that is, when the service ends for whatever reason. It has the
+service's priority, and pauses for a second on SIGURG.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
+import resource
 import shutil
+import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 from safedpa.adaptation import HistoryEstimator, LatentEstimator
@@ -20,7 +23,7 @@ from safedpa.live.search_jobs import Calibrate, WorkOutcome, execute_job
 from safedpa.records.run import Run
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.robots import DEFAULT_ROBOT
-from safedpa_services.diagnosis.work_files import read_work, write_outcome
+from safedpa_services.diagnosis.work_files import CPU_SECONDS, PAUSE_SECONDS, PAUSE_SIGNAL, read_work, write_outcome
 
 
 def calibrate_with(settings: str) -> Calibrate:
@@ -38,16 +41,14 @@ def calibrate_with(settings: str) -> Calibrate:
     return calibrate
 
 
-_LARGEST_NICENESS = 19
-
-
 def main() -> None:
     """Reads the job, runs it and writes the result."""
     parser = argparse.ArgumentParser(prog="safedpa-diagnosis-worker")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--settings", default=DEFAULT_ROBOT)
     options = parser.parse_args()
-    _set_lowest_priority()
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS + 1))
+    signal.signal(PAUSE_SIGNAL, lambda *_: time.sleep(PAUSE_SECONDS))
     writing = threading.Lock()
     threading.Thread(target=_watch_service, args=(options.folder, writing), daemon=True).start()
     try:
@@ -56,12 +57,6 @@ def main() -> None:
         outcome = WorkOutcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
     with writing:
         write_outcome(outcome, options.folder)
-
-
-def _set_lowest_priority() -> None:
-    os.nice(_LARGEST_NICENESS)
-    with contextlib.suppress(OSError, AttributeError):  # SCHED_IDLE exists on Linux only
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def _watch_service(folder: Path, writing: threading.Lock) -> None:

@@ -1,8 +1,9 @@
-"""Writes and reads a job and its result as files, for the exchange with the process that runs the job."""
+"""The exchange with the process that runs a job: job and result as files, and a signal."""
 
 from __future__ import annotations
 
 import json
+import signal
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,6 +14,12 @@ from safedpa.live.search_jobs import SearchJob, WorkOutcome
 from safedpa.records.run import Run, Stretch
 from safedpa.records.writers.tables import atomic_path
 
+PAUSE_SECONDS = 1.0
+"""Length of a pause, in which a drive that misses ticks has the processor."""
+PAUSE_SIGNAL = signal.SIGURG
+"""Has no effect on a process that does not handle it yet, because it is still starting."""
+CPU_SECONDS = 300
+"""Limit of a job's processor time; a search in 15 s of a car's driving takes 4 s."""
 _ROWS, _TEXT, _OUTCOME = "rows.npz", "work.json", "outcome.json"
 _TEXTS = ("task", "model", "horizon", "effect", "document", "footprint")
 

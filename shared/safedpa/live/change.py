@@ -182,13 +182,13 @@ class ModelMismatchMonitor:
 class ChangeSettings:
     """Limits in ticks of the robot, unless stated otherwise."""
 
-    prepare: int = 1200
-    """To create the model of an accepted effect: a minute at 20 Hz."""
+    prepare: float = 60.0
+    """Seconds of robot time to create the model of an accepted effect, which takes 1.2 s of processor time."""
     ready: float = OFFER_SECONDS + 5.0
     """Seconds of robot time for all services to load and check an offer: the limit of the check itself, and 5 s for the
     offer and the answers. The check takes 0.3 s of processor time, at a low priority."""
     attempts: int = 3
-    """Number of times that an offer is made before it is given up for lack of an answer."""
+    """Number of times that a model is awaited or offered before the change is given up for lack of time."""
     ahead: int = 5
     """From the decision to the tick of the change: 0.25 s at 20 Hz, so that the message reaches all services before."""
     taken: int = 40
@@ -394,18 +394,20 @@ class ModelChanges:
         if change.refused:
             return self._give_up(change, change.refused)
         if change.stage == "preparing":
-            return self._await_document(change)
+            return self._await_document(change, state)
         if not change.unready:
             return self._decide(change, state)
         if change.steps * state.period <= self._settings.ready:
             return None
-        reason = f"{change.unready} did not answer within {self._settings.ready:.0f} s"
+        return self._too_late(change, f"{change.unready} did not answer within {self._settings.ready:.0f} s")
+
+    def _too_late(self, change: ChangeInProgress, reason: str) -> ModelMessage:
         message = self._give_up(change, reason)
         self._try_again(change, reason)
         return message
 
     def _try_again(self, dropped: ChangeInProgress, reason: str) -> None:
-        """Offers the same version again: a service that was busy or restarting may answer now."""
+        """Waits for the same version or offers it again: what was busy or restarting may answer now."""
         if dropped.attempt >= self._settings.attempts or dropped.repair or self._change is not None:
             return
         change = self._begun(dropped.why, dropped.who)
@@ -413,10 +415,11 @@ class ModelChanges:
         change.attempt = dropped.attempt + 1
         self.sentence = f"{dropped.name}: {reason}; attempt {change.attempt} of {self._settings.attempts} begins"
 
-    def _await_document(self, change: ChangeInProgress) -> ModelMessage | None:
+    def _await_document(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
         if change.version is None:
-            late = change.steps > self._settings.prepare
-            return self._give_up(change, "its model was not made in time") if late else None
+            if change.steps * state.period <= self._settings.prepare:
+                return None
+            return self._too_late(change, f"its model was not made within {self._settings.prepare:.0f} s")
         problem = self._keep(replace(self._retained, offered=change.version.fingerprint))
         if problem:
             return self._give_up(change, problem)

@@ -89,6 +89,8 @@ class DiagnosisNode(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         self._check(state)
+        if state.applied_by == "watchdog":  # the loop was late, perhaps for lack of processor time
+            self._worker.give_way()
         changes = self.changes_of(robot)
         change = changes.step(state)
         known = self._robot(robot, changes, state.period)

@@ -137,6 +137,10 @@ class AbstractWorker(ABC):
     def busy(self, robot: str) -> bool:
         """Whether the robot has a job whose result was not fetched."""
 
+    @abstractmethod
+    def give_way(self) -> None:
+        """Lets all jobs pause for a moment, because a drive misses ticks; at least half of the time they run."""
+
 
 @final
 class InlineWorker(AbstractWorker):
@@ -157,6 +161,9 @@ class InlineWorker(AbstractWorker):
 
     def busy(self, robot: str) -> bool:  # noqa: D102
         return robot in self._outcomes
+
+    def give_way(self) -> None:
+        """Does nothing: no job runs alongside the drive."""
 
 
 def named_candidate(candidates: Iterable[Mapping[str, Any]], effect: str) -> Mapping[str, Any] | None:

@@ -32,9 +32,9 @@ _CPU_SECONDS = 5
 _MEMORY_BYTES = 1 << 30
 OFFER_SECONDS = 20.0
 """Time limit [s] of a job, including the time in the queue. The diagnosis waits for the answer a little longer."""
-# Three busy processes at normal priority on two cores leave a process of niceness 10 a twelfth of a core and one of
-# niceness 19 a hundredth: a check that takes 0.3 s of processor time would then exceed the limit.
-_NICENESS = 10
+# Three busy processes at normal priority on two cores leave a process of niceness 5 a fifth of a core, one of niceness
+# 10 a fifteenth, and one of niceness 19 a hundredth. A check takes 0.3 s of processor time.
+_NICENESS = 5
 # Time after its start in which the worker imports what its jobs need, so that the first one does not wait for that.
 _WARM_AFTER_SECONDS = 10.0
 # Bytes of a result: a model file in canonical form fits.

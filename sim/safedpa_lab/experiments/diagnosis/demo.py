@@ -17,7 +17,7 @@ from safedpa_lab.experiments.record import Options, ReportProgress, Result
 
 _WANTED_FALL, _WANTED_WAY, _LONGEST_UNSAID = 0.6, 5.0, 10.0
 """Reduction of the error; m driven in the 20 s after the model was changed; s of standing without a message."""
-_TIMEOUT = 400.0
+_TIMEOUT = 1200.0
 """s for one drive, on a busy machine."""
 _STEPS = {
     "found": "a finding raised",
