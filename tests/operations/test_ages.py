@@ -1,20 +1,39 @@
 """What is sent to people and to Prometheus: no value of a robot without its age, and no old one as the present."""
 
+import io
 import re
+import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from rich.console import Console
-from tests.messages import finding_of, stamp, state_of, verdict_of
+from tests.messages import finding_of, health_of, latent_of, stamp, state_of, verdict_of
 
-from safedpa.bus import SurroundingsMessage
+from safedpa.bus import (
+    FINDING,
+    HEALTH,
+    LATENT,
+    STATE,
+    VERDICT,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    ReceivedMessage,
+    SurroundingsMessage,
+)
 from safedpa.dynamics import load_model
 from safedpa.safety.defaults import settings_named
 from safedpa_services.command_line.status import document_of
 from safedpa_services.command_line.status_table import render_status_table
 from safedpa_services.dashboard.display_settings import display_settings
+from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.now_page import NowPage
+from safedpa_services.dashboard.shapes import Bands, Curves, MarkdownPage, TimelineFrame
 from safedpa_services.metrics.exporter import FAMILIES, FleetCollector
+from safedpa_services.supervisor.run_monitor import RunMonitor
+from safedpa_services.supervisor.view import render_view
+from safedpa_services.terminal import terminal
 from safedpa_services.workbench.live.panels import (
     drive_table,
     error_bars,
@@ -133,3 +152,60 @@ def test_each_row_of_the_status_has_an_age_at_every_width(fleet: Any, age: float
     assert all("age s" in head for head in heads)
     (row,) = document["robots"]
     assert (row["sense_to_act_p99"] is None) is (age > 0.0), "latencies of the past are not those of the present"
+
+
+@pytest.mark.parametrize("age", [0.0, 7.0, 300.0])
+def test_every_line_of_the_terminal_view_has_an_age(monkeypatch: pytest.MonkeyPatch, age: float) -> None:
+    watch = RunMonitor(Bus(MemoryTransport(MemoryBroker()), "fleet"))
+    verdict = verdict_of("corrected", h_now=H, stationary_for=9.0, stationary_reason="a wall")
+    for name, message in {"state": state_of(), "verdict": verdict, "finding": finding_of("raised")}.items():
+        setattr(watch, name, message)
+        setattr(watch, f"{name}_at", 1000.0)
+    watch.health["policy"] = health_of("policy", step_microseconds=42.0), 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: 1000.0 + age)
+    console = terminal(file=io.StringIO(), width=200)
+    child = SimpleNamespace(name="policy", pid=4711, heartbeat=True, exit_code=None, restarts=0)
+    console.print(render_view(watch, [child], []))
+    first, *lines = [line for line in console.file.getvalue().splitlines() if re.search(r"\d", line)]
+    assert len(AGE.findall(first)) == 2, "of the state and of the verdict"
+    assert first.startswith("No state for") is (age > 0.0)
+    *texts, row = lines
+    assert len(texts) == (2 if age == 0.0 else 1), "the reason of a stop is of the present"
+    assert all(AGE.search(line) for line in texts)
+    assert re.search(rf" {age:.1f} s +0", row)
+
+
+def curves_of(frames: list[TimelineFrame]) -> list[float]:
+    """Returns the time of each point of a curve."""
+    drawn = [(frame.at, entry) for frame in frames for entry in frame.entries if not entry.static]
+    return [at for at, entry in drawn if isinstance(entry.shape, Curves | Bands)]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.6])
+def test_each_point_of_a_curve_is_at_the_time_of_its_measurement_and_none_is_drawn_again(delay: float) -> None:
+    """A curve has no other age: the time line goes on without it."""
+    view = FleetView(display_settings(load_model("car"), settings_named("car")))
+    for tick in range(40):
+        messages = {
+            STATE: state_of(**stamp(tick)),
+            LATENT: latent_of(0.4, 2.5, **stamp(tick)),
+            VERDICT: verdict_of("passed", **stamp(tick), h_now=H, action=(1.0, 0.0), nominal=(1.0, 0.0)),
+            FINDING: finding_of("watching", **stamp(tick)),
+        }
+        at = 1000.0 + 0.05 * tick
+        items = [ReceivedMessage(topic, "r1", message, b"", "", at) for topic, message in messages.items()]
+        points = curves_of(view.take(items, at + delay))
+        assert set(points) <= {0.05 * tick}
+    assert points
+    ages = [view.take([], at + delay + silence) for silence in (1.0, 2.0, 7.0, 8.0, 60.0)]
+    assert [curves_of(frames) for frames in ages] == [[]] * 5
+    pages = [[f.at for f in frames if isinstance(f.entries[-1].shape, MarkdownPage)][-1] for frames in ages]
+    assert pages[-1] > 0.05 * tick + 59.0, "the time line goes on while nothing arrives"
+    assert pages == sorted(pages)
+
+
+def test_step_times_are_at_the_time_of_their_heartbeat() -> None:
+    view = FleetView(display_settings(load_model("car"), settings_named("car")))
+    view.take([ReceivedMessage(STATE, "r1", state_of(**stamp(0)), b"", "", 1000.0)], 1000.0)
+    message = health_of("policy", step_microseconds=42.0, **stamp(0))
+    assert curves_of(view.take([ReceivedMessage(HEALTH, "r1", message, b"", "", 1003.0)], 1009.0)) == [3.0]

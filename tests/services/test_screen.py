@@ -106,7 +106,7 @@ def test_the_reason_of_a_stop_and_a_finding_are_shown(watch, clock, tmp_path):
     stood = verdict_of("corrected", stationary_for=7.0, stationary_reason="the wall is near")
     see(watch, clock, verdict=stood, finding=finding_of("raised"))
     lines = [line.rstrip() for line in drawn(watch, child_of(tmp_path))]
-    assert "stationary for 7 s, the wall is near" in lines
+    assert "stationary for 7 s, the wall is near  0.0 s old" in lines
     assert "model aaaaaaaa  raised: it is raised  0.0 s old" in lines
     assert lines[-2:] == ["a hint", "a warning"]
 

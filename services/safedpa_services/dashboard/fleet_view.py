@@ -291,7 +291,10 @@ class FleetView:
                 continue
             robot.headline = headline
             page = TimelineEntry(("now",), robot.view.now.page(now))
-            frames.append(TimelineFrame(max(robot.newest.values(), default=0.0), _under(name, [page])))
+            # while nothing arrives the time line goes on, so that the curves of the past leave the panes
+            at = max(self._time.now(now) if headline else 0.0, *robot.newest.values())
+            robot.newest["page"] = at  # no later page is drawn at an earlier time, which the viewer would not show
+            frames.append(TimelineFrame(at, _under(name, [page])))
         return frames
 
     def _waiting_frame(self) -> TimelineFrame:

@@ -42,10 +42,11 @@ def _hint_style(hint: str) -> str:
 
 def _stationary(watch: RunMonitor) -> list[Text]:
     """Returns how long the robot has been stationary and why, if the verdict reports a reason."""
-    verdict = watch.verdict
-    if verdict is None or not verdict.stationary_reason or is_stale(watch.ages()[1]):
+    verdict, age = watch.verdict, watch.ages()[1]
+    if verdict is None or age is None or not verdict.stationary_reason or is_stale(age):
         return []
-    return [Text(f"stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}", style="yellow")]
+    reason = f"stationary for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}"
+    return [Text.assemble((reason, "yellow"), (f"  {age_text(age)}", "dim"))]
 
 
 def _headline(watch: RunMonitor) -> Text:
