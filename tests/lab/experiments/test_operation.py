@@ -68,7 +68,7 @@ def test_the_samples_of_a_stopped_run_are_judged_without_the_line_that_was_cut(t
     assert (found["samples"], found["page_mb"]) == (2, 4.0)
 
 
-RIGHT = {"victim": "robot", "seconds": {"status": 1.2}, "lapsed": [], "ends": False, "returned": 0.4}
+RIGHT = {"victim": "robot", "seconds": {"status": 1.2}, "lapsed": [], "replaced": None, "returned": 0.4}
 
 
 @pytest.mark.parametrize(
@@ -77,12 +77,12 @@ RIGHT = {"victim": "robot", "seconds": {"status": 1.2}, "lapsed": [], "ends": Fa
         ("hang", {"seconds": {"status": 2.1}}, "robot: status after 2.1 s"),
         ("hang", {"seconds": {"status": None}}, "robot: status after never"),
         ("hang", {"lapsed": ["metrics"]}, "robot: metrics was right only for a time"),
-        ("kill", {"returned": 10.1}, "robot: replaced after 10.1 s"),
+        ("kill", {"replaced": 10.1}, "robot: replaced after 10.1 s"),
         ("kill", {"unreported": True}, "robot: status does not know that it was restarted"),
     ],
 )
 def test_each_wrong_place_fails_the_silences(kind: str, changes: dict[str, Any], text: str) -> None:
-    result = {"kind": kind, "seconds": 8.0, "rows": [RIGHT, {**RIGHT, "ends": True, "returned": None}]}
+    result = {"kind": kind, "seconds": 8.0, "rows": [RIGHT, {**RIGHT, "returned": None}]}
     silences.verdict(result)
     assert silences.report(result).count("1.2 |") == 2
     with pytest.raises(SafedpaError, match=text):

@@ -26,7 +26,8 @@ PLACES: Final = ("status", "terminal", "headline", "metrics")
 LIMIT_SECONDS: Final = 2.0
 """Time until a place is right; an alert follows the metrics after the delay that its rule states."""
 RETURN_SECONDS: Final = 10.0
-"""Time until a killed process is replaced and all is healthy."""
+"""Time until the successor of a killed process is heard. A robot is healthy again only ten seconds after its last late
+tick, because shares of the last ten seconds are shown."""
 _PATIENCE_SECONDS = 180.0
 _POLL_SECONDS = 0.05
 
@@ -53,8 +54,8 @@ def verdict(result: Result) -> None:
         found += [f"{row['victim']}: {place} was right only for a time" for place in row["lapsed"]]
         if row.get("unreported"):
             found.append(f"{row['victim']}: status does not know that it was restarted")
-        if result["kind"] == "kill" and (row["returned"] or 0.0) > RETURN_SECONDS:
-            found.append(f"{row['victim']}: replaced after {row['returned']:.1f} s")
+        if (row["replaced"] or 0.0) > RETURN_SECONDS:
+            found.append(f"{row['victim']}: replaced after {row['replaced']:.1f} s")
     if found:
         raise SafedpaError(f"silences: {'; '.join(found)}")
 
@@ -63,10 +64,12 @@ def report(result: Result) -> str:
     """Seconds until each place is right, by the process that hangs or is killed."""
     what = "Killed" if result["kind"] == "kill" else "Hung"
     lines = [f"{what}, observed for {result['seconds']:g} s; seconds until right", ""]
-    lines += [f"| process | {' | '.join(PLACES)} | healthy again after |", "|---" * (len(PLACES) + 2) + "|"]
+    columns = ("process", *PLACES, "replaced after", "healthy again after")
+    lines += [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     for row in result["rows"]:
         cells = [_cell(row["seconds"].get(place, -1.0)) for place in PLACES]
-        lines.append(f"| {row['victim']} | {' | '.join(cells)} | {_cell(-1.0 if row['ends'] else row['returned'])} |")
+        cells += [_cell(-1.0 if seconds is None else seconds) for seconds in (row["replaced"], row["returned"])]
+        lines.append(f"| {row['victim']} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -105,7 +108,7 @@ class _Run:
         finally:
             with contextlib.suppress(ProcessLookupError):  # the supervisor has killed and restarted it
                 os.kill(pid, signal.SIGCONT)
-        return {**watched, "ends": False, "returned": self._wait(self._healthy, f"{victim}: not healthy again")}
+        return {**watched, "replaced": None, "returned": self._wait(self._healthy, f"{victim}: not healthy again")}
 
     def kill(self, victim: str, seconds: float) -> dict[str, Any]:
         """Kills a process, and returns when the places knew of its restart or, of a supervisor, of its end."""
@@ -114,13 +117,12 @@ class _Run:
         os.kill(pid, signal.SIGKILL)
         if victim == "supervisor":
             self._up.wait(_PATIENCE_SECONDS)
-            return {**self._watched(victim, printed, lambda passed: passed < seconds), "ends": True, "returned": None}
-        began = time.monotonic()
-        self._wait(lambda: self._pid_of(victim) not in (0, pid), f"{victim}: not restarted")
-        self._wait(self._healthy, f"{victim}: not healthy again")
-        returned = time.monotonic() - began
+            watched = self._watched(victim, printed, lambda passed: passed < seconds)
+            return {**watched, "replaced": None, "returned": None}
+        replaced = self._wait(lambda: self._is_heard(victim, pid), f"{victim}: not restarted")
+        returned = replaced + self._wait(self._healthy, f"{victim}: not healthy again")
         known = self._restarts(victim) > restarts
-        return {"seconds": {}, "lapsed": [], "ends": False, "returned": returned, "unreported": not known}
+        return {"seconds": {}, "lapsed": [], "replaced": replaced, "returned": returned, "unreported": not known}
 
     def _before(self, victim: str) -> tuple[int, int]:
         """Waits until all is well; returns the length of what is printed, and the victim's process id."""
@@ -139,6 +141,12 @@ class _Run:
                 elif not is_right and first[place] is not None:
                     lapsed.add(place)
         return {"seconds": first, "lapsed": sorted(lapsed)}
+
+    def _is_heard(self, victim: str, before: int) -> bool:
+        """Whether another process than ``before`` sends heartbeats as the victim."""
+        self._fleet.listen(_POLL_SECONDS)
+        known = [one for one in self._fleet.services.values() if one.name == victim]
+        return any(one.pid != before and one.age(self._fleet.clock()) < LIMIT_SECONDS for one in known)
 
     def _restarts(self, victim: str) -> int:
         return self._fleet.roster.counts[("robot", "r1") if victim == "robot" else ("service", victim)]
