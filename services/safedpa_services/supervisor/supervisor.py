@@ -27,6 +27,9 @@ _SERVICE_PATIENCE_SECONDS = 6.0
 _HUNG_SECONDS = 10.0
 """A service without a heartbeat for this long is hung. Four are sent per second; a busy machine delays them by 1 to 2
 s."""
+_HUNG_DASHBOARD_SECONDS = 60.0
+"""The same of the dashboard, on which no drive depends: at its low priority it is more often late than hung, and to
+start it again makes a busy machine busier."""
 _OWN_STALL_SECONDS = 2.0
 """A turn that is later than this finds every heartbeat old, because this process itself was stopped or starved."""
 _LAST = ("recorder", "router")
@@ -134,8 +137,10 @@ class Supervisor:
         for child in self.services:
             if child.exit_code is not None:
                 self._restart(child)
-            elif child.essential and self._may_judge() and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
-                child.kill(f"hung: no heartbeat for {_HUNG_SECONDS:.0f} s")  # the next turn restarts it
+            elif child.essential and self._may_judge():
+                patience = _HUNG_DASHBOARD_SECONDS if child.name == "dashboard" else _HUNG_SECONDS
+                if self.watch.has_hung(child.name, child.pid, patience):
+                    child.kill(f"hung: no heartbeat for {patience:.0f} s")  # the next turn restarts it
         if self.presence is not None:
             self.presence.turn()
         self.on_turn()
