@@ -39,7 +39,7 @@ _REST_SHARE: Final = 0.02
 """Share of the limit of a jump below which the motion of a period counts as rest."""
 _LONG_DRIFT_SECONDS: Final = 4.0
 _MEAN_SECONDS: Final = 0.5
-_SLOW_DRIFT: Final = 0.6
+_SLOW_DRIFT: Final = 0.8
 """Share of the limit of ``drift`` for the means: noise hardly counts in them, but each change of the acceleration under
 an unknown delay moves the prediction, by up to half of that limit."""
 _SLOW_DRIFT_SHARE: Final = 0.6
@@ -54,6 +54,9 @@ commands act 0.2 s late has answered by then: one period of the fastest start is
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
+_UNRATED_FACTOR: Final = 2.0
+"""Factor on the share of the way of a drift for a position without a measured rate, such as a car's heading: only the
+commands tell its rate, and they may act late. In a car that turns to and fro, these errors add up."""
 _DRIFTS: Final = "its position and its rates differ by {:.2g} {} within {:.2g} s"
 _WHY_NOT: Final = " (a frozen sensor, a robot that is held, or an unknown delay)"
 _LOST_GROWTH: Final = 1.0
@@ -266,7 +269,8 @@ class StateMonitor:
             limit = self._with_noise(self._limits.drift.get(unit), unit)
             if limit is not None:
                 limit *= _GAPS_FACTOR if any(self._gaps) else 1.0
-                limit += self._limits.drift_share.get(unit, 0.0) * way
+                factor = 1.0 if f"{unit}/s" in self._rates else _UNRATED_FACTOR
+                limit += factor * self._limits.drift_share.get(unit, 0.0) * way
                 if not size <= growth * limit:
                     text = f"{_DRIFTS.format(size, unit, _DRIFT_SECONDS)} (at most {growth * limit:.2g} {unit})"
                     return self._contradiction(size, unit, text)
