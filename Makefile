@@ -11,7 +11,7 @@ GENERATED := build/.generated
 PIP := PIP_CONSTRAINT=$(CURDIR)/constraints.txt $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 TOOLS := build/tools/.installed
 
-.PHONY: help compiled demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints hashes clean
+.PHONY: help compiled demo run search quick test test-long test-versions test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints hashes clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -65,6 +65,9 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/native/test_decisions.py tests/dynamics/test_recorded_step.py \
 	tests/policy/test_fast_policy.py tests/policy/test_goal_seeker.py tests/robots/test_robot_physics.py \
 	$(addprefix tests/bus/test_,coalescing.py handshake.py inbox.py inbox_receiver.py joint_transport.py service_loop.py robot_slot.py)
+
+test-versions: environment  ## quick tests of the library on every other supported Python that is installed
+	@$(BIN)/python deploy/python_versions.py
 
 test-compiled: $(BUILT)  ## the tests of the compiled modules, on a wheel that has them; needs a C compiler
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -11,11 +10,18 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "deploy"))
+
+from install_size import size_of
+from python_versions import interpreters
+
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 FOREIGN = ("torch", "plotly", "rerun", "pymunk", "pyarrow", "jinja2", "nicegui", "matplotlib", "gymnasium")
 """What the core must not bring. Of scipy nothing is imported; it comes because piqp's metadata ask for it."""
-PYTHONS = [name for name in ("python3.11", "python3.12") if shutil.which(name)]
+PYTHONS = list(interpreters().values())
+MOST_MEGABYTES = 200
+"""Largest installation of the filter alone, next to pip."""
 
 
 PIP = (sys.executable, "-m", "pip", "--quiet", "--no-input")
@@ -88,3 +94,32 @@ def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(interpr
     assert "pip install 'safedpa[sim]'" in asked.stderr
     for service in ("adaptation", "policy", "safety_filter", "recorder"):
         assert _run(python, "-m", f"safedpa_services.{service}", "--help").returncode == 0, service
+
+
+def test_the_filter_alone_installs_in_200_megabytes_and_its_guide_runs(built, repository, tmp_path):
+    python = tmp_path / "empty" / "bin" / "python"
+    assert _run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "empty").returncode == 0
+    pinned = ("--constraint", repository / "constraints.txt")
+    packages = ("--requirement", repository / "deploy" / "filter-only.txt", built[0])
+    done = _run(*PIP, "--python", python, "install", "--no-compile", "--no-deps", *pinned, *packages)
+    if done.returncode != 0 and re.search(r"No matching distribution|Could not fetch|Connection", done.stderr):
+        pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    absent = (*FOREIGN, "scipy", "zenoh", "mcap", "cryptography")
+    listed = _run(python, "-c", f"import importlib.util as u; print([n for n in {absent!r} if u.find_spec(n)])")
+    assert listed.stdout.strip() == "[]"
+    assert size_of(tmp_path / "empty" / "lib") < MOST_MEGABYTES
+
+    guide = (repository / "docs" / "guides" / "safety.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
+    filtered = _run(python, "-c", "\n".join(code[:2]), cwd=tmp_path)
+    assert (filtered.returncode, filtered.stdout[:9]) == (0, "corrected"), filtered.stderr
+    three = (  # actions, which piqp decides
+        "import numpy as np; from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter\n"
+        "low = (-1.0,) * 3; wall = FunctionBarrier(lambda x: 1.0 - x[0] - x[1])\n"
+        "settings = FilterSettings(action_low=low, action_high=(1.0,) * 3, backup_action=low, eta=0.1, epsilon=0.0)\n"
+        "safe = SafetyFilter(lambda x: (x, 0.1 * np.eye(3)), [wall], settings)\n"
+        "print(safe.decide(np.array([0.5, 0.45, 0.0]), np.ones(3)).status.value)"
+    )
+    decided = _run(python, "-c", three, cwd=tmp_path)
+    assert decided.stdout.strip() == "corrected", decided.stderr
