@@ -15,7 +15,7 @@ epochs = some.sampled_from([EPOCH, EPOCH - 1, EPOCH + 1])
 
 
 def slot_at(state: StateMessage) -> RobotSlot:
-    return RobotSlot(state, 0.0, 0.0, 0.0)
+    return RobotSlot(state, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

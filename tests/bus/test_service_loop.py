@@ -284,6 +284,20 @@ def test_a_robot_that_is_silent_for_thirty_seconds_is_forgotten(silence: float, 
     assert lockstep.released == ([] if known else ["safedpa/test/r/"]), "what sending about it holds"
 
 
+def test_a_service_that_is_far_behind_forgets_no_robot_whose_states_it_has_not_read(state_at: StateAt) -> None:
+    node = FixedPolicy()
+    node.every_tick = True
+    behind = Fleet(state_at, lockstep=False, node=node)
+    behind.state(0)
+    for tick in range(1, 13):
+        behind.bus.publish(STATE, "r", state_at(tick, epoch=EPOCH, lockstep=False, period=0.05))
+    for _ in range(3):  # a turn reads four states
+        behind.wait(29.0)
+    assert node.forgotten == ["r"]
+    behind.wait(31.0)
+    assert node.forgotten == ["r"] * 2
+
+
 def test_a_deadline_of_a_robot_that_has_left_starts_no_step(real_time: Fleet) -> None:
     """Its period is so long that its share would end after it is forgotten."""
     real_time.state(0, period=200.0)

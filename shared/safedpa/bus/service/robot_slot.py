@@ -87,6 +87,8 @@ class RobotSlot:
     heard: float
     """Time [s] of the robot's last message, including repetitions."""
     next_heartbeat: float
+    read: float
+    """Time [s] at which this process read it: later by its backlog."""
     bundled: bool = False
     """Whether the newest state arrived in a bundle; the outputs may then be bundled, too."""
     reported: bool = False

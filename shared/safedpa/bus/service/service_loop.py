@@ -445,7 +445,7 @@ class ServiceLoop:
         else:
             # A repeated state: the robot has no action yet. An output was lost, or a service after this one started
             # late. Send the outputs again.
-            slot.heard = item.at
+            slot.heard, slot.read = item.at, self.clock()
             if slot.outputs is not None:
                 self._publish(item.robot, slot.outputs)
 
@@ -453,7 +453,7 @@ class ServiceLoop:
         """Starts serving a robot that is new or has restarted."""
         robot, at = item.robot, item.at
         self._node.forget(robot)  # data of an earlier epoch is about another drive
-        self._slots[robot] = slot = RobotSlot(state, at, at, self.clock(), item.bundled)
+        self._slots[robot] = slot = RobotSlot(state, at, at, now := self.clock(), now, item.bundled)
         if self._node.every_tick:
             slot.burst = LONG_BURST
         slot.keeps_pace(state, at)
@@ -464,7 +464,7 @@ class ServiceLoop:
 
     def _take_tick(self, item: ReceivedMessage, slot: RobotSlot, state: StateMessage) -> None:
         robot, at = item.robot, item.at
-        slot.heard = at
+        slot.heard, slot.read = at, self.clock()
         if not slot.keeps_pace(state, at):
             reason = f"states arrive much faster than their period of {state.period:g} s; send fewer, or correct period"
             self._refuse(reason, robot, state.tick)
@@ -571,7 +571,8 @@ class ServiceLoop:
 
     def _forget_silent(self) -> None:
         oldest = self.clock() - _FORGET_SECONDS
-        for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
+        # A process that is far behind reads messages of long ago from a robot that still sends.
+        for robot in [robot for robot, slot in self._slots.items() if slot.read < oldest]:
             del self._slots[robot]
             self._leave(robot)
             self._service_log.forgot(robot)
