@@ -49,14 +49,14 @@ def lengths(text: str) -> list[int]:
     return [len(one.split()) for tables in (False, True) for one in sentences(text, tables=tables)]
 
 
-def words(text: str) -> int:
+def word_count(text: str) -> int:
     """Words and numbers, without the bars of tables, list marks and comments."""
     return len(re.findall(r"\S*\w\S*", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)))
 
 
 def generated(text: str) -> int:
     """Words of the parts that ``docs/generate.py`` writes."""
-    return words(" ".join(re.findall(_GENERATED, text, flags=re.DOTALL)))
+    return word_count(" ".join(re.findall(_GENERATED, text, flags=re.DOTALL)))
 
 
 def text_of(page: Path) -> str:
@@ -110,7 +110,7 @@ def row(name: str, texts: list[str]) -> str:
     found = [length for text in texts for length in lengths(text)]
     count, made = max(len(found), 1), sum(map(generated, texts))
     mean, long = sum(found) / count, 100 * sum(one > LONG for one in found) / count
-    return f"{name:40} {sum(map(words, texts)) - made:7d} {made:9d} {len(found):9d} {mean:5.1f} {long:14.1f}\n"
+    return f"{name:40} {sum(map(word_count, texts)) - made:7d} {made:9d} {len(found):9d} {mean:5.1f} {long:14.1f}\n"
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from measure import (  # noqa: E402  # next to the pages
     pages_of,
     sentences,
     text_of,
-    words,
+    word_count,
 )
 
 TEXTS = [text_of(page) for part in ("", *PARTS) for page in pages_of(part)]
@@ -26,12 +26,12 @@ TEXTS = [text_of(page) for part in ("", *PARTS) for page in pages_of(part)]
 
 def test_tutorials_guides_and_written_reference_stay_short() -> None:
     pages = [text_of(page) for part in READ for page in pages_of(part)]
-    written = sum(map(words, pages)) - sum(map(generated, pages))
+    written = sum(map(word_count, pages)) - sum(map(generated, pages))
     assert 10_000 < written <= 30_000
 
 
 def test_all_pages_together_stay_short() -> None:
-    assert 10_000 < sum(words(text) for text in TEXTS) <= 60_000
+    assert 10_000 < sum(word_count(text) for text in TEXTS) <= 60_000
 
 
 def test_the_main_navigation_is_short() -> None:
