@@ -107,7 +107,7 @@ def lag_output(column: FloatArray, decays: FloatArray, windows: Windows, *, from
     retained, found = np.roll(decays, 1), np.roll((1.0 - decays) * column, 1)
     retained[begin], found[begin] = 0.0, 0.0 if from_zero else column[begin]
     offset = 1
-    while offset < len(column) and retained.max() > _NEGLIGIBLE:
+    while offset < len(column) and np.abs(retained).max() > _NEGLIGIBLE:
         found[offset:] += retained[offset:] * found[:-offset]
         retained[offset:] *= retained[:-offset]
         offset *= 2

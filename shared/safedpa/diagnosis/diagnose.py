@@ -167,6 +167,16 @@ def _remainder(search: SearchState) -> Remainder | None:
     return None if found is None else with_sentence(found, search.error.value, first)
 
 
+def _one_explains(likely: Sequence[JudgedTrial], search: SearchState) -> bool:
+    """Returns whether one of the likely effects leaves only noise and a disturbance of unseen data."""
+    for item in likely:
+        found = _remaining(item.trial, search.shooting)
+        error = search.error.value if item.error is None else item.error.value
+        if found is None or not with_sentence(found, error, None).sentence:
+            return True
+    return False
+
+
 def _tried(search: SearchState) -> tuple[int, int]:
     """Returns how many different effects and combinations of effects were fitted."""
     tried = {item.trial.effects for item in search.candidates}
@@ -254,8 +264,8 @@ def _verdict(
     unexplained, likely = found
     # Checked before the effects: an effect that was added to a model with wrong units is not a finding.
     implausible = search.error.value > 1.5 or not np.isfinite(search.error.value)
-    # An effect of the library that is likely explains the rest better than "none explains it".
-    rest = remainder is not None and remainder.sentence and (search.added or not likely)
+    # An effect of the library that is likely, and leaves nothing, explains the rest better than "none explains it".
+    rest = remainder is not None and remainder.sentence and (search.added or not _one_explains(likely, search))
     if implausible or rest or (unexplained is not None and not search.added):
         return "unexplained"
     if search.added:

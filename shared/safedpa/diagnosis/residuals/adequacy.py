@@ -1,12 +1,14 @@
 """Adequacy: whether what a model leaves of unseen data is noise and disturbance, or depends on what was driven.
 
-Measurement noise and a disturbance from outside do not depend on state, action, time or history. So four regressions
+Measurement noise and a disturbance from outside do not depend on state, action, time or history. So five regressions
 are tried on unseen folds:
 
 - of the missing rates on powers, products and piecewise linear functions of every state and action, on past actions,
   and on the time, all together, with a ridge penalty;
 - of the missing rates on each action times a low-pass of its size: an actuator that weakens as it heats up, or a clutch
   that slips, depends on all that was commanded before;
+- of the missing rates on each action through a weakly damped oscillator: what rings, such as a flexible joint or a
+  liquid, remembers commands for longer than any window;
 - of each missing rate on the model's rate times a piecewise linear function of the size of the state: a gain that
   differs within a band of speeds;
 - of the size of the residual of each window on the sizes of the states and actions in it: what grows with the command
@@ -39,6 +41,7 @@ from safedpa.diagnosis.fit.multiple_shooting import Shooting, measurement_noise
 from safedpa.diagnosis.fit.trial import EffectTrial, standardized_gain, trial_of
 from safedpa.diagnosis.report_schema import Remainder
 from safedpa.diagnosis.residuals.weak_sindy import (
+    FEW,
     PastAction,
     Regression,
     RowTerm,
@@ -57,6 +60,8 @@ _SHARE, _SURE, _SIZE = 0.05, 2.5, 0.01
 # The part of the first error that this error has to exceed where effects were found: no model of a real robot is exact,
 # and the effects that explain most of the error are not overruled by the rest.
 _PART = 0.08
+# Standard errors from which a smaller share suffices: one state of many may be all that it shows in.
+_CLEAR, _SHARE_CLEAR = 4.0, 0.02
 # Held-out error above which such a rest has to be most of the squares.
 _REAL, _SHARE_REAL = 0.25, 0.5
 # Ratio of mean squares, standard errors and held-out error from which the residual's size depends on what was driven.
@@ -80,6 +85,10 @@ _MOST = 0.5
 # Time constants of the memory of an actuator, from half a window to a quarter of the longest stretch, and the share of
 # commands that are large ones.
 _MEMORIES, _LARGE_SHARE = 6, 0.4
+# Frequencies of an oscillator, from two periods in the longest stretch to eight rows in a period, and its damping ratio.
+_OSCILLATIONS, _DAMPING = 40, 0.05
+# Share of the squares with which fewer standard errors suffice for it: 18 robots with nothing hidden had at most 2.5.
+_SHARE_RINGING = 0.1
 # Knots of the gain of a rate over the size of its state.
 _BANDS = 8
 # Windows in a third of all that are compared, and multiples of the median at which their squares are clipped.
@@ -100,7 +109,7 @@ def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) 
         fitted = fit(trial.fit.model, trial.fit.paths, windows, trial.fit.scale, steps=2)
         tried.append((trial_of(fitted, windows, (), None), windows))
     best, windows = min(tried, key=lambda item: item[0].fit.value)
-    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening, _gain_by_size)]
+    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening, _ringing, _gain_by_size)]
     share, errors = max(found, key=lambda item: item[0])
     spread, variable, spread_errors = _spread(best, windows, _squares_by_timing(best, windows))
     return Remainder(share, errors, spread, variable, spread_errors, noise_share(best, windows))
@@ -150,6 +159,23 @@ def _weakening(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) ->
     return _best_of(problem, [[index] for index in range(len(states) * len(terms))])
 
 
+def _ringing(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
+    """Returns the same for an action through an oscillator, d2z/dt2 + 2 d w dz/dt + w^2 z = action, and its phase."""
+    windows = shooting.windows
+    longest = max(float(windows.clock[end - 1] - windows.clock[begin]) for begin, end in windows.bounds)
+    first, last = 4.0 * np.pi / max(longest, 1e-9), 0.25 * np.pi / float(np.median(windows.period))
+    pairs = [[2 * index, 2 * index + 1] for index in range(_OSCILLATIONS)]
+    found = [(0.0, 0.0)]
+    for name, action in zip(windows.system.action_names, effective_actions(trial.fit.model, windows).T, strict=True):
+        terms = []
+        for frequency in np.geomspace(first, last, _OSCILLATIONS):
+            decays = np.exp((1.0j - _DAMPING) * frequency * windows.period)
+            phase = lag_output(action.astype(complex), decays, windows, from_zero=True)
+            terms += [RowTerm(f"{name} at {frequency:.3g} rad/s", part.copy()) for part in (phase.real, phase.imag)]
+        found += [_best_of(regression_of(trial, shooting, [state], terms), pairs, ringing=True) for state in states]
+    return max(found)
+
+
 def _gain_by_size(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
     """Returns the same for a rate that the model has, times a piecewise linear function of the size of its state."""
     windows, model = shooting.windows, trial.fit.model
@@ -171,7 +197,7 @@ def _gain_by_size(trial: EffectTrial, shooting: Shooting, states: Sequence[str])
 
 
 def _best_of(
-    problem: Regression, groups: Sequence[Sequence[int]], now: FloatArray | None = None
+    problem: Regression, groups: Sequence[Sequence[int]], now: FloatArray | None = None, *, ringing: bool = False
 ) -> tuple[float, float]:
     """Returns share and standard errors of the group of columns that predicts unseen squares best, if significant.
 
@@ -182,6 +208,8 @@ def _best_of(
     share, errors = 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), problem.block_gain(now, remaining)
     # What only a cold start shows is in few windows, which makes the standard error large.
     sure = is_significant(errors, share) or (share > _MOST and errors > _SURE)
+    # Neighbouring frequencies are nearly the same column, so fewer are compared than there are.
+    sure = sure or (ringing and errors > (FEW if share > _SHARE_RINGING else _CLEAR))
     return (share, errors) if sure else (0.0, 0.0)
 
 
@@ -212,7 +240,8 @@ def with_sentence(found: Remainder, error: float, first: float | None) -> Remain
     ``error`` is the held-out error in units of the usual change; ``first`` that without the effects that were found,
     None if none was found.
     """
-    share = _SHARE_REAL if first is not None and error > _REAL else _SHARE
+    share = _SHARE_CLEAR if found.standard_errors > _CLEAR else _SHARE
+    share = _SHARE_REAL if first is not None and error > _REAL else share
     size = _SIZE if first is None else max(_SIZE, _PART * first)
     if found.share > share and found.standard_errors > _SURE and structural_error(found, error) > size:
         text = (

@@ -442,11 +442,12 @@ def try_all_instead(search: SearchState) -> None:
     """
     by_name = known_effects(search)
     library = [item for item in search.available if not item.rare]
-    for name in search.added if 1 < len(search.added) <= _FEW else ():
-        reduced = refit_effects(search, [by_name[other] for other in search.added if other != name])
+    for name in search.added if len(search.added) <= _FEW else ():
+        others = [by_name[other] for other in search.added if other != name]
+        reduced = refit_effects(search, others)
         now = replace(search.current, explained=explained_by(search.current.fit, reduced))
         count = len(by_name[name].parameters)
-        trials = [trial for trial in fit_trials(reduced, library, search.shooting, {}) if trial.loss < reduced.loss]
+        trials = _all_instead(search, others, reduced, [item for item in library if item.name != name])
         # In the order of the fits; the first few of a stage would leave no room for them.
         search.rivals[name] = list(dict.fromkeys((*(t.effects[0] for t in trials), *search.rivals.get(name, ()))))
         same = [
@@ -458,6 +459,26 @@ def try_all_instead(search: SearchState) -> None:
             if item.decision == "accepted" and name in item.trial.effects:
                 equals = tuple(dict.fromkeys((*item.equals, *same)))[:_MOST_EQUALS]
                 search.candidates[index] = replace(item, equals=equals)
+
+
+def _all_instead(
+    search: SearchState, others: Sequence[AbstractEffect], reduced: EffectTrial, library: Sequence[AbstractEffect]
+) -> list[EffectTrial]:
+    """Returns the trials of a library next to ``others`` that predict better than these alone, best first.
+
+    Each is fitted from the values of ``others`` and of the base without it, and from the present values: without an
+    effect that they need, others end far from where they belong. Example: a servo is stiffer if its speed is limited.
+    """
+    # The first stage has fitted each effect by itself.
+    apart = fit_trials(reduced, library, search.shooting, {}) if others else []
+    found = {trial.effects[0]: trial for trial in apart}
+    enough = search.current.fit.value + _ABANDONED
+    for item in library:
+        trial = refit_effects(search, [*others, item], enough)
+        if item.name not in found or trial.loss < found[item.name].loss:
+            explained = explained_by(trial.fit, reduced)
+            found[item.name] = replace(trial, effects=(item.name,), explained=explained)
+    return sorted((trial for trial in found.values() if trial.loss < reduced.loss), key=lambda trial: trial.loss)
 
 
 def _is_indistinguishable(trial: EffectTrial, now: EffectTrial, search: SearchState) -> bool:
