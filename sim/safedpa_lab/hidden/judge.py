@@ -56,7 +56,8 @@ class Outcome:
     error: float
     """Held-out error of the last stage."""
     error_ratio: float
-    """That over the error of the same fit with the true effects; NaN where there is none to compare with."""
+    """That over the error of the same fit with the true effects, or of the true robot where no library has them; NaN
+    where there is none to compare with."""
     seconds: float
     """By the clock."""
     processor_seconds: float = float("nan")

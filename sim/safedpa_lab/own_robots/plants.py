@@ -5,6 +5,7 @@ Nothing here comes from the product. Commands change between the rows of the log
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -12,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PLANTS", "Hidden", "Plant", "drive"]
+__all__ = ["PLANTS", "Hidden", "Plant", "Window", "drive", "predicted"]
 
 Values = NDArray[np.float64]
 Hidden = Mapping[str, Mapping[str, float]]
@@ -52,11 +53,34 @@ class Plant:
 
 def drive(plant: Plant, hidden: Hidden, seed: int, outside: str = "") -> tuple[Values, Values, Values]:
     """One log: times (n,), measured states (n, states) and commands (n, actions)."""
+    times, states, commands, _ = _driven(plant, hidden, seed, outside, frozenset())
+    return times, states, commands[::_STEPS]
+
+
+Window = tuple[int, int, Values]
+"""First and last row, and the state (states,) from which to predict."""
+
+
+def predicted(plant: Plant, hidden: Hidden, seed: int, outside: str, windows: Sequence[Window]) -> Values:
+    """The states (windows, states) at the last rows by the true equations, commands and internal states."""
+    _, _, commands, robots = _driven(plant, hidden, seed, outside, frozenset(first for first, _, _ in windows))
+    ends = []
+    for first, last, start in windows:
+        robot, x = copy.deepcopy(robots[first]), start
+        for command in commands[first * _STEPS : last * _STEPS]:
+            x = robot.step(x, command, plant.period / _STEPS)
+        ends.append(x)
+    return np.array(ends)
+
+
+def _driven(
+    plant: Plant, hidden: Hidden, seed: int, outside: str, kept: frozenset[int]
+) -> tuple[Values, Values, Values, dict[int, _Robot]]:
+    """Times, measured states, the commands of every step, and the robot as it was at the rows ``kept``."""
     random = np.random.default_rng(seed)
     rows = round(plant.seconds / plant.period)
     commands = _commands(plant, random, rows * _STEPS)
-    channels = [_Channel(plant, index, hidden, outside) for index in range(len(plant.actions))]
-    body = _Body(plant, hidden, outside, random)
+    robot, robots = _Robot(plant, hidden, outside), dict[int, _Robot]()
     x = np.array(plant.start or (0.0,) * len(plant.states))
     states, dt = np.empty((rows, len(x))), plant.period / _STEPS
     for step in range(rows * _STEPS):
@@ -65,10 +89,23 @@ def drive(plant: Plant, hidden: Hidden, seed: int, outside: str = "") -> tuple[V
             commands[step] = np.clip(fresh, plant.low, plant.high)
         if step % _STEPS == 0:
             states[step // _STEPS] = x
-        u = np.array([channel.next(commands[step], dt) for channel in channels])
-        x = body.step(x, u, dt)
+            if step // _STEPS in kept:
+                robots[step // _STEPS] = copy.deepcopy(robot)
+        x = robot.step(x, commands[step], dt)
     noisy = states + np.array(plant.noise) * random.standard_normal(states.shape)
-    return np.array([plant.period * row for row in range(rows)]), noisy, commands[::_STEPS]
+    return np.array([plant.period * row for row in range(rows)]), noisy, commands, robots
+
+
+class _Robot:
+    """What happens to the commands, and the body that they move; all that a measured state does not show."""
+
+    def __init__(self, plant: Plant, hidden: Hidden, outside: str) -> None:
+        self._channels = [_Channel(plant, index, hidden, outside) for index in range(len(plant.actions))]
+        self._body = _Body(plant, hidden, outside)
+
+    def step(self, x: Values, commands: Values, dt: float) -> Values:
+        """The state after ``dt``."""
+        return self._body.step(x, np.array([channel.next(commands, dt) for channel in self._channels]), dt)
 
 
 def _commands(plant: Plant, random: np.random.Generator, steps: int) -> Values:
@@ -97,6 +134,7 @@ class _Channel:
         }
         self._outside = outside if index == 0 else ""
         self._line: list[float] = []
+        self._steps = 0
         self._value: float | None = None
         self._rate = 0.0
         self._heat = 0.0
@@ -106,9 +144,10 @@ class _Channel:
         return self._own.get(kind, {}).get(name, otherwise)
 
     def next(self, commands: Values, dt: float) -> float:
-        self._line.append(float(commands[self._index]))
         late = round(self._of("delay", "seconds", 0.0) / dt)
-        u = self._line[max(len(self._line) - 1 - late, 0)]
+        self._line = [*self._line[-late:], float(commands[self._index])] if late else [float(commands[self._index])]
+        self._steps += 1
+        u = self._line[0]
         u = self._of("gain", "gain", 1.0) * u + self._of("offset", "offset", 0.0)
         if "dead_zone" in self._own:
             u = np.sign(u) * max(abs(u) - self._own["dead_zone"]["width"], 0.0)
@@ -145,14 +184,14 @@ class _Channel:
             return float(u * (1.0 - 0.5 * self._engaged))
         if self._outside == "missed_commands":
             period = 2.3
-            return 0.0 if (len(self._line) * dt) % period < 0.25 * period else float(u)
+            return 0.0 if (self._steps * dt) % period < 0.25 * period else float(u)
         return u
 
 
 class _Body:
     """The equations of motion with hidden forces; a Runge-Kutta step of order four."""
 
-    def __init__(self, plant: Plant, hidden: Hidden, outside: str, random: np.random.Generator) -> None:
+    def __init__(self, plant: Plant, hidden: Hidden, outside: str) -> None:
         self._plant, self._outside, self._time = plant, outside, 0.0
         self._forces = [
             (plant.states.index(name), name, kind.removeprefix(f"{name}_"), values)

@@ -32,6 +32,7 @@ _SUITES = (
 )  # fmt: skip
 """Of hidden effects; the list of all experiments is read without the optional packages that a suite needs."""
 _OWN_SUITES = ("own_one", "own_two", "own_none", "own_outside")
+_REAL = ("car", "pendulum", "balls", "others")
 
 EXPERIMENTS = (
     Experiment(
@@ -239,7 +240,8 @@ EXPERIMENTS = (
         name="real-logs",
         help="""What the diagnosis finds in recordings of real robots.
 
-    A 1:10 car (four drives), a torque-limited pendulum (six logs), and balls dropped from a bridge. The car is also
+    A 1:10 car (four drives), a torque-limited pendulum (six logs), balls dropped from a bridge, and others whose
+    models lie next to their logs: a servo, a joint of an arm, cascaded tanks. The car is also
     diagnosed on each three of its logs and evaluated on the fourth, which neither the search nor the fit used. The
     model of all four is evaluated on drives of another day, if the folder has them. ``outside`` is the share of rows
     of the evaluation log at a speed and throttle for which the other logs hold less than a second of driving.""",
@@ -247,7 +249,10 @@ EXPERIMENTS = (
         parameters=(
             path("--data", "folder with the recordings: see docs/evidence/diagnosis.md", metavar="DIR", required=True),
             Parameter(
-                "--part", type=SuggestingChoice(("car", "pendulum", "balls", "all")), default="all", show_default=True
+                "--part",
+                type=SuggestingChoice(("car", "pendulum", "balls", "others", "all")),
+                default="all",
+                show_default=True,
             ),
             path("--ball", "defines the falling ball; see docs/guides/own-system.md", metavar="FILE.py"),
             PROCESSES,

@@ -49,6 +49,7 @@ def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any
             "hidden": list(item.hidden),
             "verdict": item.verdict,
             "added": [*item.added, *item.reported],
+            "error_ratio": item.error_ratio if np.isfinite(item.error_ratio) else None,
         }
         for item in outcomes
         if not item.right or item.wrong or item.false_laws
@@ -214,7 +215,9 @@ def _missed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     found = []
     for row in rows:
         hidden, added = (" + ".join(row[key]) or "nothing" for key in ("hidden", "added"))
-        found.append(f"- `{row['case']}`: hidden {hidden}; {row['verdict']}, added {added}")
+        ratio = row.get("error_ratio")
+        error = "" if ratio is None else f"; error {ratio:.2f} times that of the truth"
+        found.append(f"- `{row['case']}`: hidden {hidden}; {row['verdict']}, added {added}{error}")
     return found
 
 

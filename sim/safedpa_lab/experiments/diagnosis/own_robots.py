@@ -11,16 +11,23 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from safedpa.comparison.rollout_error import error_of
+from safedpa.diagnosis.fit.cross_validation import heldout_of
+from safedpa.dynamics import load_model
 from safedpa.dynamics.user_files import load_user_file_everywhere
-from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed, oracle_error
+from safedpa.records import load_run
+from safedpa_lab.experiments.diagnosis.diagnosing import HORIZON, diagnosed, oracle_error
 from safedpa_lab.experiments.diagnosis.hidden_effects import document_of, one_thread_each, page_of, read_outcomes
 from safedpa_lab.experiments.record import Options, ReportProgress, Result
 from safedpa_lab.hidden.judge import Outcome, judged
 from safedpa_lab.own_robots import models
 from safedpa_lab.own_robots.cases import SUITES, OwnCase, cases_of, write_case
+from safedpa_lab.own_robots.plants import PLANTS, predicted
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["report", "run", "run_case"]
+__all__ = ["report", "run", "run_case", "truth_error"]
 
 _NAME = "own-robots"
 
@@ -60,7 +67,31 @@ def run_case(case: OwnCase) -> Outcome:
         # An effect that the library lacks today cannot be fitted, so there is no error to compare with.
         fitted = bool(truth["effects"]) and set(truth["effects"]) <= known
         oracle = oracle_error(model, runs, truth["effects"]) if fitted else None
+        if case.outside:
+            oracle = truth_error(case, model, runs)
         return judged(case.name, document, truth, oracle, seconds, processor)
+
+
+def truth_error(case: OwnCase, model: Path, runs: Sequence[Path]) -> float:
+    """The error of predictions by the true robot, from the measured starts of the windows that a report shows.
+
+    A model with a smaller error, or one that is hardly larger, cannot be told from the truth by these logs.
+    """
+    given = load_model(model)
+    windows = heldout_of([load_run(path, given.system) for path in runs], HORIZON).windows
+    windows = windows.select(np.unique(np.linspace(0, len(windows) - 1, _WINDOWS).astype(int)))
+    predictions = np.empty((len(windows), len(given.system.state)))
+    period = PLANTS[case.robot].period
+    for number in range(case.runs):
+        own = np.flatnonzero(windows.run == number)
+        first, last = (np.round(windows.time[rows[own]] / period).astype(int) for rows in (windows.start, windows.end))
+        wanted = list(zip(first.tolist(), last.tolist(), windows.states[windows.start[own]], strict=True))
+        predictions[own] = predicted(PLANTS[case.robot], case.effects, case.seed + number, case.outside, wanted)
+    return error_of(windows, windows.end, predictions).value
+
+
+_WINDOWS = 300
+"""Predictions by the true robot, which integrates finely, spread over all windows."""
 
 
 def _document(outcomes: Sequence[Outcome], seeds: Sequence[int]) -> Result:

@@ -32,9 +32,12 @@ from safedpa_lab.experiments.diagnosis.real_logs_data import (
     BALLS,
     CAR,
     OTHER_DAY,
+    OTHER_ROBOTS,
     PENDULUM,
+    OtherRobot,
     ball_runs,
     mapped_runs,
+    other_robot_runs,
     paths_of,
     reported_windows,
     uncovered,
@@ -56,6 +59,8 @@ def targets_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 found.append(_car_where_reported(row))
         elif row["part"] == "pendulum":
             found += _pendulum_target(row)
+        elif row["part"] == "others":
+            found += _other_target(row)
         elif (wanted := _ball_target(row)) is not None:
             found.append(wanted)
     return found
@@ -118,7 +123,20 @@ def _ball_target(row: dict[str, Any]) -> dict[str, Any] | None:
     return None
 
 
-PARTS = ("car", "pendulum", "balls")
+def _other_target(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """A named effect, or its group, has to hold one of each set of alternatives."""
+    robot = OTHER_ROBOTS[row["name"]]
+    named = {name for effect in row["added"] for name in (effect, *row["indistinguishable"].get(effect, ()))}
+    met = all(any(one in named for one in wanted) for wanted in robot.effects)
+    asked = " and ".join(" or ".join(wanted) for wanted in robot.effects)
+    error = row["errors"][-1]
+    return [
+        _target(row["name"], f"{asked} named", ", ".join(sorted(named)) or row["verdict"], met),
+        _target(row["name"], f"error at most {robot.error:g}", f"{error:.4g}", error <= robot.error),
+    ]
+
+
+PARTS = ("car", "pendulum", "balls", "others")
 _HORIZON = {"car": 1.0, "pendulum": 0.4, "ball": 0.5}
 """s; near upright a pendulum's errors grow as exp(4.5 t), and a drop lasts 3 s."""
 _FEWEST = 20
@@ -155,7 +173,8 @@ def real_logs_experiment(experiment: RealLogs, report_progress: ReportProgress =
     jobs = [job for part in experiment.parts for job in _jobs(part, experiment)]
     if not jobs:
         raise InputError(
-            f"{experiment.folder}: found none of {CAR}, {PENDULUM}, {BALLS}; name the folder of the recordings"
+            f"{experiment.folder}: found no recording of a car, a pendulum, balls, a servo, a joint or tanks; name the "
+            "folder of the recordings"
         )
     rows = each_result(_row, jobs, experiment.processes, report_progress)
     left_out = [row for row in rows if row["part"] == "car" and row["name"]]
@@ -178,6 +197,8 @@ def _jobs(part: str, experiment: RealLogs) -> list[_Job]:
         return [_Job(part, folder, None, name) for name in names]
     if part == "pendulum":
         return [_Job(part, folder, None)] if paths_of(folder, PENDULUM) else []
+    if part == "others":
+        return [_Job(part, folder, None, name) for name, robot in OTHER_ROBOTS.items() if paths_of(folder, robot.model)]
     if ball is None or not paths_of(folder, BALLS):
         return []
     return [_Job(part, folder, ball, name) for name in list(_drops(folder, ball))]
@@ -185,7 +206,7 @@ def _jobs(part: str, experiment: RealLogs) -> list[_Job]:
 
 def _row(job: _Job) -> dict[str, Any]:
     begin, processor = time.perf_counter(), time.process_time()
-    found = {"car": _car, "pendulum": _pendulum, "balls": _ball}[job.part](job)
+    found = {"car": _car, "pendulum": _pendulum, "balls": _ball, "others": _other}[job.part](job)
     # Of the processor too: wall time depends on what else the machine does.
     used = round(time.process_time() - processor, 1)
     seconds = round(time.perf_counter() - begin, 1)
@@ -243,6 +264,12 @@ def _pendulum(job: _Job) -> dict[str, Any]:
 
 def _ball(job: _Job) -> dict[str, Any]:
     return _summary(diagnose(_falling(job.ball), _drops(job.folder, job.ball)[job.name], _HORIZON["ball"]))
+
+
+def _other(job: _Job) -> dict[str, Any]:
+    robot: OtherRobot = OTHER_ROBOTS[job.name]
+    model, runs = other_robot_runs(job.folder, robot)
+    return _summary(diagnose(model, runs, robot.horizon))
 
 
 @cache

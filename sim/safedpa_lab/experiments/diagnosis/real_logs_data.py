@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from safedpa.comparison.comparison import with_distinct_names
 from safedpa.comparison.windows import Windows
 from safedpa.diagnosis.coverage import within_coverage
 from safedpa.diagnosis.report_schema import CoveredRange
-from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics import PhysicsModel, load_model, load_user_file
 from safedpa.errors import RunError
 from safedpa.records import load_column_map, load_run
 from safedpa.records.column_map.column_map import native_map
@@ -29,6 +30,43 @@ PENDULUM = "data_measured.csv"
 """dfki-ric-underactuated-lab/torque_limited_simple_pendulum, results."""
 BALLS = "ball_drops.csv"
 """briandesilva/discovery-of-physics-from-data."""
+
+
+@dataclass(frozen=True)
+class OtherRobot:
+    """A robot whose system, model and column map lie next to its recordings: file names, and what is expected."""
+
+    model: str
+    effects_file: str
+    """Python file that declares the system and its effects."""
+    logs: str
+    columns: str = ""
+    horizon: float = 1.0
+    effects: tuple[tuple[str, ...], ...] = ()
+    """One of each set of alternatives has to be named."""
+    error: float = 0.0
+    """Largest held-out error."""
+
+
+_FRICTION = (("motion_coulomb_friction",), ("motion_viscous_friction",))
+OTHER_ROBOTS = {
+    "servo": OtherRobot("servo.toml", "servo.py", "b_*.csv", "cols.toml", 0.4, (("angle_speed_limit",),), 0.15),
+    "joint, gain free": OtherRobot("joint.toml", "joint.py", "j1_b.csv", "cols1.toml", 1.0, _FRICTION, 0.06),
+    "joint, gain fixed": OtherRobot("joint_fixed.toml", "joint.py", "j1_b.csv", "cols1.toml", 1.0, _FRICTION, 0.06),
+    "tanks": OtherRobot("tank40.toml", "tank.py", "val40.csv", "", 1.0, (("pump_lag", "level_hidden"),), 0.34),
+}
+"""mauicv/servo-sysid; shamilmamedov/dynamic_calibration, joint 1 of a UR10e; the cascaded tanks of Schoukens and Noel,
+with time divided by 40."""
+
+
+def other_robot_runs(folder: Path, robot: OtherRobot) -> tuple[PhysicsModel, list[Run]]:
+    """The model and its recordings. Raises InputError or RunError for what cannot be read."""
+    model_path = paths_of(folder, robot.model)[0]
+    load_user_file(model_path.with_name(robot.effects_file))
+    model = load_model(str(model_path))
+    mapping = load_column_map(str(model_path.with_name(robot.columns))) if robot.columns else None
+    paths = sorted(model_path.parent.glob(robot.logs))
+    return model, with_distinct_names([load_run(path, model.system, mapping) for path in paths], paths)
 
 
 def paths_of(folder: Path, pattern: str) -> list[Path]:
