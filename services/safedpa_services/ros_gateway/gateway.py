@@ -146,7 +146,7 @@ class Gateway:
         begin = self._clock()
         try:
             while not stopped():
-                begin = self._turn(begin)
+                begin = self.turn(begin)
         finally:
             pause = min(self.period, _LONGEST_PAUSE)
             for _ in range(math.ceil(_LAST_BRAKES_SECONDS / pause)):
@@ -154,8 +154,8 @@ class Gateway:
                 time.sleep(pause)
         self._report_health("braked")
 
-    def _turn(self, begin: float) -> float:
-        """Runs one period that starts at ``begin``; returns the start of the next one."""
+    def turn(self, begin: float) -> float:
+        """Runs one period that starts at ``begin`` [s]; returns the start of the next one."""
         self._listen(begin)
         self._check_intruder()
         self._check_types()

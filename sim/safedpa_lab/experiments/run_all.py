@@ -91,6 +91,7 @@ PARTS: Final = (
     Part("controllers", 10),
     Part("implausible-states", 90),
     Part("false-stops", 60),
+    Part("long-drives", 15),
     Part("differential-drive", 10, "differential-drive --first-seed 100"),
     Part("sensing", 40, f"sensing --seeds 5 --first-seed 3500 --seconds 20 --no-peers {_LOADS}"),
     Part(

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments.driving.implausible_states import StateDrive, run_state_drive
+from safedpa.errors import InputError
+from safedpa_lab.experiments.driving.implausible_states import (
+    StateDrive,
+    implausible_states,
+    right_reasons,
+    run_state_drive,
+)
 from safedpa_lab.experiments.driving.state_faults import FAULTS, ROBOTS, FaultyState, StateFault
 from safedpa_lab.experiments.driving.state_limits import measured_evidence
 
@@ -36,6 +42,21 @@ def test_a_drive_with_a_fault_is_stopped_for_the_right_reason(fault: StateFault)
     found = run_state_drive(StateDrive("car", "none", 11, 2.0, fault))
     assert any(reason in found["stopped"] for reason in fault.reasons)
     assert (found["hits"], found["after_seconds"] <= 0.3) == ([], True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", [StateFault("jump", 0.8, 0.6), StateFault("clock", 3.0, 2.5), StateFault("none")])
+def test_a_drive_behind_the_gateway_is_stopped_for_the_right_reason_and_only_then(fault: StateFault) -> None:
+    found = run_state_drive(StateDrive("car", "none", 11, 1.2 if fault.kind == "jump" else 2.7, fault, gateway=True))
+    reasons = right_reasons(fault, gateway=True)
+    assert any(reason in found["stopped"] for reason in reasons) is bool(reasons), found["stopped"]
+    assert (found["hits"], found["way"] > 0.1) == ([], True)
+    assert not reasons or found["after_seconds"] <= 0.3 + 1e-6
+
+
+def test_a_robot_without_a_ros_interface_is_refused_behind_the_gateway() -> None:
+    with pytest.raises(InputError, match="point: it has no ROS interface"):
+        implausible_states(["point"], [1], 1.0, 0, gateway=True)
 
 
 @pytest.mark.long

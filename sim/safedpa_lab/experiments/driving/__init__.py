@@ -19,6 +19,7 @@ from safedpa_lab.experiments.record import (
     path,
     repeated,
     scenes,
+    switch,
     text,
 )
 from safedpa_services.command_line.names import complete_models
@@ -68,10 +69,17 @@ EXPERIMENTS = (
         run=f"{__name__}.implausible_states:run",
         parameters=(
             repeated("--robot", "robots", "only this robot; repeatable", known=f"{__name__}.state_faults:ROBOTS"),
+            repeated(
+                "--fault",
+                "faults",
+                "only this fault, and no healthy drives; repeatable",
+                known=f"{__name__}.implausible_states:KNOWN_FAULTS",
+            ),
             integer("--drives", 20, "drives per robot and fault", positive=True),
             integer("--healthy", 20, "healthy drives per robot", positive=True),
             integer("--first-seed", 0, "first of the evaluation seeds"),
             number("--seconds", 8.0, "simulated time per drive", positive=True),
+            switch("--gateway", "send all messages through the ROS gateway, for robots with a ROS interface"),
             PROCESSES,
             FILE_OUT,
         ),
@@ -115,6 +123,27 @@ EXPERIMENTS = (
         report=f"{__name__}.state_limits:report",
         extras=("sim",),
         small=("--drives", "1", "--seconds", "1", "--robot", "car"),
+    ),
+    Experiment(
+        name="long-drives",
+        help="""Goals and stops of the car in drives of minutes, by load.
+
+    A car that is caught between the filter and its controller after half a minute shows only there.""",
+        run=f"{__name__}.long_drives:run",
+        parameters=(
+            repeated(
+                "--load", "loads", "load; repeatable; default: large_chair", known="safedpa_sim.robots.car.loads:LOADS"
+            ),
+            integer("--drives", 5, "drives per load", positive=True),
+            integer("--first-seed", 0, "first of the evaluation seeds"),
+            number("--seconds", 120.0, "simulated time per drive", positive=True),
+            text("--controller", None, "controller; default: the first available one"),
+            PROCESSES,
+            FILE_OUT,
+        ),
+        report=f"{__name__}.long_drives:report",
+        extras=("sim",),
+        small=("--drives", "1", "--seconds", "1"),
     ),
     Experiment(
         name="safety",

@@ -6,20 +6,23 @@ loads, slip, wind, noise and lost states count the false stops, and the progress
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import hypot, inf
 from typing import Any, Final
 
 import numpy as np
 
+from safedpa.bus import AbstractNode
+from safedpa.errors import InputError
 from safedpa.safety.session.state_limits import SHIPPED_LIMITS
 from safedpa_lab.experiments.common.seeds import seeds_for
 from safedpa_lab.experiments.common.workers import each_result
+from safedpa_lab.experiments.driving.gateway_drive import drive_by_gateway
 from safedpa_lab.experiments.driving.state_faults import FAULTS, ROBOTS, FaultyState, StateFault, drive_directly
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.experiments.report import markdown_table
-from safedpa_sim.closed_loop import drive
+from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.robot import SimulatedRobot
 
 _CONTACT_SPEED: Final = 0.05
@@ -30,7 +33,9 @@ _NEAR: Final = 0.1
 """m (rad for a pendulum) that the robot moves meanwhile."""
 _ROUNDING: Final = 1e-6
 _LOST_SHARE: Final = 0.3
-_SECONDS_LOST: Final = (0.25, 1.0, 5.0)
+KNOWN_FAULTS: Final = {
+    each.name: each for each in (*FAULTS, *(StateFault("lost", seconds) for seconds in (0.25, 1.0, 5.0)))
+}
 HEALTHY: Final = StateFault("none")
 
 
@@ -49,6 +54,8 @@ class StateDrive:
     noise: float = 1.0
     late: float = 0.0
     """Time [s] by which commands act later than the filter knows, for a robot that can be simulated so."""
+    gateway: bool = False
+    """Whether its messages go through the ROS gateway."""
     missed: float = 0.0
     """Mean number of pauses per second in which no node gets a state, of 1 to 20 periods each."""
 
@@ -79,11 +86,7 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     before, contacts, at_stop = truth.values, len(truth.collisions), (inf, inf)
     since = 0.0
     nodes, count = kind.nodes(SHIPPED_LIMITS if wanted.checked else None), round(wanted.seconds / truth.period)
-    # A bus carries no lost state, and a node waits for late inputs when the robot is not in lockstep.
-    missed = wanted.missed_ticks(truth.period)
-    direct = bool(wanted.lost_share or missed or wanted.fault.kind in ("lost", "clock"))
-    ticks = drive_directly(source, nodes, count, missed.__contains__) if direct else drive(source, nodes, count)
-    for tick in ticks:
+    for tick in _ticks(wanted, source, nodes, count):
         speed = hypot(*(before[index] for index in speeds))
         step = hypot(*(truth.values[index] - before[index] for index in places))
         way += step
@@ -111,6 +114,18 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     }
 
 
+def _ticks(wanted: StateDrive, source: FaultyState, nodes: list[AbstractNode], count: int) -> Iterator[Tick]:
+    """Drives it through the gateway, the services' bus, or the nodes alone."""
+    kind = ROBOTS[wanted.robot]
+    if wanted.gateway:
+        return drive_by_gateway(source, kind.ros, kind.model, kind.settings, nodes, count)
+    # A bus carries no lost state, and a node waits for late inputs when the robot is not in lockstep.
+    missed = wanted.missed_ticks(source.robot.period)
+    if wanted.lost_share or missed or wanted.fault.kind in ("lost", "clock"):
+        return drive_directly(source, nodes, count, missed.__contains__)
+    return drive(source, nodes, count)
+
+
 def implausible_states(
     robots: Sequence[str],
     seeds: Sequence[int],
@@ -118,40 +133,59 @@ def implausible_states(
     healthy: int,
     processes: int = 1,
     on_drive: ReportProgress = silent,
+    *,
+    faults: Sequence[StateFault] = tuple(KNOWN_FAULTS.values()),
+    gateway: bool = False,
 ) -> dict[str, Any]:
-    """One row per robot and fault; one per robot for healthy drives and for lost states."""
-    losses = [StateFault("lost", size) for size in _SECONDS_LOST]
+    """One row per robot and fault; one per robot for healthy drives and for lost states, if any.
+
+    Raises InputError for a robot without a ROS interface, ``gateway`` given.
+    """
+    if gateway and (without := [name for name in robots if not ROBOTS[name].ros]):
+        raise InputError(f"--robot {without[0]}: it has no ROS interface, and the gateway needs one")
     wanted = [
-        StateDrive(name, kind.worlds[index % len(kind.worlds)], seed, seconds, fault)
+        StateDrive(name, kind.worlds[index % len(kind.worlds)], seed, seconds, fault, gateway=gateway)
         for name in robots
         for kind in [ROBOTS[name]]
-        for fault in (*FAULTS, *losses)
+        for fault in faults
         for index, seed in enumerate(seeds)
     ]
     wanted += [
-        StateDrive(name, kind.worlds[index % len(kind.worlds)], seed, seconds, HEALTHY, lost, checked)
+        StateDrive(name, kind.worlds[index % len(kind.worlds)], seed, seconds, HEALTHY, lost, checked, gateway=gateway)
         for name in robots
         for kind in [ROBOTS[name]]
-        for index, seed in enumerate(seeds_for("evaluation", healthy, 40_000))
+        for index, seed in enumerate(seeds_for("evaluation", healthy, 40_000) if healthy else ())
         for lost, checked in ((0.0, False), (0.0, True), (_LOST_SHARE, True))
     ]
     found = each_result(run_state_drive, wanted, processes, on_drive)
     rows = [
-        _fault_row(name, fault, [one for one in found if (one["robot"], one["fault"]) == (name, asdict(fault))])
+        _fault_row(
+            name, fault, gateway, [one for one in found if (one["robot"], one["fault"]) == (name, asdict(fault))]
+        )
         for name in robots
-        for fault in (*FAULTS, *losses)
+        for fault in faults
     ]
     return {
         "seeds": [seeds[0], seeds[-1]],
         "seconds": seconds,
+        "gateway": gateway,
         "rows": rows,
-        "healthy": [_healthy_row(name, [one for one in found if one["robot"] == name]) for name in robots],
+        "healthy": [_healthy_row(name, [one for one in found if one["robot"] == name]) for name in robots if healthy],
     }
 
 
-def _fault_row(robot: str, fault: StateFault, drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def right_reasons(fault: StateFault, *, gateway: bool) -> tuple[str, ...]:
+    """Parts of the reasons that are right for a fault.
+
+    Behind the gateway, a robot with a fast clock moves further in each of the gateway's periods than it can.
+    """
+    return (*fault.reasons, "jumped") if gateway and fault.kind == "clock" and fault.size > 1.0 else fault.reasons
+
+
+def _fault_row(robot: str, fault: StateFault, gateway: bool, drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
     stopped = [one for one in drives if one["stopped"]]
-    right = [one for one in stopped if any(part in one["stopped"] for part in fault.reasons)]
+    reasons = right_reasons(fault, gateway=gateway)
+    right = [one for one in stopped if any(part in one["stopped"] for part in reasons)]
     soon = [one for one in right if one["after_seconds"] <= _SOON + _ROUNDING or one["after_way"] <= _NEAR]
     return {
         "robot": robot,
@@ -190,13 +224,16 @@ def _healthy_row(robot: str, drives: Sequence[dict[str, Any]]) -> dict[str, Any]
 def run(options: Options, report_progress: ReportProgress) -> Result:
     """Runs ``safedpa experiment implausible-states``."""
     seeds = seeds_for("evaluation", options["drives"], options["first_seed"])
+    gateway = options["gateway"]
     found = implausible_states(
-        options["robots"] or tuple(ROBOTS),
+        options["robots"] or tuple(name for name, kind in ROBOTS.items() if kind.ros or not gateway),
         seeds,
         options["seconds"],
-        options["healthy"],
+        0 if options["faults"] else options["healthy"],
         options["processes"],
         report_progress,
+        faults=[KNOWN_FAULTS[name] for name in options["faults"] or KNOWN_FAULTS],
+        gateway=gateway,
     )
     return {"experiment": "implausible-states", **found}
 
@@ -210,7 +247,8 @@ def report(result: Result) -> str:
             f"| {row['right_reason']} | {row['in_time']} | {row['latest_seconds']:.2f} | {row['longest_way']:.2f}"
             for row in result["rows"]
         ),
-        above=f"Seeds {result['seeds'][0]} to {result['seeds'][1]}, {result['seconds']:g} s each.",
+        above=f"Seeds {result['seeds'][0]} to {result['seeds'][1]}, {result['seconds']:g} s each"
+        f"{', through the ROS gateway' if result['gateway'] else ''}.",
     )
     healthy = markdown_table(
         "robot | healthy hours | false stops | hit | goals before | checked | lossy | way [m] before | checked | lossy",
@@ -221,4 +259,4 @@ def report(result: Result) -> str:
         ),
         above="Healthy drives with loads, slip, wind and noise; lossy: 30 % of the states lost.",
     )
-    return f"{faults}\n{healthy}"
+    return f"{faults}\n{healthy}" if result["healthy"] else faults

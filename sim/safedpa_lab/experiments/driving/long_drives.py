@@ -17,7 +17,11 @@ from safedpa.policy import PolicyNode
 from safedpa.safety.deadlock.detector import Stand, record_deadlock
 from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.common.drives import PERIOD, counted, shipped_nodes
+from safedpa_lab.experiments.common.seeds import seeds_for
+from safedpa_lab.experiments.common.workers import each_result
 from safedpa_lab.experiments.margins.drives import DRIVERS
+from safedpa_lab.experiments.record import Options, ReportProgress, Result
+from safedpa_lab.experiments.report import markdown_table
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
@@ -114,3 +118,35 @@ def long_summary(outcomes: Iterable[LongOutcome]) -> dict[str, Any]:
             {"load": item.load, "seed": item.seed, **stand} for item in drives for stand in item.standstills
         ],
     }
+
+
+def run(options: Options, report_progress: ReportProgress) -> Result:
+    """Runs ``safedpa experiment long-drives``."""
+    loads = options["loads"] or ("large_chair",)
+    seeds = seeds_for("evaluation", options["drives"], options["first_seed"])
+    wanted = [
+        LongDrive(load, seed, options["seconds"], controller=options["controller"]) for load in loads for seed in seeds
+    ]
+    found = each_result(run_long_drive, wanted, options["processes"], report_progress)
+    rows = [{"load": load, **_row([one for one in found if one.load == load])} for load in loads]
+    return {"experiment": "long-drives", "seeds": seeds, "seconds": options["seconds"], "rows": rows}
+
+
+def _row(drives: Sequence[LongOutcome]) -> dict[str, Any]:
+    goals = [one.goals for one in drives]
+    longest = [round(one.longest_stand, 2) for one in drives]
+    return {**long_summary(drives), "goals": goals, "longest_stands": longest}
+
+
+def report(result: Result) -> str:
+    """One row per load."""
+    return markdown_table(
+        "load | drives | goals | least | collisions | long stops | unreported | longest [s] | crawls | each drive",
+        (
+            f"{row['load']} | {row['drives']} | {sum(row['goals'])} | {min(row['goals'])} | {row['collisions']} "
+            f"| {row['stands']} | {row['untold']} | {max(row['longest_stands']):.1f} | {row['crawls']} "
+            f"| {' '.join(map(str, row['goals']))}"
+            for row in result["rows"]
+        ),
+        above=f"Seeds {result['seeds'][0]} to {result['seeds'][-1]}, {result['seconds']:g} s each.",
+    )

@@ -153,12 +153,14 @@ class FaultyState:
         changed: dict[str, Any] = {"values": (nan,) * len(values) if lost else values}
         if self._fault.kind == "clock":
             # A simulated clock that runs at another rate: its stamps are those of the ticks, the arrivals are not.
-            changed |= {"lockstep": False, "publish_time": self._arrival()}
+            changed |= {"lockstep": False, "publish_time": self.arrival()}
         return replace(truth, **changed)
 
-    def _arrival(self) -> float:
-        late = max(0.0, self._seconds - self._begin)
-        return 1000.0 + min(self._seconds, self._begin) + late / self._fault.size
+    def arrival(self, ahead: int = 0) -> float:
+        """When the state of this tick, or one ``ahead`` ticks later, arrives [s], by the clock of its receiver."""
+        seconds = (self.robot.tick + ahead) * self.robot.period
+        late = max(0.0, seconds - self._begin) if self._fault.kind == "clock" else 0.0
+        return 1000.0 + seconds - late + (late / self._fault.size if late else 0.0)
 
     def _measured(self, values: Plain) -> Plain:
         kind, found = self._fault.kind, list(values)
@@ -201,6 +203,8 @@ class TrueRobot:
     """The same with commands that act later by a time [s] that the filter does not know."""
     stops: bool = True
     """Whether its backup brings it to rest."""
+    ros: str = ""
+    """Its kind in a robot file of the ROS gateway; empty: it has no ROS interface."""
 
     def nodes(self, limits: StateLimits | str | None = None) -> list[AbstractNode]:
         """Adaptation, policy and filter as they ship, with these limits of a plausible state."""
@@ -237,9 +241,16 @@ def _car(world: str, seed: int, late: float = 0.0) -> SimulatedRobot:
 ROBOTS: Final[Mapping[str, TrueRobot]] = {
     each.name: each
     for each in (
-        TrueRobot("car", "car", "car", LOADS, _car, _car),
-        TrueRobot("car_throttle", "dart_car", "car_throttle", ("none",), _throttle, _throttle),
-        TrueRobot("differential_drive", "differential_drive", "differential_drive", tuple(WORLDS), _differential_drive),
+        TrueRobot("car", "car", "car", LOADS, _car, _car, ros="car"),
+        TrueRobot("car_throttle", "dart_car", "car_throttle", ("none",), _throttle, _throttle, ros="car"),
+        TrueRobot(
+            "differential_drive",
+            "differential_drive",
+            "differential_drive",
+            tuple(WORLDS),
+            _differential_drive,
+            ros="differential_drive",
+        ),
         TrueRobot("point", "point", "point", ("0", "0.01"), _point),
         TrueRobot(
             "pendulum",
