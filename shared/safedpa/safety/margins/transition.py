@@ -21,7 +21,7 @@ from safedpa.safety.barriers.base import AbstractBarrierSet
 __all__ = ["MarginRamp", "margin_change", "margin_table", "min_h_by_kind"]
 
 
-TABLE_HEAD: Final = ("margin of", "now", "then", "h now", "takes effect")
+_TABLE_HEAD: Final = ("margin of", "now", "then", "h now", "takes effect")
 _AT_ONCE: Final = "at once"
 _WOULD_STOP: Final = "at once it would stop the robot here"
 _RAMP_SHARE: Final = 0.5
@@ -61,7 +61,7 @@ def margin_table(old: Mapping[str, float], new: Mapping[str, float], h: Mapping[
         effect = _takes_effect(before, value, now, eta) or "once such a barrier is near"
         rows.append((kind, _format(before), _format(value), "-" if now == inf else _format(now), effect))
     rows.sort(key=lambda cells: _WOULD_STOP not in cells[-1])
-    return "\n".join(" | ".join(cells) for cells in (TABLE_HEAD, *rows)) if rows else ""
+    return "\n".join(" | ".join(cells) for cells in (_TABLE_HEAD, *rows)) if rows else ""
 
 
 def _changed(old: Mapping[str, float], new: Mapping[str, float]) -> list[tuple[str, float]]:
