@@ -22,7 +22,7 @@ __all__ = ["MarginRamp", "margin_change", "margin_table", "min_h_by_kind"]
 
 
 _TABLE_HEAD: Final = ("margin of", "now", "then", "h now", "takes effect")
-_AT_ONCE: Final = "at once"
+_APPLIES_AT_ONCE: Final = "at once"
 _WOULD_STOP: Final = "at once it would stop the robot here"
 _RAMP_SHARE: Final = 0.5
 """Share of eta h that the margin takes meanwhile; the rest lets h fall."""
@@ -43,20 +43,20 @@ def margin_change(old: Mapping[str, float], new: Mapping[str, float], h: Mapping
     """
     reported = [
         f"the margin of {kind} goes from {_format(old.get(kind, 0.0))} to {_format(value)}{_h_phrase(h.get(kind, inf))}"
-        f"{_joined(_takes_effect(old.get(kind, 0.0), value, h.get(kind, inf), eta))}"
-        for kind, value in _changed(old, new)
+        f"{_effect_phrase(_takes_effect(old.get(kind, 0.0), value, h.get(kind, inf), eta))}"
+        for kind, value in _changed_margins(old, new)
     ]
     # Kinds that would stop the robot come first: an operator reads the beginning of the sentence.
     return "; ".join(sorted(reported, key=lambda line: _WOULD_STOP not in line))
 
 
 def margin_table(old: Mapping[str, float], new: Mapping[str, float], h: Mapping[str, float], eta: float) -> str:
-    """The same as a table: a line for each kind below a line of headings, cells separated by `` | ``; empty: no change.
+    """The changes of ``margin_change`` as a table: a line for each kind below one of headings; empty: no change.
 
-    Margins and h have the unit of the barrier's h.
+    Cells are separated by `` | ``. Margins and h have the unit of the barrier's h.
     """
     rows = []
-    for kind, value in _changed(old, new):
+    for kind, value in _changed_margins(old, new):
         before, now = old.get(kind, 0.0), h.get(kind, inf)
         effect = _takes_effect(before, value, now, eta) or "once such a barrier is near"
         rows.append((kind, _format(before), _format(value), "-" if now == inf else _format(now), effect))
@@ -64,7 +64,7 @@ def margin_table(old: Mapping[str, float], new: Mapping[str, float], h: Mapping[
     return "\n".join(" | ".join(cells) for cells in (_TABLE_HEAD, *rows)) if rows else ""
 
 
-def _changed(old: Mapping[str, float], new: Mapping[str, float]) -> list[tuple[str, float]]:
+def _changed_margins(old: Mapping[str, float], new: Mapping[str, float]) -> list[tuple[str, float]]:
     # Compared as shown: a change that the operator cannot see is no change.
     return [(kind, value) for kind, value in new.items() if _format(old.get(kind, 0.0)) != _format(value)]
 
@@ -73,8 +73,8 @@ def _h_phrase(h: float) -> str:
     return "" if h == inf else f" where h is {_format(h)}"
 
 
-def _joined(effect: str) -> str:
-    return effect and (f", {effect}" if effect == _AT_ONCE else f": {effect}")
+def _effect_phrase(effect: str) -> str:
+    return effect and (f", {effect}" if effect == _APPLIES_AT_ONCE else f": {effect}")
 
 
 def _takes_effect(old: float, new: float, h: float, eta: float) -> str:
@@ -84,7 +84,7 @@ def _takes_effect(old: float, new: float, h: float, eta: float) -> str:
     full_at = _FULL_AT * new / eta
     # A narrower margin is safe at any h; a wider one only far enough inside.
     if new <= old or h >= full_at:
-        return _AT_ONCE
+        return _APPLIES_AT_ONCE
     why = _WOULD_STOP if new > eta * h else "at once it would leave the robot hardly any room"
     return f"{why}, so it follows h, all of it from {_format(full_at)} on"
 
