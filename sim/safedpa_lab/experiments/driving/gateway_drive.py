@@ -73,9 +73,8 @@ def drive_by_gateway(
     )
     face, limits, period = load_ros_interface(file)
     side = _RobotSide(source, first, face, face.commands[0])
-    with _TimedBus(MemoryTransport(broker), "gateway") as bus:
-        bus.side = side
-        side.loops = [ServiceLoop(node, _served(broker, side), clock=lambda: side.now) for node in nodes]
+    with _bus(broker, side) as bus:
+        side.loops = [ServiceLoop(node, _bus(broker, side), clock=lambda: side.now) for node in nodes]
         inputs = SensorInputs(side.odometry, CommandEchoMonitor("/command", lambda: side.now), goal=side.goal)
         quiet: Any = SimpleNamespace(form="bridge", watched=lambda *_: [])
         health = HealthPublisher(file.name, "odom", face, None, None, lambda: side.now)
@@ -95,7 +94,7 @@ def drive_by_gateway(
                 yield Tick(side.state, shown, None)
 
 
-def _served(broker: MemoryBroker, side: _RobotSide) -> _TimedBus:
+def _bus(broker: MemoryBroker, side: _RobotSide) -> _TimedBus:
     bus = _TimedBus(MemoryTransport(broker), "gateway")
     bus.side = side
     return bus
@@ -143,8 +142,8 @@ class _RobotSide:
                 action = self._face.action(self.type, self._command, robot.values)
                 bounds = zip(action, robot.guard.low, robot.guard.high, strict=True)
                 values = tuple([max(low, min(high, value)) for value, low, high in bounds])
-                stamp = {"epoch": robot.guard.epoch, "tick": robot.tick, "robot_time": 0.0, "publish_time": 0.0}
-                self._source.receive(ActionMessage(**stamp, values=values))
+                at: dict[str, Any] = {"epoch": robot.guard.epoch, "tick": robot.tick, "publish_time": self.now}
+                self._source.receive(ActionMessage(**at, robot_time=robot.tick * robot.period, values=values))
             self._source.advance()
             self.state = self._source.state_message()
             self._publish(self.state)
