@@ -25,13 +25,17 @@ TESTS = (
     "tests/safety/test_filter_conditions.py",
     "tests/safety/test_filter_inputs.py",
     "tests/safety/test_filter_recorded.py",
+    "tests/safety/test_filter_session.py",
     "tests/safety/test_filter_settings.py",
     "tests/safety/test_filter_verdicts.py",
-    "tests/safety/test_margin_conformal.py",
+    "tests/safety/test_stacks_of_functions.py",
+    "tests/records/test_quality.py",
     "tests/records/test_values.py",
-    "tests/diagnosis/test_fit.py",
+    "tests/dynamics/test_model_file.py",
+    "tests/diagnosis/test_instead.py",
+    "tests/diagnosis/test_rollout.py",
 )
-"""Tests of the filter, of reading logs and of fitting, which need no simulator and a few seconds."""
+"""Tests of the filter, of reading logs and of the diagnosis, which need no simulator and a few seconds."""
 
 
 def interpreters(versions: Iterable[str] = VERSIONS) -> dict[str, str]:
@@ -61,7 +65,7 @@ def tested(version: str, interpreter: str, folder: Path) -> tuple[bool, str]:
         [interpreter, "-m", "venv", str(folder / version)],
         [*pip, *pinned, *NEEDED],
         [*pip, *pinned, "--no-deps", "--requirement", str(ROOT / "deploy" / "filter-only.txt"), str(ROOT)],
-        [str(python), "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS],
+        [str(python), "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not long", *TESTS],
     ]
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     plain |= {"SAFEDPA_COMPILE": "0", "PYTHONDONTWRITEBYTECODE": "1"}
