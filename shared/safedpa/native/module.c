@@ -955,7 +955,7 @@ enum { ACTION_, STATUS_, REASON_, SLACK_, ACTIVE_, H_NOW_, H_NEXT_, MARGIN_, SOL
        FIELDS };
 static const char *const FIELD_NAMES[FIELDS] = {"action", "status", "reason", "slack", "active", "h_now", "h_next",
                                                 "margin", "solver", "microseconds", "nominal", "known"};
-static PyObject *field_keys[FIELDS], *solver_names[3];
+static PyObject *field_keys[FIELDS], *solver_names[3], *dict_name;
 
 static double now(void)
 {
@@ -1135,7 +1135,8 @@ static PyObject *search_verdict(Search *self, PyObject *const *args, Py_ssize_t 
     }
     PyTypeObject *type = (PyTypeObject *)self->verdict_type;
     PyObject *verdict = good ? type->tp_alloc(type, 0) : NULL;
-    if (verdict && PyObject_GenericSetDict(verdict, fields, NULL) < 0)
+    /* not PyObject_GenericSetDict: since Python 3.13 attributes are then still looked up in the object itself */
+    if (verdict && PyObject_GenericSetAttr(verdict, dict_name, fields) < 0)
         Py_CLEAR(verdict);
     Py_XDECREF(fields);
     return verdict;
@@ -1282,6 +1283,8 @@ __attribute__((visibility("default"))) PyObject *PyInit_safedpa_kernel(void)
     PyObject *module = PyModule_Create(&definition);
     if (!module || PyType_Ready(&StepType) < 0 || PyType_Ready(&RowsType) < 0 || PyType_Ready(&SearchType) < 0 ||
         PyType_Ready(&RolloutType) < 0 || PyType_Ready(&NetworksType) < 0)
+        return NULL;
+    if (!(dict_name = PyUnicode_InternFromString("__dict__")))
         return NULL;
     for (int i = 0; i < FIELDS; i++)
         if (!(field_keys[i] = PyUnicode_InternFromString(FIELD_NAMES[i])))
