@@ -54,6 +54,9 @@ commands act 0.2 s late has answered by then: one period of the fastest start is
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
+_MOVING: Final = 10.0
+"""Limits of a jump that a robot must have moved in that time: in one that hardly moves, the errors of its predicted
+acceleration add up to more than the drift."""
 _UNRATED_FACTOR: Final = 2.0
 """Factor on the share of the way of a drift for a position without a measured rate, such as a car's heading: only the
 commands tell its rate, and they may act late. In a car that turns to and fro, these errors add up."""
@@ -244,11 +247,14 @@ class StateMonitor:
         first, second, before, last = sums[0], sums[count], sums[-count], sums[-1]
         found = {}
         for unit in self._rates.values():
+            way = last.ways[unit] - first.ways[unit]
+            if way < _MOVING * self._limits.jump.get(unit, 0.0):
+                continue
             parts = []
             for index in self._groups[unit]:
                 newest = last.errors[index] + error[index] + last.of_errors[index] - before.of_errors[index]
                 parts.append((newest - second.of_errors[index] + first.of_errors[index]) / count)
-            found[unit] = hypot(*parts), last.ways[unit] - first.ways[unit]
+            found[unit] = hypot(*parts), way
         return found
 
     def problem(
