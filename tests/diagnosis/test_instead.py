@@ -78,8 +78,8 @@ def test_what_explains_something_else_joins_no_group(runs):
     assert equals_of(runs, ("speed_drag", "speed_push"), library)[1] == ()
 
 
-def test_a_single_effect_is_not_tried_again(runs):
-    assert equals_of(runs, ("speed_push",), ("speed_push", "force_offset"))[1] == ()
+def test_what_does_the_same_as_a_single_effect_joins_its_group(runs):
+    assert equals_of(runs, ("speed_push",), ("speed_push", "force_offset", "force_lag"))[1] == ("force_offset",)
 
 
 def test_the_check_reports_a_poor_base_before_what_it_hides(runs):

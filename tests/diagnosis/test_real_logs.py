@@ -152,8 +152,16 @@ def test_targets_have_the_wanted_and_the_measured_value():
     assert found[4]["measured"] == "torque_lag"
 
 
+def test_another_robot_is_judged_by_the_effects_and_the_error_that_are_expected_of_it():
+    row = {"part": "others", "name": "servo", "added": ["rate_drag"], "errors": [0.25, 0.11], "verdict": "x"}
+    alone, group = ({**row, "indistinguishable": equal} for equal in ({}, {"rate_drag": ["rate_speed_limit"]}))
+    assert [item["met"] for item in targets_of([alone])] == [False, True]
+    assert [item["met"] for item in targets_of([group])] == [True, True]
+    assert [item["met"] for item in targets_of([{**group, "errors": [0.25, 0.2]}])] == [True, False]
+
+
 def test_a_folder_without_recordings_is_one_line(tmp_path, capsys):
     assert safedpa.run([*COMMAND, "--data", str(tmp_path)]) == 2
-    assert "found none of" in capsys.readouterr().err
+    assert "found no recording of a car" in capsys.readouterr().err
     assert safedpa.run([*COMMAND, "--data", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err

@@ -119,6 +119,28 @@ def test_a_motor_that_weakens_with_use_is_not_nothing(library: None) -> None:
     assert report.verdict == "unexplained"
 
 
+class _Ringing:
+    """A load on a spring that the current excites, and that rings for many seconds."""
+
+    def __init__(self) -> None:
+        self.place = self.speed = 0.0
+
+    def __call__(self, current: float, rate: float, time: float) -> float:
+        if time == 0.0:
+            self.place = self.speed = 0.0
+        self.speed += PERIOD / 20 * (9.0 * (9.0 * (0.5 * current - self.place) - 0.1 * self.speed))
+        self.place += PERIOD / 20 * self.speed
+        return 0.1 * self.speed
+
+
+@pytest.mark.long
+def test_a_load_that_rings_is_not_nothing(library: None) -> None:
+    report = diagnose(arm(), logs(_Ringing()))
+    assert report.verdict == "unexplained"
+    assert report.remainder is not None
+    assert "of what remains of unseen data depends on" in report.remainder.sentence
+
+
 @pytest.mark.long
 def test_noise_alone_depends_on_nothing(library: None) -> None:
     report: Report = diagnose(arm(), logs(_drag))

@@ -14,7 +14,7 @@ from safedpa.dynamics import Setting, load_model
 from safedpa.dynamics.user_files import load_user_file
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa_lab.experiments.diagnosis.own_robots import run_case
+from safedpa_lab.experiments.diagnosis.own_robots import run_case, truth_error
 from safedpa_lab.own_robots import models, plants
 from safedpa_lab.own_robots.cases import STRENGTHS, SUITES, OwnCase, cases_of, truth_of, write_case
 
@@ -117,3 +117,17 @@ def test_a_resonance_rings_and_does_not_diverge(robot: str) -> None:
 def test_commands_that_change_between_rows_are_no_drag() -> None:
     outcome = run_case(OwnCase("own_none", "own_motor", 3243408480, {}, 3))
     assert (outcome.verdict, outcome.added) == ("nothing_missing", ())
+
+
+def test_the_true_robot_errs_by_the_noise_alone(tmp_path: Path) -> None:
+    case = OwnCase("own_outside", "own_conveyor", 7, {}, 1, "quantised")
+    model, runs, _ = write_case(case, tmp_path)
+    assert truth_error(case, model, runs) < 0.03  # noise of 0.01 m/s at the start and the end
+
+
+def test_predictions_by_the_true_robot_end_where_it_drove() -> None:
+    plant = replace(plants.PLANTS["own_conveyor"], seconds=5.0, noise=(0.0,))
+    _, states, _ = plants.drive(plant, {"target_delay": {"seconds": 0.2}}, 3, "heat")
+    windows = [(first, first + 10, states[first]) for first in (0, 7, 40)]
+    ends = plants.predicted(plant, {"target_delay": {"seconds": 0.2}}, 3, "heat", windows)
+    assert np.array_equal(ends, states[[10, 17, 50]])

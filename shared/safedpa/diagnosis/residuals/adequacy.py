@@ -85,7 +85,7 @@ _MOST = 0.5
 # Time constants of the memory of an actuator, from half a window to a quarter of the longest stretch, and the share of
 # commands that are large ones.
 _MEMORIES, _LARGE_SHARE = 6, 0.4
-# Frequencies of an oscillator, from two periods in the longest stretch to eight rows in a period, and its damping ratio.
+# Frequencies of an oscillator, from two periods in the longest stretch to eight rows in a period; its damping ratio.
 _OSCILLATIONS, _DAMPING = 40, 0.05
 # Share of the squares with which fewer standard errors suffice for it: 18 robots with nothing hidden had at most 2.5.
 _SHARE_RINGING = 0.1

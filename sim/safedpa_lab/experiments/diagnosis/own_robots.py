@@ -75,7 +75,7 @@ def run_case(case: OwnCase) -> Outcome:
 def truth_error(case: OwnCase, model: Path, runs: Sequence[Path]) -> float:
     """The error of predictions by the true robot, from the measured starts of the windows that a report shows.
 
-    A model with a smaller error, or one that is hardly larger, cannot be told from the truth by these logs.
+    A model with a smaller error, or one that is hardly larger, cannot be distinguished from the truth by these logs.
     """
     given = load_model(model)
     windows = heldout_of([load_run(path, given.system) for path in runs], HORIZON).windows

@@ -48,12 +48,12 @@ class OtherRobot:
     """Largest held-out error."""
 
 
-_FRICTION = (("motion_coulomb_friction",), ("motion_viscous_friction",))
+_FRICTION = (("rate_friction",), ("rate_drag",))
 OTHER_ROBOTS = {
-    "servo": OtherRobot("servo.toml", "servo.py", "b_*.csv", "cols.toml", 0.4, (("angle_speed_limit",),), 0.15),
+    "servo": OtherRobot("servo.toml", "servo.py", "b_*.csv", "cols.toml", 0.4, (("rate_speed_limit",),), 0.15),
     "joint, gain free": OtherRobot("joint.toml", "joint.py", "j1_b.csv", "cols1.toml", 1.0, _FRICTION, 0.06),
     "joint, gain fixed": OtherRobot("joint_fixed.toml", "joint.py", "j1_b.csv", "cols1.toml", 1.0, _FRICTION, 0.06),
-    "tanks": OtherRobot("tank40.toml", "tank.py", "val40.csv", "", 1.0, (("pump_lag", "level_hidden"),), 0.34),
+    "tanks": OtherRobot("tank40.toml", "tank.py", "val40.csv", "", 1.0, (("pump_lag", "pump_reservoir"),), 0.34),
 }
 """mauicv/servo-sysid; shamilmamedov/dynamic_calibration, joint 1 of a UR10e; the cascaded tanks of Schoukens and Noel,
 with time divided by 40."""
