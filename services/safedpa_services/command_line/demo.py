@@ -31,8 +31,10 @@ _FAULT_SECONDS = 25.0
 """Robot time of the fault: the diagnosis learns the usual error during the first 20 s. On a busy machine it takes
 longer, and the fault waits for it."""
 _TIMEOUT_SECONDS = 125.0
-"""With --yes: robot time from the fault, or from the end of the newest search, in which the model must have been
-corrected. A search has a limit of its own, in processor time: a busy machine only delays it."""
+"""With --yes: robot time from the fault, or from the start, in which the model must have been corrected."""
+_CHANGE_SECONDS = 255.0
+"""The same from the end of the newest search: three attempts of a change, 60 s for its model and 25 s for its offer. A
+search itself has a limit in processor time: a busy machine only delays it."""
 _MODEL, _CHANGE = "car_measured", "steering_offset"
 _BAR = 40
 
@@ -111,7 +113,7 @@ class _DemoRun:
         self._opened = False
         self._released_at: float | None = None
         """Robot time [s] at which the fault was released; None: not yet."""
-        self._searched_at = 0.0
+        self._searched_at = -_CHANGE_SECONDS
         """Robot time [s] at which a search was last in progress."""
         self._picture: threading.Thread | None = None
         self._picture_error = ""
@@ -153,8 +155,8 @@ class _DemoRun:
     def _is_late(self, watch: RunMonitor) -> bool:
         if watch.finding is not None and watch.finding.stage == "searching":
             self._searched_at = _clock(watch)
-        began = max(self._released_at or 0.0, _FAULT_SECONDS, self._searched_at)
-        return _clock(watch) > began + _TIMEOUT_SECONDS
+        began = max(self._released_at or 0.0, _FAULT_SECONDS)
+        return _clock(watch) > max(began + _TIMEOUT_SECONDS, self._searched_at + _CHANGE_SECONDS)
 
     def _open(self, report_progress: Callable[[str], None]) -> None:
         from safedpa_services.supervisor.screen import answers
