@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from math import hypot, inf, pi
-from operator import itemgetter
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
@@ -100,6 +99,33 @@ NO_CONTRADICTION: Final = Contradiction("", ())
 
 
 @final
+class _RunningSums:
+    """Sums over the last rows; a new row costs the same however many there are."""
+
+    def __init__(self, longest: int) -> None:
+        self._rows: deque[Plain] = deque(maxlen=longest)
+        self.totals: Plain = ()
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, row: Plain) -> None:
+        """Adds the newest row, and takes the oldest away once there are as many as can be."""
+        if not self._rows:
+            self.totals = row
+        elif len(self._rows) == self._rows.maxlen:
+            self.totals = tuple([a + b - c for a, b, c in zip(self.totals, row, self._rows[0], strict=True)])
+        else:
+            self.totals = tuple([a + b for a, b in zip(self.totals, row, strict=True)])
+        self._rows.append(row)
+
+    def clear(self) -> None:
+        """Forgets all rows, and with them the rounding of the sums."""
+        self._rows.clear()
+        self.totals = ()
+
+
+@final
 class StateMonitor:
     """Judges the states of one robot. Call ``observe`` with each one, and ``accept`` with those that are believed."""
 
@@ -123,13 +149,12 @@ class StateMonitor:
         self._mean_states = max(1, round(_MEAN_SECONDS / self._period))
         longer = max(2 * self._mean_states, round(_LONG_DRIFT_SECONDS / self._period))
         self._sums: deque[_Sums] = deque(maxlen=longer)
-        self._errors: deque[Plain] = deque(maxlen=self._window)
-        self._ways: deque[dict[str, float]] = deque(maxlen=self._window)
+        self._recent = _RunningSums(self._window)
+        """Of the last states: the errors, then the predicted motion of each position."""
         self._gaps: deque[bool] = deque(maxlen=self._window)
         """Whether a state was lost before each of the last ones."""
-        longest = max(2, round(_REST_SECONDS / self._period))
-        self._resting: deque[tuple[Plain, dict[str, float]]] = deque(maxlen=longest)
-        """The last errors and predicted motions while the robot rested."""
+        self._resting = _RunningSums(max(2, round(_REST_SECONDS / self._period)))
+        """The same of the last states while the robot rested."""
         self._drift_at_rest: dict[str, tuple[float, float]] = {}
         self._slow_drift: dict[str, tuple[float, float]] = {}
         self._unchanged = False
@@ -157,20 +182,23 @@ class StateMonitor:
         error = self._difference(values, predicted)
         way = self._difference(predicted, before)
         jump = {unit: _norm(error, own) for unit, own in self._groups.items()}
-        drift = {}
-        for unit in self._positions:
-            own = self._groups[unit]
-            total = [error[index] + sum(map(itemgetter(index), self._errors)) for index in own]
-            drift[unit] = hypot(*total), _norm(way, own) + sum(map(itemgetter(unit), self._ways))
-        self._newest = error, {unit: _norm(way, self._groups[unit]) for unit in self._positions}
-        self._drift_at_rest = {}
+        ways = {unit: _norm(way, self._groups[unit]) for unit in self._positions}
+        self._newest = error, ways
         self._slow_drift = self._drift_of_means(error)
-        if len(self._resting) >= self._window:  # a shorter rest is within the window of a drift
-            for unit in self._positions:
-                total = [error[index] + sum(row[index] for row, _ in self._resting) for index in self._groups[unit]]
-                self._drift_at_rest[unit] = hypot(*total), sum(ways[unit] for _, ways in self._resting)
+        # A shorter rest is within the window of a drift.
+        rested = len(self._resting) >= self._window
+        self._drift_at_rest = self._drift(self._resting, error, dict.fromkeys(ways, 0.0)) if rested else {}
         self._free = free
+        drift = self._drift(self._recent, error, ways)
         return Evidence(jump, drift, self._unanswered(values), self._overbraking(values, before, predicted))
+
+    def _drift(self, past: _RunningSums, error: Plain, ways: dict[str, float]) -> dict[str, tuple[float, float]]:
+        """|sum of the errors|, the newest included, and the way in that time, by unit of a position."""
+        totals = past.totals or (0.0,) * (len(error) + len(ways))
+        return {
+            unit: (hypot(*[error[index] + totals[index] for index in self._groups[unit]]), way + totals[place])
+            for place, (unit, way) in enumerate(ways.items(), start=len(error))
+        }
 
     def rates(self, values: Plain) -> dict[str, float]:
         """The size of each rate of the positions, by unit."""
@@ -202,22 +230,20 @@ class StateMonitor:
         """
         if evidence is not None:
             error, ways = self._newest
-            self._errors.append(tuple(0.0 for _ in error) if lost else error)
-            self._ways.append(ways)
+            row = (*error, *ways.values())
+            self._recent.add((*((0.0,) * len(error)), *ways.values()) if lost else row)
             self._gaps.append(lost > 0)
             self._add(error, ways, lost)
             if lost or any(way > _REST_SHARE * self._limits.jump.get(unit, 0.0) for unit, way in ways.items()):
                 self._resting.clear()
             else:
-                self._resting.append((error, ways))
+                self._resting.add(row)
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
+        since = self._since_anchor(values)
         moved = any(
-            _norm(self._difference(values, self._anchor), own)
-            > _ANSWERED * _norm(self._difference(self._free, self._anchor), own)
-            for unit in self._positions
-            if self._anchor and self._free and (own := self._groups[unit])
+            moved > _ANSWERED * commanded for unit, (commanded, moved) in since.items() if unit not in self._rates
         )
         self._anchored += 1
         again = moved or not self._anchor or not self._free or self._anchored * self._period > _ANSWER_SECONDS
@@ -323,15 +349,25 @@ class StateMonitor:
         return max(limit, min(_NOISE_FACTOR * self._noise[unit], _MOST_NOISE * limit))
 
     def _unanswered(self, values: Plain) -> dict[str, float]:
-        found = {}
-        for unit in (*self._positions, *self._rates):
-            own, size = self._groups[unit], 0.0
-            if self._anchor and self._free:
-                commanded = _norm(self._difference(self._free, self._anchor), own)
-                moved = _norm(self._difference(values, self._anchor), own)
-                size = commanded if moved <= _ANSWERED * commanded else 0.0
-            found[unit] = size
-        return found
+        since = self._since_anchor(values)
+        if not since:
+            return dict.fromkeys((*self._positions, *self._rates), 0.0)
+        return {
+            unit: commanded if moved <= _ANSWERED * commanded else 0.0 for unit, (commanded, moved) in since.items()
+        }
+
+    def _since_anchor(self, values: Plain) -> dict[str, tuple[float, float]]:
+        """By unit: how far the commands should have moved the robot since the position last changed, and how far it is.
+
+        Empty if that is not known.
+        """
+        if not (self._anchor and self._free):
+            return {}
+        commanded, moved = self._difference(self._free, self._anchor), self._difference(values, self._anchor)
+        return {
+            unit: (_norm(commanded, self._groups[unit]), _norm(moved, self._groups[unit]))
+            for unit in (*self._positions, *self._rates)
+        }
 
     def _overbraking(self, values: Plain, before: Plain, predicted: Plain) -> dict[str, float]:
         found = {}
