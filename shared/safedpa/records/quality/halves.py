@@ -41,6 +41,8 @@ _DRIFTED, _DRIFTED_STATE = 0.12, 0.88
 """Least fall of the log of what is unexplained, summed over states, and what may remain of one state."""
 _EACH_HALF = 0.25
 """Share of that fall that each half of the log has to show by itself."""
+_NEIGHBOURS = 0.25
+"""Share of that fall that the sizes next to a drift of states have to show on average."""
 _OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Constant offsets that are tried with and without a drift, in parts of the drift."""
 _CONFIRMED = 0.5
@@ -167,8 +169,12 @@ def _drift(response: Response, usual: Response) -> list[Finding]:
     group, rows = what
     rest, sizes = _undrifted(response, group), [rows * by for by in (1.0, *_FINER)]
     gains = {size: np.log(_drifted(response, group, size).rest() / rest) for size in sizes}
-    rows = min(gains, key=lambda size: float(gains[size].sum()))
-    if float(gains[rows].sum()) > -_DRIFTED or float(np.exp(gains[rows]).min()) > _DRIFTED_STATE:
+    totals = {size: float(gain.sum()) for size, gain in gains.items()}
+    rows = min(totals, key=totals.__getitem__)
+    if totals[rows] > -_DRIFTED or float(np.exp(gains[rows]).min()) > _DRIFTED_STATE:
+        return []
+    # Between rows, interpolation smooths the noise of states: a size may do so by chance, one next to it does not.
+    if group.states and float(np.mean([totals[size] for size in totals if size != rows])) > -_NEIGHBOURS * _DRIFTED:
         return []
     confirmed = np.log(_drifted(usual, group, rows).rest() / _undrifted(usual, group))
     if float(confirmed.sum()) > -_CONFIRMED * _DRIFTED:
