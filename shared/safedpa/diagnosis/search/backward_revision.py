@@ -354,13 +354,14 @@ def _remove(
 
 
 def withdraw_candidates(search: SearchState, group: Sequence[str], why: str = _NOT_NEEDED) -> None:
-    """Marks accepted candidates as rejected, with the reason ``why``."""
+    """Marks accepted candidates as rejected, with the reason ``why``; a combination keeps its other effects."""
     for index, item in enumerate(search.candidates):
         removed = set(group) & set(item.trial.effects)
         if item.decision == "accepted" and removed:
-            decision = "rejected" if removed == set(item.trial.effects) else "accepted"
             reason = f"{' and '.join(sorted(removed))} {why}"
-            search.candidates[index] = with_reason(item, decision, reason)
+            kept = tuple(name for name in item.trial.effects if name not in removed)
+            found = replace(item, trial=replace(item.trial, effects=kept)) if kept else item
+            search.candidates[index] = with_reason(found, "accepted" if kept else "rejected", reason)
 
 
 def exchange_for_fewer_parameters(search: SearchState) -> None:
