@@ -6,11 +6,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 
 import pytest
 
 from safedpa.native import NoKernelError
-from safedpa.native.library import cache_folder, load
+from safedpa.native.library import cache_folder, later, load
 
 if shutil.which("cc") is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -110,3 +111,14 @@ def test_processes_may_compile_the_same_source_at_the_same_time(folder: Path) ->
     started = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(4)]
     assert [process.wait() for process in started] == [0] * 4
     assert len(list(folder.iterdir())) == 1
+
+
+def test_a_task_that_fails_does_not_keep_those_after_it_waiting(caplog: pytest.LogCaptureFixture) -> None:
+    def fail() -> None:
+        raise MemoryError("no memory for a compiler")
+
+    done = Event()
+    later(fail)
+    later(done.set)
+    assert done.wait(20.0)
+    assert "compiling failed" in caplog.text

@@ -109,8 +109,12 @@ def _tasks() -> Queue[Callable[[], None]]:
     def work() -> None:
         while True:
             task = tasks.get()
-            task()
-            _PENDING.remove(task)
+            try:
+                task()
+            except Exception:  # those that follow are waited for
+                logging.getLogger("safedpa").exception("equations are computed by Python: compiling failed")
+            finally:
+                _PENDING.remove(task)
 
     Thread(target=work, name="safedpa-compiler", daemon=True).start()
     return tasks
