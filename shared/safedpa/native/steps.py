@@ -51,7 +51,10 @@ def compiled_step(step: str, tangent: str, sizes: tuple[int, int, int]) -> Any:
 
     Raises NoKernelError where it cannot be compiled or loaded.
     """
-    source, constants = step_source(step, tangent)
+    return _loaded_step(*step_source(step, tangent), sizes)
+
+
+def _loaded_step(source: str, constants: list[float], sizes: tuple[int, int, int]) -> Any:
     library = load(source)
     return load_module().Step(
         _address(library, "model_step"), _address(library, "model_tangent"), constants, *sizes, library
@@ -70,11 +73,13 @@ class LateStep:
         """The ``Step``; None: Python computes."""
         self._done = Event()
         try:
-            ready = is_compiled(step_source(step, tangent)[0])
+            # Here and not in that thread: Python 3.11 cannot parse in two threads (SystemError: AST constructor).
+            source, constants = step_source(step, tangent)
         except NotRecordableError:  # an operation without C
             self._done.set()
             return
-        make = partial(self._make, step, tangent, sizes)
+        ready = is_compiled(source)
+        make = partial(self._make, source, constants, sizes)
         if ready:
             make()
         else:
@@ -84,9 +89,9 @@ class LateStep:
         """Waits until there is no compiler to wait for."""
         self._done.wait()
 
-    def _make(self, step: str, tangent: str, sizes: tuple[int, int, int]) -> None:
+    def _make(self, source: str, constants: list[float], sizes: tuple[int, int, int]) -> None:
         try:
-            self.compiled = compiled_step(step, tangent, sizes)
+            self.compiled = _loaded_step(source, constants, sizes)
         except NoKernelError as error:
             remark(str(error))
         finally:
