@@ -48,8 +48,8 @@ _ANSWERED: Final = 0.1
 """Share of the predicted motion from which the robot counts as moving."""
 _EXACT_SHARE: Final = 2.0 / 3.0
 """Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
-noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low; one whose
-commands act 0.2 s late has answered by then: one period of the fastest start is 0.59 of the limit."""
+noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low. It counts
+of a source whose states of a resting robot differ: one that repeats them may show a robot that answers late."""
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
@@ -139,6 +139,8 @@ class StateMonitor:
         self._positions = [unit for unit in units if "/s" not in unit]
         self._rates = {f"{unit}/s": unit for unit in self._positions if f"{unit}/s" in units}
         """Units of the rates of positions, with those of the positions."""
+        self._varies_at_rest = False
+        """Whether the source has shown a robot that rests by states that differ: then equal ones are suspicious."""
         self._noise = {unit: limits.jump.get(unit, 0.0) / _NOISE_FACTOR for unit in units}
         """Running median of |e| by unit."""
         self.restart()
@@ -238,6 +240,7 @@ class StateMonitor:
                 self._resting.clear()
             else:
                 self._resting.add(row)
+                self._varies_at_rest |= not self._unchanged
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
@@ -311,7 +314,8 @@ class StateMonitor:
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             factor = _RATED_FACTOR if f"{unit}/s" in self._rates else 1.0
-            factor = _EXACT_SHARE if self._unchanged and unit in self._rates else factor
+            if self._unchanged and unit in self._rates and self._varies_at_rest:
+                factor = _EXACT_SHARE
             if limit is not None and size > factor * limit:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"
                 return Contradiction(text, ())
