@@ -41,8 +41,9 @@ _DRIFTED, _DRIFTED_STATE = 0.12, 0.88
 """Least fall of the log of what is unexplained, summed over states, and what may remain of one state."""
 _EACH_HALF = 0.25
 """Share of that fall that each half of the log has to show by itself."""
-_NEIGHBOURS = 0.25
-"""Share of that fall that the sizes next to a drift of states have to show on average."""
+_SURE_DRIFT, _MEDIANS = 5.0, 9.0
+"""Standard errors over the windows by which a drift of states has to explain more, with squares of at most so many
+medians. Of logs without a drift the largest had 3, of logs with one the smallest 15."""
 _OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Constant offsets that are tried with and without a drift, in parts of the drift."""
 _CONFIRMED = 0.5
@@ -173,8 +174,8 @@ def _drift(response: Response, usual: Response) -> list[Finding]:
     rows = min(totals, key=totals.__getitem__)
     if totals[rows] > -_DRIFTED or float(np.exp(gains[rows]).min()) > _DRIFTED_STATE:
         return []
-    # Between rows, interpolation smooths the noise of states: a size may do so by chance, one next to it does not.
-    if group.states and float(np.mean([totals[size] for size in totals if size != rows])) > -_NEIGHBOURS * _DRIFTED:
+    # Between rows, interpolation smooths the noise of states, and some sizes do so more than others by chance.
+    if group.states and _standard_errors(response, group, rows) < _SURE_DRIFT:
         return []
     confirmed = np.log(_drifted(usual, group, rows).rest() / _undrifted(usual, group))
     if float(confirmed.sum()) > -_CONFIRMED * _DRIFTED:
@@ -228,6 +229,11 @@ def _drifted_parts(
     offset: float = 0.0,
 ) -> list[Sums]:
     """The same sums for each of several groups of windows (None: all), if all were read ``offset`` rows later."""
+    return response.sums(*_moved(response, group, rows, offset), parts=parts)
+
+
+def _moved(response: Response, group: _Group, rows: float, offset: float) -> tuple[FloatArray, FloatArray]:
+    """States and actions with a group read so many rows later at the end than at the beginning."""
     count = len(response.t)
     moved = np.arange(count) + rows * np.linspace(-0.5, 0.5, count) + offset
     at = np.clip(np.round(moved).astype(np.intp), 0, count - 1)
@@ -239,7 +245,23 @@ def _drifted_parts(
     if group.actions:
         actions = actions.copy()
         actions[:, group.actions] = response.actions[np.ix_(at, np.array(group.actions))]
-    return response.sums(states, actions, parts=parts)
+    return states, actions
+
+
+def _standard_errors(response: Response, group: _Group, rows: float) -> float:
+    """The fall of the squared residuals by a drift, in its standard errors over the windows; a few count no more."""
+
+    def squares(size: float) -> FloatArray:
+        read = _moved(response, group, size, 0.0)
+        matrix, changes = response.design(*read)
+        scaled = matrix / (response.scale if len(response.scale) else 1.0)
+        return np.asarray((changes - scaled @ response.sums(*read)[0].solution()) ** 2)
+
+    before = min((squares(size) for size in (0.0, 1.0, -1.0)), key=lambda one: float(np.log(one.sum(axis=0)).sum()))
+    most = _MEDIANS * np.median(before, axis=0) + 1e-300
+    before, after = np.minimum(before, most), np.minimum(squares(rows), most)
+    fall = ((before - after) / (before.mean(axis=0) + 1e-300)).sum(axis=1)
+    return float(fall.sum() / (np.sqrt(len(fall)) * fall.std() + 1e-300))
 
 
 _AHEAD = (2, 3, 4, 6, 8, 11, 15, 20, 28)
