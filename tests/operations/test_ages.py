@@ -158,9 +158,8 @@ def test_each_row_of_the_status_has_an_age_at_every_width(fleet: Any, age: float
 def test_every_line_of_the_terminal_view_has_an_age(monkeypatch: pytest.MonkeyPatch, age: float) -> None:
     watch = RunMonitor(Bus(MemoryTransport(MemoryBroker()), "fleet"))
     verdict = verdict_of("corrected", h_now=H, stationary_for=9.0, stationary_reason="a wall")
-    for name, message in {"state": state_of(), "verdict": verdict, "finding": finding_of("raised")}.items():
-        setattr(watch, name, message)
-        setattr(watch, f"{name}_at", 1000.0)
+    watch.state, watch.verdict, watch.finding = state_of(), verdict, finding_of("raised")
+    watch.state_at = watch.verdict_at = watch.finding_at = 1000.0
     watch.health["policy"] = health_of("policy", step_microseconds=42.0), 1000.0
     monkeypatch.setattr(time, "monotonic", lambda: 1000.0 + age)
     console = terminal(file=io.StringIO(), width=200)
