@@ -130,7 +130,7 @@ class _Ringing:
             self.place = self.speed = 0.0
         self.speed += PERIOD / 20 * (9.0 * (9.0 * (0.5 * current - self.place) - 0.1 * self.speed))
         self.place += PERIOD / 20 * self.speed
-        return 0.1 * self.speed
+        return 0.3 * self.speed
 
 
 @pytest.mark.long
