@@ -50,6 +50,8 @@ _EXACT_SHARE: Final = 2.0 / 3.0
 """Share of the limit of ``unanswered`` for rates of a state that is exactly the one before: it needs no reserve for
 noise. A robot that commands within its dead zone do not move is exactly at rest, too, but its rates are low. It counts
 of a source whose states of a resting robot differ: one that repeats them may show a robot that answers late."""
+_VARIES: Final = 0.03
+"""Share of the limit of a jump by which the states of a robot at rest differ because of noise."""
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
@@ -240,7 +242,9 @@ class StateMonitor:
                 self._resting.clear()
             else:
                 self._resting.add(row)
-                self._varies_at_rest |= not self._unchanged
+                # A creeping robot varies as well, but by less, and not for so long.
+                varies = any(size > _VARIES * self._limits.jump.get(unit, inf) for unit, size in evidence.jump.items())
+                self._varies_at_rest |= varies and len(self._resting) >= self._window
             for unit, size in evidence.jump.items():
                 step = _NOISE_STEP * self._noise[unit]
                 self._noise[unit] += step if size > self._noise[unit] else -step
