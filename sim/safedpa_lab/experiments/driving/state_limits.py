@@ -45,8 +45,11 @@ def measured_evidence(wanted: StateDrive) -> list[Evidence]:
     # The session compares a state with the prediction under each allowed delay, and widens the limit of a drift after
     # lost states; the rows know of neither.
     if wanted.late:
-        return list(map(only_answers, rows))
-    return [row._replace(drift=only_answers(row).drift) for row in rows] if wanted.lost_share or missed else rows
+        rows = list(map(only_answers, rows))
+    elif wanted.lost_share or missed:
+        rows = [row._replace(drift=only_answers(row).drift) for row in rows]
+    # Views of mappings cannot be sent to another process.
+    return [Evidence(dict(row.jump), dict(row.drift), dict(row.unanswered), dict(row.overbraking)) for row in rows]
 
 
 def state_limits(
