@@ -21,7 +21,7 @@ from safedpa.safety import (
     check_filter,
     limits_from_evidence,
 )
-from safedpa.safety.session.plausibility import ClockMonitor
+from safedpa.safety.session.plausibility import ClockMonitor, StateMonitor
 from safedpa.systems import System, Variable
 
 PERIOD = 0.05
@@ -180,6 +180,20 @@ def test_rates_that_commands_should_have_caused_find_a_frozen_state_before_the_p
         session = session_of_the_mass(replace(LIMITS, unanswered={"m": 0.05, **rates}))
         found.append([x[0] for _, x, _ in drive(session.decide, lambda *_: np.zeros(2)) if not session.latched][-1])
     assert found[1] < 0.75 * found[0]
+
+
+@pytest.mark.parametrize(("noise", "found"), [(0.005, True), (0.0005, False), (0.0, False)])
+def test_equal_states_are_frozen_sooner_if_the_source_has_shown_its_noise_at_rest(noise: float, found: bool) -> None:
+    """Otherwise they may be those of a robot whose commands act late."""
+    monitor = StateMonitor(MASS, StateLimits(jump={"m": 0.05, "m/s": 0.3}, unanswered={"m/s": 0.5}), PERIOD)
+    before = (0.0, 0.0)
+    for tick in range(60):
+        values = (noise * (-1) ** tick, 0.0)
+        monitor.accept(values, monitor.observe(values, before, before, before))
+        before = values
+    commanded = (before[0], 0.8 * 0.5)
+    evidence = monitor.observe(before, before, before, commanded)
+    assert bool(monitor.problem(evidence).text) is found
 
 
 def test_a_robot_that_brakes_harder_than_its_model_is_believed_again_after_lost_states() -> None:
