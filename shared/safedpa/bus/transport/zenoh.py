@@ -16,7 +16,8 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Collection, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
@@ -87,6 +88,8 @@ _LEASE_MILLISECONDS = 500
 # messages by 0.5 s and more, and peers that discovered each other do not re-establish a closed link. The end of a
 # process is noticed immediately regardless of the lease, because its socket closes.
 _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
+# s; how often a peer checks whether this process was suspended, and the suspension after which its links are gone.
+_SUSPENSION_CHECK, _LONGEST_SUSPENSION = 0.5, 0.75e-3 * _LEASE_ON_ONE_MACHINE_MILLISECONDS
 # Prefix of the endpoint of a Unix domain socket. Only users with access to its folder can connect.
 _LOCAL_SOCKET = "unixsock-stream/"
 # Time for a handshake after its first bytes. It takes 3 ms; Zenoh's default gives an unauthenticated client 5 s.
@@ -226,7 +229,11 @@ def _is_loopback(endpoint: str) -> bool:
 
 @final
 class ZenohTransport(AbstractTransport):
-    """A Zenoh session. Raises BusError if it cannot be opened, InputError for invalid endpoints."""
+    """A Zenoh session. Raises BusError if it cannot be opened, InputError for invalid endpoints.
+
+    A peer opens a new session after its process was suspended for longer than its lease: peers that discovered each
+    other do not re-establish a closed link, but link to every session that is new.
+    """
 
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
@@ -258,48 +265,92 @@ class ZenohTransport(AbstractTransport):
         guards = settings.listen and settings.certificates is None and ports
         self._connection_reaper = ConnectionReaper(ports, self._peer_addresses) if guards else None
         _warn_about_plain_text(settings.plain_endpoints)
+        self._settings, self._lock, self._closed = settings, threading.Lock(), threading.Event()
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
+        self._declarations: list[Callable[[zenoh.Session], Any]] = []
+        """What a new session declares again."""
+        if settings.mode == "peer" and not settings.listen:
+            threading.Thread(target=self._watch_for_suspensions, daemon=True).start()
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
         import zenoh
 
+        publisher = None
         try:
-            publisher = self._publishers.get((key, never_drop))
-            if publisher is None:
-                publisher = self._publishers[key, never_drop] = self._publisher(key, never_drop)
+            publisher = self._publishers.get((key, never_drop)) or self._publisher(key, never_drop)
             publisher.put(payload, attachment=key_stamp(key))
         except zenoh.ZError as error:
+            if not self._closed.is_set() and self._publishers.get((key, never_drop)) is not publisher:
+                self.put(key, payload, never_drop=never_drop)  # its session was replaced meanwhile
+                return
             raise BusError(f"{key}: could not be sent ({short_error_text(error)}); was the bus closed?") from error
 
     def _publisher(self, key: str, never_drop: bool) -> zenoh.Publisher:
         import zenoh
 
         control = zenoh.CongestionControl
-        return self._session.declare_publisher(
-            key,
-            encoding="application/msgpack",
-            # A new action is worth more than an old one, so commands are dropped under congestion. Audit messages wait.
-            congestion_control=control.BLOCK if never_drop else control.DROP,
-            # A queue per priority: a model file of megabytes in transfer must not delay an action.
-            priority=zenoh.Priority.DATA_HIGH if never_drop else zenoh.Priority.REAL_TIME,
-            # Zenoh may put messages that wait together into one batch. With many robots this saves 10 % of the CPU
-            # time.
-            express=False,
-            reliability=zenoh.Reliability.RELIABLE,
-        )
+        with self._lock:
+            self._publishers[key, never_drop] = publisher = self._session.declare_publisher(
+                key,
+                encoding="application/msgpack",
+                # A new action is worth more than an old one, so commands are dropped under congestion. Audit messages
+                # wait.
+                congestion_control=control.BLOCK if never_drop else control.DROP,
+                # A queue per priority: a model file of megabytes in transfer must not delay an action.
+                priority=zenoh.Priority.DATA_HIGH if never_drop else zenoh.Priority.REAL_TIME,
+                # Zenoh may put messages that wait together into one batch. With many robots this saves 10 % of the
+                # CPU time.
+                express=False,
+                reliability=zenoh.Reliability.RELIABLE,
+            )
+        return publisher
 
     def release(self, prefix: str) -> None:  # noqa: D102
-        for key, never_drop in [entry for entry in self._publishers if entry[0].startswith(prefix)]:
-            self._publishers.pop((key, never_drop)).undeclare()  # type: ignore[no-untyped-call]
+        with self._lock:
+            keys = [entry for entry in self._publishers if entry[0].startswith(prefix)]
+            released = [self._publishers.pop(key) for key in keys]
+        for publisher in released:
+            publisher.undeclare()  # type: ignore[no-untyped-call]
+
+    def _declare(self, declaration: Callable[[zenoh.Session], Any]) -> None:
+        """Declares something in this session, and in each one that takes its place."""
+        with self._lock:
+            self._declarations.append(declaration)
+            self._declared.append(declaration(self._session))
+
+    def _watch_for_suspensions(self) -> None:
+        woke = time.monotonic()
+        while not self._closed.wait(_SUSPENSION_CHECK):
+            if time.monotonic() - woke > _SUSPENSION_CHECK + _LONGEST_SUSPENSION:
+                self._rejoin()
+            woke = time.monotonic()
+
+    def _rejoin(self) -> None:
+        """Replaces the session by a new one, which every peer links to."""
+        import zenoh
+
+        try:
+            session = open_session(zenoh_session_configuration(self._settings.configuration()))
+        except zenoh.ZError as error:
+            # The old session retries the link to its router by itself.
+            log_event("bus.not_rejoined", f"no new session could be opened ({short_error_text(error)})", level="warning")
+            return
+        with self._lock:
+            old, self._session = self._session, session
+            self._declared = [declaration(session) for declaration in self._declarations]
+            self._publishers = {}
+        close_session(old)
+        if self._closed.is_set():
+            close_session(session)
 
     def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
-        subscription = _ZenohSubscription(self._session, key_expression, on_sample)
-        self._declared.append(subscription)
+        subscription = _ZenohSubscription(key_expression, on_sample)
+        self._declare(subscription.declare_in)
         return subscription
 
     def declare_alive(self, key: str) -> None:  # noqa: D102
-        self._declared.append(self._session.liveliness().declare_token(key))
+        self._declare(lambda session: session.liveliness().declare_token(key))
 
     def alive(self, key_expression: str) -> list[str]:  # noqa: D102
         replies = self._session.liveliness().get(key_expression, timeout=_ALIVE_TIMEOUT_SECONDS)
@@ -324,7 +375,7 @@ class ZenohTransport(AbstractTransport):
                     # ends the process, so that its supervisor restarts it.
                     sys.excepthook(type(error), error, error.__traceback__)
 
-        self._declared.append(self._session.declare_queryable(key_expression, zenoh.handlers.Callback(asked)))
+        self._declare(lambda session: session.declare_queryable(key_expression, zenoh.handlers.Callback(asked)))
 
     def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:  # noqa: D102
         import zenoh
@@ -380,6 +431,7 @@ class ZenohTransport(AbstractTransport):
         return found
 
     def close(self) -> None:  # noqa: D102
+        self._closed.set()
         # First: the reaper asks the session for its links.
         if self._connection_reaper is not None:
             self._connection_reaper.close()
@@ -394,24 +446,35 @@ class _ZenohSubscription(Subscription):
     40 us with the ring buffer.
     """
 
-    def __init__(self, session: zenoh.Session, key_expression: str, on_sample: OnSample) -> None:
-        self._session, self._key_expression, self._on_sample = session, key_expression, on_sample
-        self._callback_subscriber: Any = self._declare_callback()
+    def __init__(self, key_expression: str, on_sample: OnSample) -> None:
+        self._key_expression, self._on_sample = key_expression, on_sample
+        self._session: Any = None
+        self._callback_subscriber: Any = None
         self._ring_subscriber: Any = None
+        self._lock = threading.Lock()
+
+    def declare_in(self, session: zenoh.Session) -> _ZenohSubscription:
+        """Receives from this session from now on, in the same way as from the one before."""
+        with self._lock:
+            self._session = session
+            if self._ring_subscriber is None:
+                self._callback_subscriber = self._declare_callback()
+            else:
+                self._ring_subscriber = self._declare_ring()
+        return self
 
     def gather(self) -> None:
-        import zenoh
-
-        if self._ring_subscriber is None:
-            # Declare the new subscriber before the old one ends, so that no message is lost between the two. A message
-            # that arrives twice replaces itself in the inbox.
-            ring: Any = zenoh.handlers.RingChannel(_MOST_GATHERED)
-            self._ring_subscriber = self._session.declare_subscriber(self._key_expression, ring)
-            self._callback_subscriber.undeclare()
+        with self._lock:
+            if self._ring_subscriber is None:
+                # Declare the new subscriber before the old one ends, so that no message is lost between the two. A
+                # message that arrives twice replaces itself in the inbox.
+                self._ring_subscriber = self._declare_ring()
+                self._callback_subscriber.undeclare()
 
     def collect(self) -> None:
-        if self._ring_subscriber is not None:
-            receive = self._ring_subscriber.handler.try_recv
+        ring = self._ring_subscriber
+        if ring is not None:
+            receive = ring.handler.try_recv
             # Bounded, so that a sender that is faster than this loop cannot keep it here forever.
             for _ in range(_MOST_GATHERED):
                 sample = receive()
@@ -420,11 +483,18 @@ class _ZenohSubscription(Subscription):
                 self._received(sample)
 
     def pass_on(self) -> None:
-        if self._ring_subscriber is not None:
-            callback_subscriber = self._declare_callback()  # before the ring ends, as in gather
-            self.collect()
-            self._ring_subscriber.undeclare()
-            self._callback_subscriber, self._ring_subscriber = callback_subscriber, None
+        with self._lock:
+            if self._ring_subscriber is not None:
+                callback_subscriber = self._declare_callback()  # before the ring ends, as in gather
+                self.collect()
+                self._ring_subscriber.undeclare()
+                self._callback_subscriber, self._ring_subscriber = callback_subscriber, None
+
+    def _declare_ring(self) -> Any:
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(_MOST_GATHERED)
+        return self._session.declare_subscriber(self._key_expression, ring)
 
     def _declare_callback(self) -> Any:
         import zenoh
