@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.records.test_joined_topics import Log, at
 
+import safedpa
 from safedpa.errors import RunError
 from safedpa.records import load_run
 from safedpa.records.column_map.column_map import DerivedColumn, SourceColumn
@@ -87,3 +88,10 @@ def test_a_map_for_twist_also_reads_a_stamped_one(tmp_path: Path) -> None:
     wrong = topic_map(log, "mcap").replace('"linear.x"', '"linear.w"')
     with pytest.raises(RunError, match=r"topic '/cmd': .*linear.w"):
         load_run(tmp_path / "a.mcap", CAR, parse_column_map(wrong))
+
+
+def test_a_map_is_proposed_for_a_system_without_a_robot(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,speed,throttle\n" + "".join(f"{0.1 * row},{0.2 * row},0.5\n" for row in range(20)))
+    found = safedpa.columns(log, "cart", effects=Path(__file__).parents[2] / "docs" / "examples" / "cart.py")
+    assert list(found.column_map.columns) == ["t", "speed", "throttle"]

@@ -10,6 +10,7 @@ from typing import Any, Literal, final
 from safedpa.api.inputs import Model, files_of, model_of
 from safedpa.comparison.output import refuse_inputs, require_writable_folder
 from safedpa.dynamics.simulator_export import SimulatorExport, export_table
+from safedpa.dynamics.user_files import load_user_files
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa.result import AbstractResult
@@ -79,6 +80,7 @@ def export(
     if not isinstance(source, (str, Path)):
         raise InputError(f"format '{format}': got a model, wanted a recording; use format='simulators'")
     refuse_inputs([target], [source])
+    load_user_files()
     if format == "ros2":
         need("ros", what=f"export to {format}")
         from safedpa.replay.ros2_bag import export_bag

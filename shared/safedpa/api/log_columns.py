@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, final
 
 from safedpa.dynamics import load_user_file
+from safedpa.dynamics.user_files import load_user_files
 from safedpa.errors import InputError
 from safedpa.limits import printable
 from safedpa.records import ColumnMap
@@ -20,7 +21,8 @@ from safedpa.records.readers.preview import raw_rows
 from safedpa.records.readers.table import regular_file
 from safedpa.result import AbstractResult
 from safedpa.systems import System
-from safedpa.systems.robots import DEFAULT_ROBOT, robot_named
+from safedpa.systems.registry import systems
+from safedpa.systems.robots import DEFAULT_ROBOT, robot_named, robots
 
 
 @final
@@ -71,10 +73,10 @@ class ProposedColumns(AbstractResult):
 
 
 def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | None = None) -> ProposedColumns:
-    """Lists the contents of a log and proposes a column map for ``robot``, a name; None: the car.
+    """Lists the contents of a log and proposes a column map for the robot or system ``robot``; None: the car.
 
-    The log is any that ``read_log`` reads. ``effects`` is a Python file with the user's own robots. Raises InputError
-    for an unknown robot and for recordings of the bus, which need no map; RunError for an unreadable file.
+    The log is any that ``read_log`` reads. ``effects`` is a Python file with the user's own robots and systems. Raises
+    InputError for an unknown robot and for recordings of the bus, which need no map; RunError for an unreadable file.
 
     Example:
 
@@ -92,25 +94,33 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
     """
     if effects is not None:
         load_user_file(Path(effects))
-    path, known = Path(log), robot_named(robot or DEFAULT_ROBOT)
-    systems = tuple(one.system for one in (known, *known.variants))
+    load_user_files()
+    path = Path(log)
     with regular_file(path) as file:
-        topics, text = _proposed(file, systems)
+        topics, text = _proposed(file, _systems_of(robot or DEFAULT_ROBOT))
     return ProposedColumns(path, tuple(topics), text)
 
 
+def _systems_of(name: str) -> tuple[System, ...]:
+    """Those of a robot, or the system of that name which somebody declared without a robot."""
+    if name not in robots() and name in systems():
+        return (systems()[name],)
+    known = robot_named(name)
+    return tuple(one.system for one in (known, *known.variants))
+
+
 @in_own_process
-def _proposed(path: Path, systems: Sequence[System]) -> tuple[list[dict[str, Any]], str]:
-    """Topics of a log, and the map that is proposed for the system of ``systems`` that fits best."""
+def _proposed(path: Path, candidates: Sequence[System]) -> tuple[list[dict[str, Any]], str]:
+    """Topics of a log, and the map that is proposed for the system of ``candidates`` that fits best."""
     kind = kind_of(path)
     if kind == "mcap":
         check_readable_mcap(path)
         raise InputError(f"{path}: got a recording of the bus, which needs no column map; use it directly")
     if kind != "topics":
-        return [], _table_map(path, systems)
+        return [], _table_map(path, candidates)
     opened = topic_log(path)
-    system = best_system(systems, sources_of(opened.topics().values()))
-    text = propose_map(opened, system, [other for other in systems if other is not system])
+    system = best_system(candidates, sources_of(opened.topics().values()))
+    text = propose_map(opened, system, [other for other in candidates if other is not system])
     return _topics(opened), text
 
 

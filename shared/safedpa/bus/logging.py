@@ -71,6 +71,7 @@ KINDS = MappingProxyType(
         "router.open": "The router accepts connections.",
         "router.stalled": "The router makes no progress; it exits, so that it is restarted.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
+        "bus.not_rejoined": "A suspended process could not open a new bus session; the old one retries its links.",
         "bus.unclosed": "A process exits although its bus session did not close in time; its links close with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",
         "bus.misrouted": "A message was delivered under a wrong key after a lost link; it is ignored.",

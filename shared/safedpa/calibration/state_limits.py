@@ -9,6 +9,7 @@ from safedpa.calibration.from_drives import DriveTick, continue_session
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
 from safedpa.runtime.robot_session import RobotSession
+from safedpa.safety.session.plausibility import CREEPING_FACTOR
 from safedpa.safety.session.state_limits import Evidence, StateLimits
 from safedpa.safety.settings import FilterSettings
 
@@ -38,10 +39,11 @@ def state_evidence(model: PhysicsModel, settings: FilterSettings, ticks: Sequenc
         session.observe_state(tick.state)
         before = ticks[index - 1].state if index else None
         whole = before is not None and before.tick == tick.state.tick - 1 and not isnan(sum(before.values))
-        if session.evidence is not None and whole:
-            found.append(session.evidence)
-        elif session.evidence is not None:
-            found.append(only_answers(session.evidence))
+        if session.evidence is not None:
+            share = 1.0 if before is None or before.values == tick.state.values else 1.0 / CREEPING_FACTOR
+            shown = {unit: share * size for unit, size in session.evidence.unanswered.items()}
+            evidence = session.evidence._replace(unanswered=shown)
+            found.append(evidence if whole else only_answers(evidence))
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
         continue_session(session, tick, following)
     return found

@@ -334,7 +334,8 @@ class ZenohTransport(AbstractTransport):
             session = open_session(zenoh_session_configuration(self._settings.configuration()))
         except zenoh.ZError as error:
             # The old session retries the link to its router by itself.
-            log_event("bus.not_rejoined", f"no new session could be opened ({short_error_text(error)})", level="warning")
+            sentence = f"no new session could be opened ({short_error_text(error)})"
+            log_event("bus.not_rejoined", sentence, level="warning")
             return
         with self._lock:
             old, self._session = self._session, session

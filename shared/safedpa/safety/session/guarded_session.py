@@ -46,6 +46,8 @@ _SAME_AGE: Final = 1e-6
 """Share of a period by which the ages of two states may differ by rounding."""
 _LONGEST_SHARE: Final = 3.0
 """Periods between two measurements that are predicted by one step."""
+_SERVO_LAG: Final = 0.1
+"""s; a servo that the model does not have prolongs the delay of a command by so much before a jump contradicts it."""
 _UNKNOWN_GROWTH: Final = 3
 """Lost states that a period counts as in which it is not even known what the robot applied."""
 _LONGEST_JUMP: Final = 4.0
@@ -303,11 +305,14 @@ class GuardedSession(SessionMemory[StateT]):
             return found
         # After lost states, the prediction under another delay begins where the robot was last measured.
         begin, periods = (self._seen or known, self.lost + 1) if self.lost else (known, 1)
-        for late in range(1, self._allowed_periods + 1):
+        earlier = self._along_commands(begin.values, state, periods, 0) if self.lost else predicted
+        for late in range(1, self._allowed_periods + ceil(_SERVO_LAG / self.model.period) + 1):
             other = self._along_commands(begin.values, state, periods, late)
             if not other:
                 break
-            self.evidence = self._monitor.observe(state.values, known.values, other, free)
+            # A delay need not be a number of whole periods.
+            nearest = self._monitor.nearest_between(earlier or other, other, state.values)
+            self.evidence, earlier = self._monitor.observe(state.values, known.values, nearest, free), other
             if not self._monitor.problem(self.evidence, lost, unknown).text:
                 return NO_CONTRADICTION
         self.evidence = self._monitor.observe(state.values, known.values, predicted, free)

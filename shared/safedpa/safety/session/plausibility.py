@@ -9,7 +9,7 @@ e = x - x^ (angles wrapped), four things are checked for the entries of each uni
     slow drift:  the same between the means of the first and the last half second of four, without lost states; the
                  noise of single states cancels in the means, so its limit is lower
     unanswered:  the motion and the rate that the commands should have caused since the position last changed, within a
-                 second
+                 second; a state that differs from the one before may leave three times as much unanswered
     repeats:     the state is exactly the one before, although its own rates say that the position changes
     clock:       the stamps advance at another rate than the states arrive
 
@@ -27,7 +27,7 @@ from typing import Final, NamedTuple, final
 from safedpa.safety.session.state_limits import Evidence, StateLimits
 from safedpa.systems import System
 
-__all__ = ["NO_CONTRADICTION", "ClockMonitor", "Contradiction", "StateMonitor"]
+__all__ = ["CREEPING_FACTOR", "NO_CONTRADICTION", "ClockMonitor", "Contradiction", "StateMonitor"]
 
 Plain = tuple[float, ...]
 
@@ -55,6 +55,9 @@ _VARIES: Final = 0.03
 _RATED_FACTOR: Final = 2.0
 """Factor on the limit of ``unanswered`` for a position whose rate is judged, too: what moves it slowly is left, such as
 commands within a dead zone that the model does not have."""
+CREEPING_FACTOR: Final = 3.0
+"""Factor on the limit of ``unanswered`` for a state that differs from the one before: its sensor is not frozen, and a
+robot whose commands hardly overcome its friction creeps."""
 _MOVING: Final = 10.0
 """Limits of a jump that a robot must have moved in that time: in one that hardly moves, the errors of its predicted
 acceleration add up to more than the drift."""
@@ -213,6 +216,15 @@ class StateMonitor:
         error = self._difference(one, other)
         return {unit: _norm(error, own) for unit, own in self._groups.items()}
 
+    def nearest_between(self, one: Plain, other: Plain, values: Plain) -> Plain:
+        """The state (states,) between two predictions that is nearest to a measured one, by the limits of a jump."""
+        way, error = self._difference(other, one), self._difference(values, one)
+        weights = [1.0 / max(self._limits.jump.get(each.unit, inf), 1e-9) ** 2 for each in self._system.state]
+        length = sum(weight * a * a for weight, a in zip(weights, way, strict=True))
+        along = sum(weight * a * b for weight, a, b in zip(weights, way, error, strict=True))
+        share = min(max(along / length, 0.0), 1.0) if length else 0.0
+        return tuple([a + share * b for a, b in zip(one, way, strict=True)])
+
     def falling(self, before: Plain, predicted: Plain) -> list[str]:
         """Units of the rates that are predicted to become smaller."""
         now = self.rates(before)
@@ -318,7 +330,9 @@ class StateMonitor:
         for unit, size in evidence.unanswered.items():
             limit = self._limits.unanswered.get(unit)
             factor = _RATED_FACTOR if f"{unit}/s" in self._rates else 1.0
-            if self._unchanged and unit in self._rates and self._varies_at_rest:
+            if not self._unchanged:
+                factor *= CREEPING_FACTOR
+            elif unit in self._rates and self._varies_at_rest:
                 factor = _EXACT_SHARE
             if limit is not None and size > factor * limit:
                 text = f"it does not change although the commands should have moved it by {size:.2g} {unit}{_WHY_NOT}"

@@ -1,5 +1,7 @@
 """Counts the false stops of the plausibility of a state in hours of healthy drives.
 
+A stop after the robot has touched something is none: what moves it then is not in the model.
+
 Each drive has its own conditions: loads, slip and wind of the robot's worlds, with and without noise, states that are
 lost, commands that act later than the filter knows, and pauses in which no process answers.
 """
@@ -63,7 +65,7 @@ def false_stops(
 
 
 def _row(robot: str, drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    stopped = [one for one in drives if one["stopped"]]
+    stopped = [one for one in drives if one["stopped"] and not one["touched_before"]]
     known = ("seed", "world", "lost_share", "noise", "late", "missed", "stopped")
     return {
         "robot": robot,

@@ -84,7 +84,7 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
     speeds = [index for index, each in enumerate(kind.system.state) if each.unit in ("m/s", "rad/s")][: len(places)]
     way, stopped, began, latest, hits = 0.0, "", -1.0, "", list[float]()
     before, contacts, at_stop = truth.values, len(truth.collisions), (inf, inf)
-    since = 0.0
+    since, touched = 0.0, False
     nodes, count = kind.nodes(SHIPPED_LIMITS if wanted.checked else None), round(wanted.seconds / truth.period)
     for tick in _ticks(wanted, source, nodes, count):
         speed = hypot(*(before[index] for index in speeds))
@@ -101,11 +101,13 @@ def run_state_drive(wanted: StateDrive) -> dict[str, Any]:
         latest = tick.verdict.sentence
         if not stopped and "implausible" in latest:
             stopped = latest.partition("implausible, ")[2] or latest
+            touched = contacts > 0
             at_stop = tick.state.robot_time - began, since
     return {
         **asdict(wanted),
         "hits": hits,
         "stopped": stopped[:160],
+        "touched_before": touched,
         "after_seconds": at_stop[0],
         "after_way": at_stop[1],
         "goals": truth.goals_reached,
@@ -208,7 +210,7 @@ def _healthy_row(robot: str, drives: Sequence[dict[str, Any]]) -> dict[str, Any]
         [one for one in healthy if (one["checked"], one["lost_share"]) == which]
         for which in ((False, 0.0), (True, 0.0), (True, _LOST_SHARE))
     )
-    stopped = [one for one in (*on, *lossy) if one["stopped"]]
+    stopped = [one for one in (*on, *lossy) if one["stopped"] and not one["touched_before"]]
     return {
         "robot": robot,
         "drives": len(on),
