@@ -190,6 +190,7 @@ def _no_window(runs: Sequence[Run], horizon: float) -> InputError:
             f"horizon: got {horizon} s, but no window begins in a part without a gap of that length, although the "
             f"longest stretch without a gap lasts {longest:.4g} s; choose another horizon, or begin more windows"
         )
-    return InputError(
-        f"horizon: got {horizon} s, the longest stretch without a gap lasts {longest:.4g} s; choose a shorter horizon"
-    )
+    cuts = [finding.message for run in runs for finding in run.findings if finding.kind == "gap"]
+    why = f" ({cuts[0]})" if cuts else ""
+    lasts = f"the longest stretch without a gap lasts {longest:.4g} s{why}"
+    return InputError(f"horizon: got {horizon} s, {lasts}; choose a shorter horizon")

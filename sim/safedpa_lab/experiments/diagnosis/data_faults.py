@@ -72,13 +72,14 @@ def run_case(task: Task) -> dict[str, Any]:
         model, (path,), _ = write_case(
             OwnCase("own_none", robot, seed, {}, 1), Path(folder), [(log.t, log.states, log.actions)]
         )
+        findings: list[dict[str, Any]] = []
         try:
             findings = [vars(item) for item in load_run(path, load_model(model).system).findings]
             if with_diagnosis:
                 document = diagnosed(model, [path])
                 findings, added = document["data_quality"], list(document["added"])
         except InputError as error:
-            findings = [{"kind": "refused", "message": str(error).replace(folder, ""), "start_t": None}]
+            findings += [{"kind": "refused", "message": str(error).replace(folder, ""), "start_t": None}]
     reported = [item for item in findings if item["kind"] not in HARMLESS]
     found = None if truth is None else _noticed(reported, truth, float(log.t[-1] - log.t[0]))
     return {
