@@ -102,7 +102,7 @@ def columns(log: str | Path, robot: str | None = None, *, effects: str | Path | 
 
 
 def _systems_of(name: str) -> tuple[System, ...]:
-    """Those of a robot, or the system of that name which somebody declared without a robot."""
+    """Those of a robot, or the system of that name, which needs no robot."""
     if name not in robots() and name in systems():
         return (systems()[name],)
     known = robot_named(name)
