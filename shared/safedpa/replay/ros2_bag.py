@@ -130,7 +130,7 @@ def _robot_by_shape(recording: Path, state: StateMessage) -> Robot:
         if shape == (len(state.values), len(state.applied), True):
             return known
     raise RunError(
-        f"{recording}: its robot has {len(state.values)} states, {len(state.applied)} actions: none that is known; "
+        f"{recording}: its robot has {len(state.values)} states, {len(state.applied)} actions: no known kind of robot; "
         "SAFEDPA_EFFECTS=FILE.py makes one of your own known"
     )
 

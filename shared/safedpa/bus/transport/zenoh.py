@@ -17,6 +17,7 @@ import os
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -271,7 +272,9 @@ class ZenohTransport(AbstractTransport):
         self._declarations: list[Callable[[zenoh.Session], Any]] = []
         """What a new session declares again."""
         if settings.mode == "peer" and not settings.listen:
-            threading.Thread(target=self._watch_for_suspensions, daemon=True).start()
+            # Without a reference: a transport that nobody uses any more can be freed.
+            watched = weakref.ref(self), self._closed
+            threading.Thread(target=_watch_for_suspensions, args=watched, daemon=True).start()
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
         import zenoh
@@ -319,14 +322,7 @@ class ZenohTransport(AbstractTransport):
             self._declarations.append(declaration)
             self._declared.append(declaration(self._session))
 
-    def _watch_for_suspensions(self) -> None:
-        woke = time.monotonic()
-        while not self._closed.wait(_SUSPENSION_CHECK):
-            if time.monotonic() - woke > _SUSPENSION_CHECK + _LONGEST_SUSPENSION:
-                self._rejoin()
-            woke = time.monotonic()
-
-    def _rejoin(self) -> None:
+    def rejoin(self) -> None:
         """Replaces the session by a new one, which every peer links to."""
         import zenoh
 
@@ -437,6 +433,20 @@ class ZenohTransport(AbstractTransport):
         if self._connection_reaper is not None:
             self._connection_reaper.close()
         close_session(self._session)
+
+
+def _watch_for_suspensions(transport: weakref.ref[ZenohTransport], closed: threading.Event) -> None:
+    woke, used = time.monotonic(), time.process_time()
+    while not closed.wait(_SUSPENSION_CHECK):
+        known = transport()
+        if known is None:
+            return
+        # A process that computes is not suspended, however long this thread waits for the interpreter.
+        idle = time.monotonic() - woke - (time.process_time() - used)
+        if idle > _SUSPENSION_CHECK + _LONGEST_SUSPENSION:
+            known.rejoin()
+        del known
+        woke, used = time.monotonic(), time.process_time()
 
 
 @final

@@ -131,7 +131,7 @@ def _system_of(path: Path, ticks: Recording) -> System:
         if shape == (len(system.state), len(system.action)):
             return system
     raise RunError(
-        f"{path}: robot '{ticks.robot}' has {shape[0]} states and {shape[1]} actions: none that is known; "
+        f"{path}: robot '{ticks.robot}' has {shape[0]} states and {shape[1]} actions: no known kind of robot; "
         "SAFEDPA_EFFECTS=FILE.py makes one of your own known"
     )
 

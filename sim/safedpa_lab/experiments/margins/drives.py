@@ -26,6 +26,7 @@ from safedpa.systems.robots import robot_named
 from safedpa_lab.experiments.common.drives import LOADS, counted, driven_with_latents
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.differential_drive.stand_in import WORLDS
+from safedpa_sim.robots.car.parameters import THROTTLE_CAR
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.robots.pendulum.robot import TASKS, PendulumRobot
@@ -48,6 +49,10 @@ def _car(seed: int, period: float = 0.05) -> Robot:
 def _bare_car(seed: int, period: float = 0.05) -> Robot:
     """Without a load, as the measured model and its own margin know it: one is found by diagnosis."""
     return CarRobot(Scene.random(seed, "none"), period)
+
+
+def _throttle_car(seed: int) -> Robot:
+    return CarRobot(Scene.random(seed), parameters=THROTTLE_CAR)
 
 
 def _pendulum(seed: int, period: float = 0.01) -> Robot:
@@ -100,6 +105,7 @@ _BASES: Final[dict[str, tuple[Driver, tuple[int, ...]]]] = {
     "car": (Driver("car", "car", _car, 20.0), (10, 5)),
     "car_measured": (Driver("car_measured", "car", _bare_car, 20.0), (10, 5)),
     "car_learned": (Driver("car_learned", "car", _car, 20.0), ()),
+    "car_throttle": (Driver("dart_car", "car_throttle", _throttle_car, 20.0), ()),
     "pendulum": (Driver("pendulum", "pendulum", _pendulum, 6.0), (50, 25)),
     "pendulum_learned": (Driver("pendulum_learned", "pendulum", _pendulum, 6.0), ()),
     "point": (Driver("point_wind", "point", _point, 10.0), ()),
