@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
+from safedpa_lab.experiments.driving.false_stops import healthy_drive
 from safedpa_lab.experiments.driving.implausible_states import (
     StateDrive,
     implausible_states,
@@ -64,3 +65,18 @@ def test_a_healthy_drive_shows_small_errors_of_every_unit() -> None:
     rows = measured_evidence(StateDrive("car", "none", 5, 1.5, StateFault("none")))
     assert set(rows[-1].jump) == {"m", "rad", "m/s"}
     assert max(row.jump["m"] for row in rows) < 0.1
+
+
+@pytest.mark.parametrize("seed", [2068001, 2068003])
+def test_frozen_states_do_not_change_the_estimate_with_which_a_robot_brakes(seed: int) -> None:
+    """The estimate from frozen states says that no command moves the robot; a throttle car then reversed at 3 m/s."""
+    found = run_state_drive(StateDrive("car_throttle", "none", seed, 5.0, StateFault("frozen")))
+    assert "does not change" in found["stopped"]
+    assert not found["hits"]
+
+
+@pytest.mark.long
+def test_a_creeping_robot_and_a_delay_between_two_periods_are_no_wrong_state() -> None:
+    """In these healthy drives states were refused: one creeps, one is late by 2.3 periods, with pauses."""
+    for seed, index in ((2070211, 211), (2070215, 215)):
+        assert not run_state_drive(healthy_drive("car_throttle", index, seed, 20.0))["stopped"]
