@@ -272,7 +272,7 @@ class ZenohTransport(AbstractTransport):
         self._declarations: list[Callable[[zenoh.Session], Any]] = []
         """What a new session declares again."""
         if settings.mode == "peer" and not settings.listen:
-            # Without a reference: a transport that nobody uses any more can be freed.
+            # Without a reference: a transport without another reference can be freed.
             watched = weakref.ref(self), self._closed
             threading.Thread(target=_watch_for_suspensions, args=watched, daemon=True).start()
 
