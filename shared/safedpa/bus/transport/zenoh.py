@@ -444,7 +444,11 @@ def _watch_for_suspensions(transport: weakref.ref[ZenohTransport], closed: threa
         # A process that computes is not suspended, however long this thread waits for the interpreter.
         idle = time.monotonic() - woke - (time.process_time() - used)
         if idle > _SUSPENSION_CHECK + _LONGEST_SUSPENSION:
-            known.rejoin()
+            try:
+                known.rejoin()
+            except Exception as error:  # noqa: BLE001
+                # As in `answer`: a process that is joined in part would not be restarted.
+                sys.excepthook(type(error), error, error.__traceback__)
         del known
         woke, used = time.monotonic(), time.process_time()
 
