@@ -98,6 +98,7 @@ EXPERIMENTS = (
                 show_default=True,
                 help="further processes that only compute, at normal priority",
             ),
+            switch("--click", "accept by one click on the page in a headless Chromium, instead of --yes"),
             FILE_OUT,
             path("--recordings", None, default=Path("runs"), show_default=True, metavar="DIR"),
         ),
