@@ -18,6 +18,18 @@ from safedpa_services.supervisor.demo_narrator import DemoNarrator, UnreportedSt
 from safedpa_services.supervisor.run_monitor import RunMonitor
 
 OLD, NEW = "aaaaaaaa", "bbbbbbbb"
+PLAIN = """
+format = 1
+robot = "car"
+period = 0.05
+[base]
+kind = "kinematic_bicycle"
+drive = "speed_servo"
+wheelbase = 0.32
+speed_gain = 5.0
+acceleration_limit = 4.5
+"""
+DOCUMENTS = {OLD: PLAIN, NEW: f'{PLAIN}[[effects]]\nname = "steering_offset"\nangle = 0.08\n'}
 
 
 class AtOnce:
@@ -77,7 +89,7 @@ class Drive:
             self.model = NEW
         return Answer(
             ok=request.do == "status" or self.takes, sentence=self.sentence, fingerprint=self.model, finding=1,
-            document=f"model {self.model}", candidates=self.candidates, pending=self.pending,
+            document=DOCUMENTS[self.model], candidates=self.candidates, pending=self.pending,
         )  # fmt: skip
 
     def report(self, t, stage, error=0.3, *, number=1, text="", model=""):
@@ -119,7 +131,7 @@ def test_a_finding_is_reported_accepted_and_its_effect_measured():
     assert (reported["error_before"], reported["error_after"]) == pytest.approx((0.3, 0.03))
     assert reported["fall"] == pytest.approx(0.9)
     assert reported["way_after"] == pytest.approx(20.0)
-    assert drive.story.models == ["model aaaaaaaa", "model bbbbbbbb"]
+    assert drive.story.models == [DOCUMENTS[OLD], DOCUMENTS[NEW]]
     assert drive.reported("--yes: accepting drag, which promises 95 % less error") == 1
     assert drive.reported("where: yaw") == 1
     assert [drive.reported(f"it is {stage}") for stage in ("raised", "candidates")] == [1, 1]
@@ -219,7 +231,43 @@ def test_a_diagnosis_that_does_not_answer_within_seconds_is_reported(monkeypatch
     drive.report(1.0, "learning", number=0)
     assert drive.reported("the diagnosis did not answer in time; trying again") == 1
     assert 1.0 <= waited[0] <= 4.0
+    assert 3 <= len(waited) <= 10
     assert drive.story.models == []
+
+
+@pytest.mark.parametrize("request_number", range(1, 6))
+def test_a_request_without_an_answer_is_made_again(monkeypatch, request_number):
+    """Of the five requests of a demo; the last one asks for the model file after the change."""
+    drive, count = Drive(), [0]
+    ask = drive.story.bus.request
+
+    def lost_once(*asked):
+        count[0] += 1
+        return None if count[0] == request_number else ask(*asked)
+
+    monkeypatch.setattr(drive.story.bus, "request", lost_once)
+    drive.find(report())
+    for t in range(55, 76):
+        drive.report(float(t), "learning", 0.03)
+    assert count[0] in (6, 7)  # before Accept, the state of the diagnosis is asked for again
+    assert drive.story.models == [DOCUMENTS[OLD], DOCUMENTS[NEW]]
+    assert drive.story.done
+
+
+@pytest.mark.parametrize("error", [None, 0.0])
+def test_a_demo_ends_40_seconds_after_the_change_if_the_new_error_is_never_measured(error):
+    """None: the diagnosis is silent; 0: the robot is stationary, so that its error says nothing about the model."""
+    drive = Drive().find(report())
+    drive.report(55.0, "learning", 0.2)
+    for t in range(56, 96):
+        assert not drive.story.done
+        if error is None:
+            drive.watch.state = state_of(float(t), 0.0, 0.0, 1.0, robot_time=float(t))
+            drive.story.look(drive.watch)
+        else:
+            drive.report(float(t), "learning", error)
+    assert drive.story.done
+    assert drive.story.document()["fall"] is None
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -334,6 +382,7 @@ def test_a_demonstration_that_does_not_correct_the_model_has_failed(demonstrated
     assert failure in document["failure"]
     assert bool(document["failure"]) is bool(failure)
     assert error == document["failure"]
+    assert document["effect"] == ("drag" if how.get("takes") is False else "steering_offset")  # in force, not proposed
     assert at == pytest.approx(ended, abs=1.0)
     assert (document["seed"], document["goals_reached"], document["recording"]) == (1, 4, "a.mcap")
     assert document["changed"] == (25.0 if how.get("takes") is False else None)

@@ -200,6 +200,7 @@ class _DemoRun:
             "seed": self._options["seed"],
             "changed": summary.get("changed"),
             **facts,
+            "effect": _accepted_effect(story.models) or facts["effect"],
             **{
                 name: summary[name]
                 for name in ("robot_seconds", "goals_reached", "collisions", "standstills", "recording")
@@ -208,6 +209,16 @@ class _DemoRun:
             "picture": str(self._options["picture"]) if self._picture is not None and not self._picture_error else "",
             "failure": self._picture_error or _failure(story, summary),
         }
+
+
+def _accepted_effect(models: Sequence[str]) -> str:
+    """Returns the effect that the model has after the change and not before; a user may accept any candidate."""
+    from safedpa.dynamics.model_file import parse_model
+
+    before, after = (
+        ({item.name for item in parse_model(text).effects} for text in models[:2]) if models[1:] else ((), ())
+    )
+    return ", ".join(sorted(set(after) - set(before)))
 
 
 def _clock(watch: RunMonitor) -> float:
@@ -221,6 +232,8 @@ def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
     if story.summary.taken is None:
         drove = f"drove for {summary['robot_seconds']:.0f} s"
         return f"demo: {drove}, and the model was not changed; try again, with another --seed for example"
+    if story.summary.fall is None and story.done:
+        return "demo: the diagnosis reported no error of the corrected model; see diagnosis.log next to the recording"
     if story.summary.fall is None:
         return "demo: ended before the error of the corrected model was measured; let it run 20 s after Accept"
     if story.summary.fall < WANTED_FALL:

@@ -74,8 +74,9 @@ class FindingHistory:
         return self._finding(message) if isinstance(message, FindingMessage) else self._change(message)
 
     def _finding(self, message: FindingMessage) -> list[TimelineEntry]:
-        band = message.band if message.band > 0.0 else math.nan
-        values = tuple(gap_if_huge(value, _LARGEST) for value in (message.error, band))
+        # 0: not measured yet
+        measured = tuple(value if value > 0.0 else math.nan for value in (message.error, message.band))
+        values = tuple(gap_if_huge(value, _LARGEST) for value in measured)
         entries = [TimelineEntry(("diagnosis", "error"), Curves(values))]
         entries += self._in_force(message.model)
         if (message.stage, message.number) == (self._stage, self._number):

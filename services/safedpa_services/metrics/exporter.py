@@ -259,7 +259,8 @@ def _of_finding(robot: RobotOverview, now: float) -> Iterator[Sample]:
     yield "safedpa_findings_total", (robot.name,), float(finding.number)
     if now - robot.finding_at > _STALE_FINDING_SECONDS:
         return
-    yield "safedpa_model_error", (robot.name,), finding.error
+    if finding.error > 0.0:  # 0: not measured yet
+        yield "safedpa_model_error", (robot.name,), finding.error
     yield "safedpa_model_error_band", (robot.name,), finding.band
     for stage in _STAGES:
         yield "safedpa_diagnosis_stage", (robot.name, stage), float(stage == finding.stage)

@@ -29,7 +29,12 @@ _SETTLING_SECONDS: Final = 10.0
 """Time after the change of the model from which on the error counts: the diagnosis averages over past seconds."""
 _END_SECONDS: Final = 20.0
 """Time after the change of the model at which the demo ends."""
+_LATEST_END_SECONDS: Final = 40.0
+"""The same while the error of the corrected model or its file is missing: a demo ends also if the diagnosis does not
+answer any more."""
 _TIMEOUT_SECONDS: Final = 2.0
+_ATTEMPTS: Final = 5
+"""Number of times that a request is made which the diagnosis does not answer in time."""
 _STATIONARY_METRES: Final = 0.1
 """A robot that moved less than this counts as stationary."""
 _SEARCHES: Final = 2
@@ -105,9 +110,10 @@ class DemoNarrator:
 
     @property
     def done(self) -> bool:
-        """Whether the error with the corrected model was measured long enough."""
+        """Whether the error with the corrected model was measured long enough, or cannot be measured."""
         since = 0.0 if self.summary.taken is None else self._now - self.summary.taken
-        return since >= _END_SECONDS and bool(self._after) and len(self.models) > 1
+        is_complete = bool(self._after) and len(self.models) > 1
+        return since >= (_END_SECONDS if is_complete else _LATEST_END_SECONDS)
 
     def document(self) -> dict[str, Any]:
         """Returns the summary as a JSON document."""
@@ -170,6 +176,8 @@ class DemoNarrator:
         summary = self.summary
         if summary.taken is None or finding.robot_time < summary.taken + _SETTLING_SECONDS or not self._before:
             return
+        if not finding.error:  # not measured yet: the robot was stationary
+            return
         self._after.append(finding.error)
         summary.error_before, summary.error_after = fmean(self._before), fmean(self._after)
         summary.fall = 1.0 - summary.error_after / summary.error_before
@@ -177,16 +185,20 @@ class DemoNarrator:
     # requests run on a thread, so that ``look`` never blocks
 
     def _in_background(self, do: Callable[[], None]) -> None:
-        """Runs ``do`` on a thread, after the previous background task has ended."""
+        """Runs ``do`` on a thread, after the previous background task has ended; again if it fails."""
         before = self._background
 
         def work() -> None:
             if before is not None:
                 before.join()
-            try:
-                do()
-            except SafedpaError as error:
-                self._lines.put(str(error))
+            for attempt in range(_ATTEMPTS):
+                try:
+                    do()
+                except SafedpaError as error:
+                    if not attempt:
+                        self._lines.put(f"{error}; trying again")
+                else:
+                    return
 
         self._background = threading.Thread(target=work, daemon=True)
         self._background.start()
@@ -194,7 +206,7 @@ class DemoNarrator:
     def _request(self, request: Request) -> Answer:
         answer = self.bus.request(self.robot, request, _TIMEOUT_SECONDS)
         if answer is None:
-            raise SafedpaError("the diagnosis did not answer in time; trying again")
+            raise SafedpaError("the diagnosis did not answer in time")
         return answer
 
     def _keep_model(self) -> None:

@@ -262,6 +262,8 @@ class RobotDiagnosis:
     def _sentence(self, stage: str) -> str:
         watch, finding = self.watch, self._finding
         error = f"the error over {self._horizon:g} s is {watch.error:.3f}"
+        if not watch.is_measured:
+            error = f"the error over {self._horizon:g} s is not measured yet"
         if self._adopted is not None and self.time - self._adopted[0] < _COMPARISON_SECONDS and finding is None:
             error = f"{error}, {self._adopted[1]:.3f} with the previous model"
         if finding is None or watch.band is None:

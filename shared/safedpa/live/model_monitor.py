@@ -297,6 +297,11 @@ class ModelMonitor:
         return stretch_error(self.model.system, recent, self.scale)
 
     @property
+    def is_measured(self) -> bool:
+        """Whether ``error`` is that of a forecast; before the first one and without a scale it is 0."""
+        return bool(self._seen) and bool((self.scale > 0.0).any())
+
+    @property
     def coverage(self) -> float:
         """Share of the steps of the last 20 s after which h was at least the prediction minus the margin."""
         return sum(self._covered) / len(self._covered) if self._covered else 1.0

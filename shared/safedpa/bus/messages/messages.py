@@ -295,7 +295,7 @@ class FindingMessage(Message):
     number: Count
     """Number of findings since the start; 0: none yet."""
     error: Number
-    """Open-loop prediction error over the last second, scaled like ``heldout_error`` in a report."""
+    """Prediction error over the last second, scaled like ``heldout_error``; 0: not measured yet."""
     band: Number
     """Upper limit of the calibrated error band; 0 while learning."""
     evidence: Number
