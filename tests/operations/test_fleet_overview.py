@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from safedpa.bus import MemoryTransport, SurroundingsMessage
+from safedpa.bus import MemoryTransport, RosterEntry, SurroundingsMessage
 from safedpa.bus.monitor import fleet_alerts
 from safedpa_services.command_line.status import document_of
 from safedpa_services.command_line.status_table import render_status_table
@@ -100,6 +100,27 @@ def test_a_fault_of_a_robot_is_reported_and_the_worst_robot_comes_first(fleet, c
     assert any(reported in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
     assert document_of(fleet.overview)["healthy"] is (level != "trouble")
     assert document_of(fleet.overview)["robots"][0]["robot"] == "r2", "the worst comes first"
+
+
+@pytest.mark.parametrize(
+    ("commands", "nominal", "is_healthy"),
+    [("ackermann_msgs/msg/AckermannDriveStamped", (1.0, 0.0), True), ("", (1.0, 0.0), False), ("twist", (), False)],
+)
+def test_a_ros_robot_with_a_policy_of_its_own_needs_no_policy_service(fleet, commands, nominal, is_healthy):
+    """The gateway forwards its nominal actions; it is no policy and sends a heartbeat as the robot."""
+    fleet.drive(1, silent=("policy",), r1={"verdict": {"nominal": nominal}})
+    fleet.beat("robot", "r1", pid=2001, commands=commands)
+    fleet.overview.listen(0.0)
+    assert sentences(fleet, "trouble") == ([] if is_healthy else ["policy: no heartbeat"])
+    assert document_of(fleet.overview)["healthy"] is is_healthy
+
+
+def test_a_policy_on_the_roster_is_missing_however_good_the_nominal_actions_are(fleet):
+    fleet.roster = (RosterEntry(kind="service", name="policy", silent_for=-1.0),)
+    fleet.drive(1, silent=("policy",))
+    fleet.beat("robot", "r1", pid=2001, commands="twist")
+    fleet.overview.listen(0.0)
+    assert any("policy" in sentence for sentence in sentences(fleet, "trouble"))
 
 
 def test_missing_silent_failing_and_disagreeing_services(fleet: Any) -> None:

@@ -148,8 +148,15 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Alert]:
 
 
 def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
+    # A gateway may forward the nominal actions of the robot's own policy, which sends no heartbeat. A policy on a
+    # supervisor's roster is expected all the same.
+    gateway = robot.health.get("robot")
+    is_ros = gateway is not None and bool(gateway[0].commands)
+    has_nominal = is_ros and robot.verdict is not None and bool(robot.verdict.nominal)
     for service in _LOOP:
         heard = robot.health.get(service)
+        if heard is None and service == "policy" and has_nominal:
+            continue
         if heard is None:
             yield Alert("trouble", f"{service}: no heartbeat", robot.name, service)
         elif now - heard[1] > SILENT_SECONDS:
