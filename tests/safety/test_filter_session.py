@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa import InputError
+from safedpa.dynamics import load_model
 from safedpa.safety import (
     Evidence,
     FilterSession,
@@ -118,6 +119,54 @@ def test_a_lost_state_is_predicted_and_the_robot_brakes_along_it(seconds: float,
     if seconds > 1.0:
         assert max(x[0] for _, x, _ in drive(filter_of_the_mass().decide, measured)) > 3.0
         assert abs(found[last - 1][1][1]) < 0.01, "at rest before the state returns"
+
+
+def throttle_session() -> FilterSession:
+    def backup(x: Any) -> Any:
+        return np.array([0.0 if x is None else np.clip(-5.0 * x[3], -1.0, 1.0), 0.0])
+
+    settings = FilterSettings(action_low=(-1.0, -0.4), action_high=(1.0, 0.4), epsilon={"wall": 0.0})
+    wall = FunctionBarrier(lambda x: 50.0 - x[0], kind="wall")
+    safe = SafetyFilter.for_model(load_model("dart_car"), settings, [wall], backup=backup)
+    return FilterSession(safe, limits=StateLimits(jump={"m": 0.3, "rad": 0.5, "m/s": 0.8}))
+
+
+def throttle_drive(measured_until: int, estimate: Callable[[int], float], *, frozen: bool = False) -> list[float]:
+    """The speeds of a car with a throttle, whose state is measured for some ticks and then lost or frozen."""
+    session, model = throttle_session(), load_model("dart_car")
+    x, seen, speeds = np.array([0.0, 0.0, 0.0, 1.5]), np.zeros(4), []
+    for tick in range(measured_until + 60):
+        seen = x if tick < measured_until else seen
+        state = seen if frozen or tick < measured_until else None
+        verdict = session.decide(state, [0.0, 0.0], [estimate(tick)])
+        x = model.step(x, verdict.action)
+        speeds.append(float(x[3]))
+    return speeds
+
+
+def test_a_weak_estimate_does_not_make_a_robot_without_a_state_brake_until_it_reverses() -> None:
+    speeds = throttle_drive(20, lambda tick: 1.0)
+    assert speeds[19] > 1.0
+    assert speeds[-1] == pytest.approx(0.0, abs=0.3)
+    assert min(speeds) > -0.3
+
+
+def test_a_robot_without_a_state_brakes_whatever_its_latent_is() -> None:
+    for wrong in ([4.48], ["a"], [np.nan], [1.0, 2.0], 4.48, object()):
+        session, x = throttle_session(), [0.0, 0.0, 0.0, 1.5]
+        session.decide(x, [0.0, 0.0], [4.48])
+        for _ in range(6):
+            verdict = session.decide(None, [0.0, 0.0], wrong)
+        assert verdict.status.value == "fallback"
+        assert verdict.action[0] < 0.0
+
+
+def test_an_estimate_from_frozen_states_is_not_used() -> None:
+    """Frozen states say that no command moves the robot; ``model.latent`` is right here."""
+    speeds = throttle_drive(20, lambda tick: 4.48 if tick < 22 else 0.5, frozen=True)
+    assert speeds[19] > 1.0
+    assert speeds[-1] == pytest.approx(0.0, abs=0.3)
+    assert min(speeds) > -0.3
 
 
 def test_the_margin_grows_with_each_lost_state() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -28,8 +27,6 @@ from safedpa.safety.verdict import Status
 
 __all__ = ["NO_BARRIERS", "SHIPPED_LIMITS", "LastDecision", "RobotSession", "state_too_old"]
 
-# s; a state that freezes is noticed within this time, and the estimate of before is used from then on.
-_BELIEVED_SECONDS = 1.0
 # s for which the last latent replaces a missing one. A load does not change unnoticed within a second.
 _LATENT_TIMEOUT = 1.0
 # Accepted age of a source's newest scan in s, whatever perception allows: from a rounding error to the time-out of a
@@ -70,8 +67,6 @@ class RobotSession(GuardedSession[StateMessage]):
         self.prepared = (0, -1)
         """Epoch and tick of the state that the fields below belong to."""
         self.latent: LatentMessage | None = None
-        self._believed_latents: deque[FloatArray] = deque(maxlen=max(1, round(_BELIEVED_SECONDS / model.period)))
-        """Those of the last second in which the states were believed."""
         self.ordered = ""
         """Reason of the stop order at the last decision."""
         self.sensed: tuple[int, frozenset[str]] = (-1, frozenset())
@@ -202,15 +197,9 @@ class RobotSession(GuardedSession[StateMessage]):
         timeout = _LATENT_TIMEOUT + 0.5 * state.period
         if known is None or known.epoch != state.epoch or (state.tick - known.tick) * state.period > timeout:
             return None, ["the latent (none of the last second has arrived)"]
-        latent = np.array(known.values)
-        if self.latched and self._believed_latents:
-            # The estimate since then is about states that are not believed: of frozen ones, that no command moves the
-            # robot, so that it would brake far too hard.
-            latent = self._believed_latents[0]
+        latent = self.believed_latent(np.array(known.values))
         if not isinstance(checked_input("latent", latent, self.filter.tools.latent_range), InvalidInput):
             self.scene.learn(latent)  # the backup must not use a latent that the filter rejects
-            if not self.latched and not self.lost:
-                self._believed_latents.append(latent)
         return latent, []
 
     def inherit_from(self, former: RobotSession | None) -> None:
@@ -223,7 +212,6 @@ class RobotSession(GuardedSession[StateMessage]):
             same = former.held is self.held and former.model.period == self.model.period
             self.continue_from(former, same_model=same)
             self.latent = former.latent if same else None
-            self._believed_latents.extend(former._believed_latents if same else ())
             self.sensed = former.sensed
             self.scene.remember(former.scene)
 

@@ -75,6 +75,12 @@ def test_frozen_states_do_not_change_the_estimate_with_which_a_robot_brakes(seed
     assert not found["hits"]
 
 
+@pytest.mark.parametrize("seed", [2068001, 2068003])
+def test_a_car_that_was_estimated_to_be_weak_does_not_reverse_when_its_state_is_lost(seed: int) -> None:
+    """Its throttle brakes three times as hard as estimated at low throttle; it then reversed at 3 m/s."""
+    assert not run_state_drive(StateDrive("car_throttle", "none", seed, 6.0, StateFault("lost", 5.0)))["hits"]
+
+
 @pytest.mark.long
 def test_a_creeping_robot_and_a_delay_between_two_periods_are_no_wrong_state() -> None:
     """In these healthy drives states were refused: one creeps, one is late by 2.3 periods, with pauses."""

@@ -143,8 +143,8 @@ class FilterSession(GuardedSession[Measurement]):
         self.sync_actuators(taken)
         self.watch_margin(taken)
         self.deadlock_detector.update(taken.values, taken.period)
-        verdict = self._decided(taken, nominal, latent, stop)
-        free = _array_or_none(latent)
+        free = self.believed_latent(_array_or_none(latent))
+        verdict = self._decided(taken, nominal, latent if free is None else free, stop)
         self.decision = LastDecision(taken, free, verdict)
         self.watch_deadlock(taken, self.predict_states(taken, verdict, free))
         self._stationary = self.stationary_reason(verdict)
@@ -157,19 +157,17 @@ class FilterSession(GuardedSession[Measurement]):
             "epsilon": self.epsilon,
             "time": state.robot_time,
         }
-        if reason := self.braking or stop:
-            brake = self.brake if self.braking else self._stopped
-            return brake(state, latent, reason, **known)
-        verdict = self.filter.decide(state.values, nominal, latent, **known, held_solution=self.held_solution)
         free = _array_or_none(latent)
+        if self.braking:
+            return self.brake(state, free, self.braking, **known)
+        if stop:
+            return self.filter.stop(stop, state.values, latent, can_stop=self.can_stop, **known)
+        verdict = self.filter.decide(state.values, nominal, latent, **known, held_solution=self.held_solution)
         verdict = self.escape_boundary_layer(state, verdict, free)
         resting = self.filter.settings.resting_action
         return self.rest_in_dead_band(
             state, verdict, free, lambda: self.filter.decide(state.values, resting, latent, **known)
         )
-
-    def _stopped(self, state: Measurement, latent: Any, reason: str, **known: Any) -> Verdict:
-        return self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
 
     def _with_remarks(self, reason: str) -> str:
         remarks = [reason, self.margin.remark]

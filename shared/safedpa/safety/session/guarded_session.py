@@ -61,6 +61,8 @@ _FROZEN_COUNT: Final = 2
 _MOST_BRAKED: Final = 60
 """Periods of a pause for which the braking of the robot by itself is predicted; it rests by then, or the last action
 holds."""
+_BELIEVED_SECONDS: Final = 1.0
+"""s; a state that freezes is noticed within this time, and the latent of before is used from then on."""
 _AT_REST: Final = 0.01
 """Share of the fastest motion since the state was lost below which the robot counts as stationary."""
 
@@ -114,6 +116,8 @@ class GuardedSession(SessionMemory[StateT]):
         """By how much the predicted rates may be too high, by unit: the robot may brake harder than its model."""
         self._gap = 0
         """Periods since the last believed measurement in which the filter was not asked."""
+        self._unestimated: Plain = ()
+        """The newest state (states,) as predicted with the latent of the model since ``_seen``; empty: as measured."""
         self._seen: _Believed | None = None
         """The last state that was measured and believed."""
         self._unasked = 0
@@ -123,8 +127,10 @@ class GuardedSession(SessionMemory[StateT]):
         self._other_rate = ""
         """How the stamps differ from the arrivals for now; empty if they do not."""
         self._accepted: StateT | None = None
-        self._former_latent: FloatArray | None = None
-        """(latents,) of the last decision of the session that this one continues."""
+        self._valid_latent: FloatArray | None = None
+        """(latents,) the last valid one that was decided with; None: that of the model."""
+        self._believed_latents: deque[FloatArray] = deque(maxlen=max(1, round(_BELIEVED_SECONDS / model.period)))
+        """Those of the last second in which the states were believed."""
 
     @property
     def epsilon(self) -> dict[str, float]:
@@ -152,12 +158,23 @@ class GuardedSession(SessionMemory[StateT]):
         """Lets the robot drive again: a person, or a localisation, vouches for the next state."""
         self.latched, self.latch_ordered, self.lost, self._believed = "", False, 0, None
         self._same_seconds, self._same_count, self._overbraked = 0.0, 0, {}
-        self._seen, self._unasked, self._fastest_rates = None, 0, {}
+        self._seen, self._unasked, self._fastest_rates, self._unestimated = None, 0, {}, ()
         self._monitor.restart()
 
-    @property
-    def _last_latent(self) -> FloatArray | None:
-        return self._former_latent if self.decision is None else self.decision.latent
+    def believed_latent(self, latent: FloatArray | None) -> FloatArray | None:
+        """The latent (latents,) to decide with: the newest one, or while latched that of a second before.
+
+        What was estimated since then is about states that are not believed: of frozen ones, that no command moves the
+        robot, so that it would brake far too hard.
+        """
+        if latent is None or isinstance(checked_input("latent", latent, self.filter.tools.latent_range), InvalidInput):
+            return latent
+        if self.latched:
+            latent = self._believed_latents[0] if self._believed_latents else np.array(self.model.latent)
+        elif not self.lost:
+            self._believed_latents.append(latent)
+        self._valid_latent = latent
+        return latent
 
     def continue_from(self, former: GuardedSession[StateT], *, same_model: bool) -> None:
         """Takes over what is known of the robot's state; with the ``same_model`` and period also what it taught."""
@@ -171,7 +188,8 @@ class GuardedSession(SessionMemory[StateT]):
         if same_model:
             # Without the actuators and the latent, the next state would be compared with another prediction.
             self.memory, self.until_action = former.memory, former.until_action
-            self._former_latent = former._last_latent
+            self._valid_latent, self._unestimated = former._valid_latent, former._unestimated
+            self._believed_latents.extend(former._believed_latents)
             self._monitor, self._free_memory, self._fastest = former._monitor, former._free_memory, former._fastest
             self.deadlock_detector = former.deadlock_detector
             self.history.continue_from(former.history)
@@ -211,6 +229,7 @@ class GuardedSession(SessionMemory[StateT]):
             if self._monitor.accept(state.values, self.evidence, self.lost + self._gap):
                 self._free_memory = None
             self.lost, self._fastest, self._overbraked = 0, 0.0, {}
+            self._unestimated = ()
             self._believed = self._seen = _Believed(state.epoch, state.tick, state.values, state.until_action)
             self._unasked, self._fastest_rates = 0, self._monitor.rates(state.values)
         elif predicted is not None and known is not None:
@@ -219,6 +238,7 @@ class GuardedSession(SessionMemory[StateT]):
             if not (fresh and len(self._trusted) == len(predicted)):
                 self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
             self._unasked += _missing(known, state)
+            self._advance_unestimated(state, known)
             for rate, size in self._monitor.rates(predicted).items():
                 self._fastest_rates[rate] = max(size, self._fastest_rates.get(rate, 0.0))
             if fresh:
@@ -251,7 +271,7 @@ class GuardedSession(SessionMemory[StateT]):
     def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
         """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""
         verdict = self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
-        if self.can_stop and self.lost and self._is_at_rest(state, verdict.action, latent):
+        if self.can_stop and self.lost and (self._has_turned_back() or self._is_at_rest(state, verdict.action, latent)):
             verdict = replace(verdict, action=self.filter.settings.resting_action)
         return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
 
@@ -429,16 +449,22 @@ class GuardedSession(SessionMemory[StateT]):
         return None
 
     def _advanced(
-        self, values: Plain, state: StateT, memory: Any, late: int = 0, action: Plain | None = None
+        self,
+        values: Plain,
+        state: StateT,
+        memory: Any,
+        late: int = 0,
+        action: Plain | None = None,
+        latent: FloatArray | None = None,
     ) -> tuple[Plain, Any] | None:
         """The state (states,) and actuators one period later under ``action``; None without one.
 
-        Default: the action that acts, or one ``late`` periods before it.
+        Default: the action that acts, or one ``late`` periods before it; the last latent.
         """
         model, action = self.model, self._acting(state, late) if action is None else action
         if len(action) != len(model.system.action) or not all(map(isfinite, action)):
             return None
-        latent = self._last_latent
+        latent = self._valid_latent if latent is None else latent
         with suppress(InputError, ValueError, ArithmeticError):  # values without a prediction
             step = model.scalar_step(model.period)
             if step is not None:
@@ -464,6 +490,26 @@ class GuardedSession(SessionMemory[StateT]):
         known = round(delay / self.model.period) if 0.0 < delay <= LONGEST_AGE else 0
         # Before the first command the robot rested under the oldest one.
         return self._commands[min(known + late, len(self._commands) - 1)] if self._commands else state.applied
+
+    def _advance_unestimated(self, state: StateT, known: _Believed) -> None:
+        """Predicts on with the latent of the model, where another one was estimated."""
+        values, memory = self._unestimated or known.values, self.memory
+        ticks = state.tick - known.tick if state.epoch == known.epoch else 1
+        for _ in range(min(max(1, ticks), _MOST_BRAKED)) if self._valid_latent is not None else ():
+            following = self._advanced(values, state, memory, latent=self.model.latent)
+            if following is None:
+                return
+            values, memory = following
+            self._unestimated = values
+
+    def _has_turned_back(self) -> bool:
+        """Whether the robot, predicted with the latent of its model, no longer moves the way it did.
+
+        The estimated latent may be wrong where the robot brakes: a throttle that hardly overcomes its friction looks
+        weak. Without a measured speed, the robot would then brake until it drives the other way.
+        """
+        began, now = () if self._seen is None else self._seen.values, self._unestimated
+        return bool(self.speeds and now) and sum(began[index] * now[index] for index in self.speeds) <= 0.0
 
     def _is_at_rest(self, state: StateT, action: FloatArray, latent: FloatArray | None) -> bool:
         following: Any = ()
