@@ -1,5 +1,7 @@
 """A robot that stands though something is requested is noticed, with a reason, whatever robot it is."""
 
+from math import cos, pi, sin
+
 import pytest
 
 from safedpa.bus import VerdictMessage
@@ -45,6 +47,19 @@ def test_an_action_that_should_move_it_and_does_not_lies_in_the_dead_band() -> N
     assert stood(0.45, 0.005, 0.001).failed_displacement == 0.0, "it takes half a second to see"
     assert stood(0.5, 0.005, 0.001).failed_displacement == pytest.approx(0.001)
     assert not DeadlockDetector((0,)).is_inside_dead_band(0.0), "nothing has failed"
+
+
+@pytest.mark.parametrize("turns", [2, 8, 20])
+def test_a_robot_that_its_policy_holds_in_place_has_no_dead_band(turns: int) -> None:
+    """The nominal actions go back and forth, or round and round, as those of a boat at its buoy."""
+    standing = DeadlockDetector((0, 1))
+    for tick in range(160):
+        standing.update((0.0, 0.0), PERIOD)
+        angle = 2.0 * pi * tick / turns
+        ahead = (0.005 * cos(angle), 0.005 * sin(angle))
+        standing.expect((0.0, 0.0), ahead, ahead)
+    assert standing.reason("passed", (), False) == ""
+    assert standing.reason("fallback", (), False).startswith("no decision")
 
 
 def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:

@@ -59,6 +59,9 @@ _GRACE_SECONDS: Final = 0.5
 """Longest time [s] without an expectation, such as ticks with a late nominal action, that does not end a stand."""
 _MIN_DRIVEN_SHARE: Final = 0.02
 """Share of the nominal displacement below which the action sent is not meant to move the robot."""
+_MIN_NET_SHARE: Final = 0.1
+"""Share of the path of the nominal displacements that their vector sum has where a motion is requested. Below it they
+cancel out: the policy holds the robot in place, as that of a boat at its buoy."""
 
 
 _REMEDIES: Final = {
@@ -103,6 +106,10 @@ class DeadlockDetector:
     _without_expectation: float = 0.0
     """Time [s] since the last expectation."""
     _expected: tuple[float, float] | None = None
+    _direction: tuple[float, ...] = ()
+    """Displacement predicted under the nominal action of the last tick."""
+    _net: tuple[float, ...] = ()
+    """Vector sum of the displacements predicted under the nominal actions."""
     _driven_displacements: list[float] = field(default_factory=list)
     """Displacements expected under the last actions that should have moved the robot, one per tick."""
 
@@ -120,6 +127,8 @@ class DeadlockDetector:
         if expected is not None:
             self._nominal_motion += expected[0]
             self._driven_motion += expected[1]
+            before = self._net or (0.0,) * len(position)
+            self._net = tuple(own + step for own, step in zip(before, self._direction, strict=True))
         # The distance from the start, not the path length: noise and oscillation must not count as progress.
         moved = hypot(*(now - then for now, then in zip(position, self._start, strict=False)))
         nominal_next = expected is None or expected[0] > 0.0
@@ -136,6 +145,7 @@ class DeadlockDetector:
         if not self._start:
             self._start = tuple(state[index] for index in self.entries)
         self._expected = self.displacement(state, nominal_next), self.displacement(state, expected)
+        self._direction = tuple(nominal_next[index] - state[index] for index in self.entries)
 
     def displacement(self, state: Sequence[float], following: Sequence[float]) -> float:
         """The distance between the robot's positions in two states."""
@@ -162,7 +172,8 @@ class DeadlockDetector:
         if (self.failed_displacement > 0.0 and (driven or not violated)) or (
             driven and status in ("passed", "disabled")
         ):
-            return "dead band: the model says that such an action moves it, and it does not move"
+            is_held = self._net and hypot(*self._net) <= _MIN_NET_SHARE * self._nominal_motion
+            return "" if is_held else "dead band: the model says that such an action moves it, and it does not move"
         active_names = " and ".join(active) if active else "the barriers"
         if violated or margin_binds:
             return f"margin: {active_names} leave less room than the margin asks for"
@@ -180,6 +191,7 @@ class DeadlockDetector:
     def _restart(self, position: tuple[float, ...]) -> None:
         self._start, self.seconds, self.failed_displacement = position, 0.0, 0.0
         self._nominal_motion = self._driven_motion = 0.0
+        self._net = ()
         self._driven_displacements.clear()
 
 
