@@ -16,8 +16,11 @@ import uvicorn
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 
+from safedpa.bus import Bus, MemoryBroker, MemoryTransport
+from safedpa.bus.monitor import FleetOverview
 from safedpa.bus.transport.ports import free_port
 from safedpa_services.dashboard.pages import DataProxy, ViewerServer
+from safedpa_services.metrics.exporter import Exporter
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.page_options import PageServerOptions, keep_token, kept_token
 from safedpa_services.web.server import PageServer, server_options
@@ -41,13 +44,14 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture(scope="module")
 def ports(certificate: tuple[Path, Path]) -> Iterator[dict[str, int]]:
     """By kind of server: its port."""
-    numbers = {name: free_port() for name in ("data", "viewer", "page")}
+    numbers = {name: free_port() for name in ("data", "viewer", "page", "metrics")}
     options = PageServerOptions("127.0.0.1", numbers["page"], token=TOKEN, password=PASSWORD)
     servers = [
         DataProxy("127.0.0.1", numbers["data"], ("127.0.0.1", free_port())),
         ViewerServer("127.0.0.1", numbers["viewer"], numbers["data"]),
         PageServer(Guard(echo, options), "127.0.0.1", numbers["page"], "--port"),
     ]
+    exporter = Exporter(FleetOverview(Bus(MemoryTransport(MemoryBroker()), "fleet")), "127.0.0.1", numbers["metrics"])
     numbers["TLS"] = free_port()
     served = uvicorn.Config(
         echo, port=numbers["TLS"], ssl_certfile=certificate[0], ssl_keyfile=certificate[1], lifespan="off",
@@ -61,6 +65,7 @@ def ports(certificate: tuple[Path, Path]) -> Iterator[dict[str, int]]:
     yield numbers
     for server in servers:
         server.close()
+    exporter.run(lambda: True)  # ends at once
     secured.should_exit = secured.force_exit = True
     thread.join()
 
