@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import click
+
 from safedpa_lab.experiments.record import (
     FILE_OUT,
     PAGE_OUT,
@@ -56,6 +60,7 @@ EXPERIMENTS = (
         parameters=(
             *scenes(8, 1000, "drives per kind of scene", "drive", 30.0),
             number("--coming", 1.5, "assumed speed of hidden people [m/s]"),
+            integer("--people", 3, "number of people in the scene 'people'", least=0),
             switch(
                 "--peers/--no-peers",
                 "also drive with other projects' collision monitors, and without any",
@@ -112,6 +117,12 @@ EXPERIMENTS = (
                 "sources",
                 "the only kind of sensor; repeatable  [laser]",
                 known="safedpa_lab.experiments.sensing.planar:KNOWN_SOURCES",
+            ),
+            repeated(
+                "--monitor",
+                "monitors",
+                "parameters of Nav2's collision monitor (YAML): drive with their zones, too; repeatable",
+                type=click.Path(path_type=Path, exists=True, dir_okay=False),
             ),
             PROCESSES,
             RECORD,

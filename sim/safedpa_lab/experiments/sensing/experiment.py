@@ -35,7 +35,7 @@ from safedpa_lab.experiments.sensing.nodes import (
     ReportsEverything,
     TimeToCollision,
 )
-from safedpa_lab.experiments.sensing.scenes import SCENES, scene_and_people
+from safedpa_lab.experiments.sensing.scenes import PEOPLE, SCENES, scene_and_people
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.loads import LOADS as TOWED
 from safedpa_sim.robots.car.robot import CarRobot
@@ -48,6 +48,8 @@ GUARDS = ("safedpa", "reported", "reported-but-hiding", "monitor", "monitor-2s",
 everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with
 more time; the F1TENTH course's brake; no one. The last four hear the same scans."""
 LOADS = ("none", *TOWED)
+ALL = "all"
+"""Scene or load of a row about all of them."""
 POLICIES = ("way_seeker", "goal_seeker")
 """One that gets the same surroundings as the filter, and one that ignores them."""
 
@@ -72,6 +74,8 @@ class Drive:
     """s from a scan until it is published."""
     field_of_view: float = 2.0 * pi
     """rad"""
+    people: int = PEOPLE
+    """Number of people in the scene "people"."""
 
 
 def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
@@ -98,7 +102,7 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
 def run_drive(wanted: Drive) -> dict[str, Any]:
     """Drives it; the same drive gives the same numbers."""
     model = load_model("car")
-    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking)
+    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking, wanted.people)
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
     robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
@@ -137,6 +141,7 @@ def sensing_experiment(
     loads: Sequence[str] = LOADS[:1],
     policy: str = POLICIES[0],
     record: Path | None = None,
+    people: int = PEOPLE,
 ) -> dict[str, Any]:
     """Every scene with every seed and load behind each guard; one row for each scene and guard.
 
@@ -145,7 +150,7 @@ def sensing_experiment(
     """
     kinds = [(scene, guard) for scene in scenes for guard in guards]
     wanted = [
-        Drive(scene, seed, seconds, coming, guard, load, policy)
+        Drive(scene, seed, seconds, coming, guard, load, policy, people=people)
         for scene, guard in kinds
         for seed in seeds
         for load in loads
@@ -160,7 +165,38 @@ def sensing_experiment(
             by_load.append({**row, "goals_a_minute": 60.0 * sum(goals) / (seconds * len(goals))})
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
     rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
-    return {**chosen, "rows": rows, "by_load": by_load}
+    return {**chosen, "people": people, "rows": rows, "by_load": by_load, "shares": goal_shares(found)}
+
+
+def at_most_95(hits: int, trials: int) -> float:
+    """One-sided 95 % upper bound of the share hits / trials. Source: Clopper and Pearson, Biometrika 26 (1934) 404."""
+    from scipy.stats import beta
+
+    return 1.0 if hits == trials else float(beta.ppf(0.95, hits + 1, trials - hits))
+
+
+def goal_shares(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Goals of the filter with the laser as a share of those behind each other guard, on the same drives.
+
+    A row for each scene, load and guard, and for all loads and all scenes together ("all"). ``contacts`` are the drives
+    behind the other guard in which the car moved into something.
+    """
+    scenes, loads = (list(dict.fromkeys(one[key] for one in found)) for key in ("scene", "load"))
+    groups = [(scene, load) for scene in scenes for load in loads]
+    groups += [(scene, ALL) for scene in scenes if len(loads) > 1]
+    groups += [(ALL, ALL)] if len(scenes) > 1 else []
+    rows = []
+    for scene, load in groups:
+        drives = [one for one in found if scene in (one["scene"], ALL) and load in (one["load"], ALL)]
+        own = [one for one in drives if one["guard"] == GUARDS[0]]
+        for guard in dict.fromkeys(one["guard"] for one in drives if own and one["guard"] != GUARDS[0]):
+            others = {(one["scene"], one["load"], one["seed"]): one for one in drives if one["guard"] == guard}
+            pairs = [(one, others[one["scene"], one["load"], one["seed"]]) for one in own]
+            mine, theirs = (np.array([float(one["goals"]) for one in side]) for side in zip(*pairs, strict=True))
+            row = {"scene": scene, "load": load, "guard": guard, "drives": len(pairs)}
+            row |= {"goals": float(theirs.sum()), "contacts": sum(bool(other["moving"]) for _, other in pairs)}
+            rows.append({**row, "share": ratio_interval(mine, theirs) if theirs.sum() else None})
+    return rows
 
 
 def row_of(
@@ -176,6 +212,7 @@ def row_of(
         "drives": len(drives),
         "drives_in_which_the_car_moved_into_something": hit,
         "share_95": clopper_pearson_interval(hit, len(drives)),
+        "at_most_95": at_most_95(hit, len(drives)),
         "which": [f"seed {one['seed']}, load {one['load']}: {what}" for one in drives for what in one["moving"]],
         "of_them_it_did_not_drive_towards": sum(one["run_into"] for one in drives),
         "touched_while_it_stood": sum(one["standing"] for one in drives),
@@ -220,18 +257,19 @@ def page_of(result: Mapping[str, Any]) -> str:
     return page(
         "Drives with a laser",
         f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, "
-        f"controller {result.get('policy', 'goal_seeker')}. "
-        "A collision is the car's where it was at 0.1 m/s or more.",
+        f"controller {result.get('policy', 'goal_seeker')}, {result.get('people', PEOPLE)} people in the scene "
+        "'people'. A collision is the car's where it was at 0.1 m/s or more. 'At most' is the one-sided bound at 95 %.",
         result,
         markdown_table(f"scene | behind | drives | {COUNTED}", lines),
         *_by_load(result.get("by_load", ()), result["loads"]),
+        *_share_table(result.get("shares", ())),
         *((f"Into what (in {elsewhere} of these {towards}):", "\n".join(hit)) if hit else ()),
     )
 
 
 COUNTED = (
-    "car moved into something | 95 % of it | touched while it stood | goals a minute | of those with perfect knowledge "
-    "| m a minute"
+    "car moved into something | 95 % of it | at most | touched while it stood | goals a minute "
+    "| of those with perfect knowledge | m a minute"
 )
 """Head of the columns of ``counted_cells``."""
 
@@ -241,6 +279,7 @@ def counted_cells(row: Mapping[str, Any], least: float = -inf) -> str:
     alongside = row["goals_beside_perfect_knowledge"]
     return (
         f"{row['drives_in_which_the_car_moved_into_something']} | {percent(row['share_95'])} "
+        f"| {100.0 * at_most_95(row['drives_in_which_the_car_moved_into_something'], row['drives']):.1f} % "
         f"| {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} "
         f"| {'' if alongside is None else interval(alongside, digits=2, least=least)} | {row['metres_a_minute']:.0f}"
     )
@@ -254,3 +293,26 @@ def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> tuple[
     kinds = dict.fromkeys((one["scene"], one["guard"]) for one in found)
     rows = (f"{kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)}" for kind in kinds)
     return "Goals a minute by load:", markdown_table(f"scene | behind | {' | '.join(loads)}", rows)
+
+
+def _share_table(shares: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """A table of the goals as a share of those behind others, and which peer without contact reaches most."""
+    rows = [
+        f"{row['scene']} | {row['load']} | {_GUARDS[row['guard']]} | {row['contacts']} of {row['drives']} "
+        f"| {'' if row['share'] is None else interval(row['share'], digits=2)}"
+        for row in shares
+    ]
+    if not rows:
+        return ()
+    whole = (shares[-1]["scene"], shares[-1]["load"])
+    peers = [row for row in shares if (row["scene"], row["load"]) == whole and not row["guard"].startswith("reported")]
+    clean = [row for row in peers if not row["contacts"] and row["share"] is not None]
+    best = max(clean, key=lambda row: row["goals"], default=None)
+    sentence = "Of the others without a contact, none reached a goal."
+    if best is not None:
+        sentence = (
+            f"Of the others without a contact, most goals: {_GUARDS[best['guard']]}; "
+            f"this filter reaches {interval(best['share'], digits=2)} of them."
+        )
+    head = "scene | load | other guard | its drives with a contact | goals of this filter as a share of its goals"
+    return "Goals on the same drives:", markdown_table(head, rows), *((sentence,) if peers else ())

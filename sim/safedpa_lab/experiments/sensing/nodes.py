@@ -39,12 +39,40 @@ from safedpa_lab.experiments.common.drives import stamp
 from safedpa_sim.robots.car.scene import Scene
 from safedpa_sim.sensing.shapes import Outline, Point
 
+_TIME_OUT = 1.0
+"""s"""
 _WHEELBASE = 0.32
 """m; from the wheels' angle to the turning rate that the monitor knows."""
 
 
+@final
+class ScanPoints:
+    """The newest scan's points in the body frame, moved by the robot's own way since."""
+
+    def __init__(self) -> None:
+        self._odometry = OdometryBuffer()
+        self._scan: ScanMessage | None = None
+
+    def hear(self, scan: ScanMessage) -> None:
+        """Takes a scan."""
+        self._scan = scan
+
+    def points(self, state: StateMessage) -> FloatArray | None:
+        """Points (n, 2) [m] at ``state``, called once in each tick; None without a scan that can be placed."""
+        x, y, yaw = state.values[:3]
+        self._odometry.add(state.robot_time, (x, y, yaw))
+        pose = None if self._scan is None else self._odometry.at(self._scan.robot_time)
+        if self._scan is None or pose is None or state.robot_time - self._scan.robot_time > _TIME_OUT:
+            return None
+        ends = ScanRays(self._scan, pose, state, open_air=False).ends
+        apart = ends - (x, y)
+        return np.column_stack(
+            [cos(yaw) * apart[:, 0] + sin(yaw) * apart[:, 1], cos(yaw) * apart[:, 1] - sin(yaw) * apart[:, 0]]
+        )
+
+
 class _Brake(AbstractNode):
-    """The newest scan's points in the car's frame, moved by its own way since; then a share of the nominal speed."""
+    """Stops without a scan, as a source that times out does; else passes a share of the nominal speed on."""
 
     name = "safety_filter"
     inputs = (NOMINAL,)
@@ -53,20 +81,16 @@ class _Brake(AbstractNode):
     share = 0.5
 
     def __init__(self) -> None:
-        self._odometry, self._scan = OdometryBuffer(), None
-
-    _scan: ScanMessage | None
+        self._scans = ScanPoints()
 
     def hear(self, robot: str, message: Message) -> None:
         assert isinstance(message, ScanMessage)
-        self._scan = message
+        self._scans.hear(message)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         nominal = inputs[NOMINAL]
-        x, y, yaw = state.values[:3]
-        self._odometry.add(state.robot_time, (x, y, yaw))
         values = nominal.values if isinstance(nominal, NominalMessage) else (0.0, 0.0)
-        points = self._points(state)
+        points = self._scans.points(state)
         share = 0.0 if points is None else self.share_of(points, state, values)
         action = (share * values[0], values[1])
         status = "passed" if share == 1.0 else "corrected"
@@ -80,18 +104,6 @@ class _Brake(AbstractNode):
     @abstractmethod
     def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:
         """The share of the nominal speed that is let through, 0 to 1, of ``points`` (n, 2) [m] in the car's frame."""
-
-    def _points(self, state: StateMessage) -> FloatArray | None:
-        """None without a scan that can be placed: then it stops, as a source that times out does."""
-        pose = None if self._scan is None else self._odometry.at(self._scan.robot_time)
-        if self._scan is None or pose is None or state.robot_time - self._scan.robot_time > 1.0:
-            return None
-        ends = ScanRays(self._scan, pose, state, open_air=False).ends
-        x, y, yaw = state.values[:3]
-        apart = ends - (x, y)
-        return np.column_stack(
-            [cos(yaw) * apart[:, 0] + sin(yaw) * apart[:, 1], cos(yaw) * apart[:, 1] - sin(yaw) * apart[:, 0]]
-        )
 
 
 @final

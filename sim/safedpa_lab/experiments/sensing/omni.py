@@ -16,6 +16,7 @@ from safedpa.dynamics import AbstractBase
 from safedpa.effects import Parameter
 from safedpa.policy.grid_route import GridRoute
 from safedpa.robot import AbstractRobot
+from safedpa.ros.face import HolonomicFace
 from safedpa.safety import FilterSettings, FunctionBarrier
 from safedpa.safety.barriers.planar_body import BodyPart, PlanarBody
 from safedpa.stand_in import AbstractStandIn
@@ -101,6 +102,10 @@ class Omni(AbstractRobot):
             1.2, 4.0, 1.3, ("x", "y", "yaw"), ("forward", "left"), turn_rate="turn_rate", turning=0.25,
             parts=(rectangle,), creeping=5.0,
         )  # fmt: skip
+
+    def ros_face(self, model: Any = None) -> HolonomicFace:  # noqa: D102
+        del model
+        return HolonomicFace()
 
     def controllers(self, model: Any) -> Mapping[str, Callable[[], Any]]:  # noqa: D102
         return {"goal_seeker": Seeker}

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import beta
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.bus import AbstractNode
 from safedpa.dynamics import load_model, load_user_file_everywhere
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings
@@ -25,10 +25,13 @@ from safedpa.safety.defaults import margin_for
 from safedpa.stand_in import AbstractStandIn
 from safedpa.systems.robots import Robot, robot_named
 from safedpa_lab.experiments.common.seeds import seeds_of
+from safedpa_lab.experiments.common.statistics import ratio_interval
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
-from safedpa_lab.experiments.report import markdown_table, page
+from safedpa_lab.experiments.report import interval, markdown_table, page
+from safedpa_lab.experiments.sensing.experiment import at_most_95
 from safedpa_lab.experiments.sensing.nodes import ReportsEverything, edge_points
+from safedpa_lab.experiments.sensing.zoned import ZonedPolicy, converted, face_of
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 from safedpa_sim.sensing import Laser, LaserSettings
@@ -48,6 +51,8 @@ ARMS: Final = ("safedpa", "reported")
 """What the filter knows: what the laser sees, or everything."""
 _APART: Final = 0.03
 """m between the points of an edge at which contacts are looked for."""
+_NO_WAY: Final = 0.3
+"""m; a robot that drives less has not moved."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,8 @@ class PlanarDrive:
     """m/s; speed that perception assumes for hidden people."""
     source: str = "laser"
     """The only kind of sensor: a laser, or one of ``SOURCES``."""
+    monitor: str = ""
+    """File with the parameters of Nav2's collision monitor, whose zones limit the nominal action; empty: none."""
 
 
 def _declared(name: str) -> Robot:
@@ -98,7 +105,13 @@ def run_planar_drive(wanted: PlanarDrive) -> dict[str, Any]:
     eyes = PerceptionNode(PerceptionSettings(coming=wanted.coming, sources=repeats))
     everything = ReportsEverything(robot.sensors.solid(robot.stand_in), robot.sensors.people)
     looks = eyes if wanted.arm == ARMS[0] else everything
-    policy = PolicyNode(model, declared.default_controller)
+    policy: AbstractNode = PolicyNode(model, declared.default_controller)
+    if wanted.monitor:
+        policy = ZonedPolicy(
+            PolicyNode(model, declared.default_controller),
+            face_of(declared),
+            converted(Path(wanted.monitor), wanted.robot)[0],
+        )
     nodes = [AdaptationNode(model), looks, policy, SafetyFilterNode(model, settings, margin_for(model))]
     contacts, statuses, way = _Contacts(robot), dict[str, int](), 0.0
     before = robot.sensors.pose(robot.stand_in)
@@ -115,6 +128,7 @@ def run_planar_drive(wanted: PlanarDrive) -> dict[str, Any]:
         "goals": robot.goals_reached,
         "way": way,
         "statuses": statuses,
+        "zones_acted": policy.acted if isinstance(policy, ZonedPolicy) else 0,
     }
 
 
@@ -162,37 +176,60 @@ def planar_experiment(
     processes: int = 2,
     robots: Sequence[str] = tuple(ROBOTS),
     sources: Sequence[str] = KNOWN_SOURCES[:1],
+    monitors: Sequence[Path] = (),
     on_drive: ReportProgress = silent,
     record: Path | None = None,
 ) -> dict[str, Any]:
-    """Every robot with every seed and arm, and with each kind of sensor; a row for each."""
-    arms = [*((ARMS[0], source) for source in sources), (ARMS[1], KNOWN_SOURCES[0])]
-    kinds = [(robot, arm, source) for robot in robots for arm, source in arms]
+    """Every robot with every seed and arm, with each kind of sensor, and behind the zones of each file of Nav2.
+
+    Raises InputError if such a file cannot be converted, or for a robot that Twist does not drive.
+    """
+    differences: dict[str, list[str]] = {}
+    for robot in robots if monitors else ():
+        face_of(_declared(robot))
+        differences |= {str(path): converted(path, robot)[1].differences for path in monitors}
+    laser = KNOWN_SOURCES[0]
+    arms = [*((ARMS[0], source, "") for source in sources), *((ARMS[0], laser, str(path)) for path in monitors)]
+    arms.append((ARMS[1], laser, ""))
+    kinds = [(robot, *arm) for robot in robots for arm in arms]
     wanted = [
-        PlanarDrive(*kind[:1], seed, seconds, people, kind[1], source=kind[2]) for kind in kinds for seed in seeds
+        PlanarDrive(robot, seed, seconds, people, arm, source=source, monitor=monitor)
+        for robot, arm, source, monitor in kinds
+        for seed in seeds
     ]
     found = driven(run_planar_drive, wanted, processes, on_drive, record)
-    by_kind = {kind: [one for one in found if (one["robot"], one["arm"], one["source"]) == kind] for kind in kinds}
-    rows = [_row(kind, drives, seconds) for kind, drives in by_kind.items()]
-    return {"seconds": seconds, "people": people, "seeds": list(seeds), "rows": rows}
+    by_kind = {kind: found[index * len(seeds) : (index + 1) * len(seeds)] for index, kind in enumerate(kinds)}
+    rows = [
+        _row(kind, drives, by_kind.get((kind[0], ARMS[0], laser, ""), []), seconds) for kind, drives in by_kind.items()
+    ]
+    chosen = {"seconds": seconds, "people": people, "seeds": list(seeds)}
+    return {**chosen, "rows": rows, "differences": differences}
 
 
-def _row(kind: tuple[str, str, str], drives: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:
+def _row(
+    kind: tuple[str, str, str, str],
+    drives: Sequence[Mapping[str, Any]],
+    laser: Sequence[Mapping[str, Any]],
+    seconds: float,
+) -> dict[str, Any]:
+    """The row of a robot and arm; ``laser``: the same drives with a laser alone, in the same order."""
     hit, count = sum(bool(one["moving"]) for one in drives), len(drives)
     ticks = sum(sum(one["statuses"].values()) for one in drives)
     braked = sum(one["statuses"].get("fallback", 0) for one in drives)
+    goals, others = (np.array([float(one["goals"]) for one in side]) for side in (drives, laser))
     return {
-        "robot": kind[0],
-        "arm": kind[1],
-        "source": kind[2],
+        **dict(zip(("robot", "arm", "source", "monitor"), kind, strict=True)),
         "drives": count,
         "drives_with_a_contact_while_it_moved": hit,
-        "at_most_95": 1.0 if hit == count else float(beta.ppf(0.95, hit + 1, count - hit)),
+        "at_most_95": at_most_95(hit, count),
         "which": [f"seed {one['seed']}: {what}" for one in drives for what in one["moving"]],
         "touched_while_it_stood": sum(one["standing"] for one in drives),
-        "goals_a_minute": 60.0 * sum(one["goals"] for one in drives) / (seconds * count),
+        "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * count),
+        "share_of_goals_by_laser": ratio_interval(goals, others) if others.sum() else None,
         "metres_a_minute": 60.0 * sum(one["way"] for one in drives) / (seconds * count),
+        "drives_without_movement": sum(one["way"] < _NO_WAY for one in drives),
         "share_of_fallback": braked / max(ticks, 1),
+        "share_of_zones": sum(one["zones_acted"] for one in drives) / max(ticks, 1),
     }
 
 
@@ -206,25 +243,39 @@ def page_of(result: Mapping[str, Any]) -> str:
     """Markdown with a table of all rows, and the command that made it."""
     seeds = result["seeds"]
     rows = [_cells(row) for row in result["rows"]]
-    hit = [f"- {row['robot']}, {row['arm']}: {what}" for row in result["rows"] for what in row["which"]]
+    hit = [f"- {row['robot']}, {_knows(row)}: {what}" for row in result["rows"] for what in row["which"]]
+    differences = [
+        f"- {Path(path).name}: {sentence}"
+        for path, several in result.get("differences", {}).items()
+        for sentence in several
+    ]
     return page(
         "Other robots with a laser",
         f"Seeds {seeds[0]} to {seeds[-1]}, {result['seconds']:g} s each, {result['people']} people. The bound is "
-        "one-sided, with 95 % confidence. A contact counts where the robot was at 0.1 m/s or more.",
+        "one-sided, with 95 % confidence. A contact counts where the robot was at 0.1 m/s or more. Not moved: less "
+        f"than {_NO_WAY:g} m.",
         result,
         markdown_table(
             "robot | knows | drives | contacts while it moved | at most | touched while it stood | goals a minute "
-            "| m a minute | fallback",
+            "| of those by laser | m a minute | drives not moved | fallback | a zone acts",
             rows,
         ),
         *(("Into what:", "\n".join(hit)) if hit else ()),
+        *(("Different from Nav2:", "\n".join(differences)) if differences else ()),
     )
 
 
+def _knows(row: Mapping[str, Any]) -> str:
+    knows: str = row["source"] if row["arm"] == ARMS[0] else "everything"
+    return f"{knows}, zones of {Path(row['monitor']).name}" if row["monitor"] else knows
+
+
 def _cells(row: Mapping[str, Any]) -> str:
-    knows = row["source"] if row["arm"] == ARMS[0] else "everything"
+    share = row["share_of_goals_by_laser"]
     return (
-        f"{row['robot']} | {knows} | {row['drives']} | {row['drives_with_a_contact_while_it_moved']} "
+        f"{row['robot']} | {_knows(row)} | {row['drives']} | {row['drives_with_a_contact_while_it_moved']} "
         f"| {100.0 * row['at_most_95']:.1f} % | {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} "
-        f"| {row['metres_a_minute']:.0f} | {100.0 * row['share_of_fallback']:.1f} %"
+        f"| {'' if share is None else interval(share, digits=2)} | {row['metres_a_minute']:.0f} "
+        f"| {row['drives_without_movement']} | {100.0 * row['share_of_fallback']:.1f} % "
+        f"| {100.0 * row['share_of_zones']:.1f} %"
     )

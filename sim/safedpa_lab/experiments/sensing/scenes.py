@@ -16,9 +16,10 @@ from safedpa_sim.sensing.people import walkers
 from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box, clearance_at
 
 SCENES = ("pillars", "people", "rooms", "steps-out")
-"""Six pillars; the same among three people; two rooms with a door, boxes and up to six people; someone behind a
+"""Six pillars; the same among people; two rooms with a door, boxes and up to six people; someone behind a
 box."""
-_PEOPLE = 3
+PEOPLE = 3
+"""People of the scene "people" unless another number is given."""
 _MOST_PEOPLE = 6
 _HALF = 4.0
 """m; half an edge of the square field of the rooms."""
@@ -37,10 +38,12 @@ _LEG = 2.5
 _GOALS, _BOXES, _TRIES = 12, 3, 4000
 
 
-def scene_and_people(kind: str, seed: int, load: str, walking: float = 1.5) -> tuple[Scene, tuple[Person, ...]]:
+def scene_and_people(
+    kind: str, seed: int, load: str, walking: float = 1.5, people: int = PEOPLE
+) -> tuple[Scene, tuple[Person, ...]]:
     """The scene of a seed, and who is in it, ``walking`` [m/s] at most; who steps out does so at that speed.
 
-    Raises InputError for a kind or a load that does not exist.
+    ``people`` is the number of people in the scene "people". Raises InputError for a kind or load that does not exist.
     """
     if kind not in SCENES:
         raise InputError(f"scene '{kind}': {did_you_mean(kind, SCENES)}")
@@ -51,7 +54,7 @@ def scene_and_people(kind: str, seed: int, load: str, walking: float = 1.5) -> t
         scene = _rooms(seed, load_named(load), draw)
         return scene, walkers(scene, int(draw.integers(0, _MOST_PEOPLE + 1)), walking, draw)
     scene = Scene.random(seed, load)
-    return scene, walkers(scene, _PEOPLE if kind == "people" else 0, walking, draw)
+    return scene, walkers(scene, people if kind == "people" else 0, walking, draw)
 
 
 def _past_a_box(
