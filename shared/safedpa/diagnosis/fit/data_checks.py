@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from safedpa.arrays import FloatArray
-from safedpa.comparison.excerpt import subsample_runs, without_duplicates
+from safedpa.comparison.excerpt import first_seconds, subsample_runs, without_duplicates
 from safedpa.comparison.rollout import check_system, rollout_at
 from safedpa.comparison.rollout_error import change_scale
 from safedpa.comparison.windows import check_runs, windows_of
+from safedpa.diagnosis.fit.clock_drift import clock_drifts
 from safedpa.diagnosis.fit.cross_validation import Heldout, heldout_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting, shooting_of, simulate
 from safedpa.dynamics import PhysicsModel
@@ -147,6 +148,10 @@ _SEVERE = (
 # Correlation and gain of the measured with the predicted answer to a command from which its sign is certainly wrong.
 # Gains, lags and limits change the size of the answer, not its sign.
 _OPPOSITE_CORRELATION, _OPPOSITE_GAIN = -0.6, -0.3
+# Share of a state's motion that a command has to make by the model: less may be another effect by chance.
+_OPPOSITE_SHARE = 0.2
+# Shortest part of a run without coarse steps that is used by itself.
+_LEAST_PART = 0.2
 
 
 @dataclass(frozen=True)
@@ -167,6 +172,9 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
     # The same recording given twice would put copies on both sides of the cross-validation.
     once, repeated = without_duplicates(runs)
     quality += [finding_row(name, finding) for name, finding in repeated]
+    fine = [_without_coarse_steps(run) for run in once]
+    quality += [finding_row(run.name, item) for run, found in fine for item in found]
+    once = [run for run, _ in fine]
     # The horizon comes before thinning: pieces have to be at least one window long.
     seconds = select_horizon(model, once)
     rows = sum(len(part) for run in once for part in run.stretches)
@@ -179,7 +187,34 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
         quality += [finding_row(run.name, item) for item in _constant_inputs(run)]
     opposite = _opposite_answers(model, used, seconds)
     quality += [finding_row("all", item) for item in opposite]
-    return PreparedRuns([replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]], quality, seconds)
+    used = [replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]]
+    # A wrong sign looks like a drift to a test that assumes the signs, and any other such fault may as well.
+    for index, run in enumerate(used) if not _severe_finding([*runs, *used]) else ():
+        drifting = clock_drifts(model, run, seconds)
+        quality += [finding_row(run.name, item) for item in drifting]
+        used[index] = replace(run, findings=(*run.findings, *drifting))
+    return PreparedRuns(used, quality, seconds)
+
+
+def _without_coarse_steps(run: Run) -> tuple[Run, list[Finding]]:
+    """Returns a run up to the row from which a state is read in coarse steps, which look like a changed sensor.
+
+    A sensor that has such steps throughout is another matter: nothing changes, and there is no better part.
+    """
+    first = float(run.t[run.stretches[0].start])
+    begins = [item.start_t for item in run.findings if item.kind == "quantised" and item.start_t is not None]
+    begin = min((at for at in begins if at > first), default=None)
+    if begin is None:
+        return run, []
+    (before,) = first_seconds([run], begin - first - 0.5 * run.period)
+    if before.duration < max(FEWEST_SECONDS, _LEAST_PART * run.duration):
+        return run, []
+    unused = sum(len(part) for part in run.stretches) - sum(len(part) for part in before.stretches)
+    message = (
+        f"{unused} rows from t = {begin:.3f} s on were not used, since a state has coarse steps there and not before; "
+        "to use them, diagnose that part of the log by itself"
+    )
+    return before, [Finding("coarse_part", message, unused, begin)]
 
 
 def _opposite_answers(model: PhysicsModel, runs: Sequence[Run], seconds: float) -> list[Finding]:
@@ -211,15 +246,22 @@ def _opposite_answers(model: PhysicsModel, runs: Sequence[Run], seconds: float) 
 
 
 def _most_opposite(answers: FloatArray, measured: FloatArray) -> tuple[int, float, float]:
-    """State with the largest predicted answer in units of its change, and correlation and gain of the measured one."""
+    """Returns the state that moves most against its predicted answer, and correlation and gain of that motion.
+
+    Every state counts of whose motion the command makes a part: the sign may matter to one of them and not to another,
+    as the roll of a multirotor to the sideways speed and not to the lift. Means are left out, since a constant push
+    changes them.
+    """
     good = np.isfinite(answers).all(axis=1) & np.isfinite(measured).all(axis=1)
-    answers, measured = answers[good], measured[good]
+    if good.sum() < FEWEST_WINDOWS:
+        return 0, 0.0, 0.0
+    answers, measured = (part[good] - part[good].mean(axis=0) for part in (answers, measured))
     power, product = (answers**2).sum(axis=0), (answers * measured).sum(axis=0)
     total = (measured**2).sum(axis=0)
-    if len(answers) < FEWEST_WINDOWS or not (power * total > 0.0).any():
-        return 0, 0.0, 0.0
-    state = int(np.argmax(np.where(total > 0.0, power / np.maximum(total, 1e-300), 0.0)))
-    return state, float(product[state] / np.sqrt(power[state] * total[state])), float(product[state] / power[state])
+    counts = (power > 0.0) & (power >= _OPPOSITE_SHARE * total)
+    correlation = np.where(counts, product / np.sqrt(np.maximum(power * total, 1e-300)), 0.0)
+    state = int(np.argmin(correlation))
+    return state, float(correlation[state]), float(product[state] / max(float(power[state]), 1e-300))
 
 
 def _constant_inputs(run: Run) -> list[Finding]:

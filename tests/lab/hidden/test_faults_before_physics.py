@@ -1,0 +1,85 @@
+"""A fault of the data is found by the model's own prediction before any effect is tried, and not in a good log."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis.fit.data_checks import PreparedRuns, check_data_sufficiency, data_at_horizon, prepare_runs
+from safedpa.dynamics import load_model
+from safedpa.dynamics.user_files import load_user_file_everywhere
+from safedpa.records import Run
+from safedpa_lab.own_robots import models
+from safedpa_lab.own_robots.cases import OwnCase, write_case
+from safedpa_lab.own_robots.data_faults import FAULTS, Log, faulty_log, good_log
+
+pytestmark = pytest.mark.slow
+
+
+def prepared(folder: Path, robot: str, log: Log) -> tuple[PreparedRuns, list[Run]]:
+    load_user_file_everywhere(Path(models.__file__))
+    file, _, _ = write_case(OwnCase("own_none", robot, 1, {}, 1), folder, [(log.t, log.states, log.actions)])
+    model = load_model(file)
+    runs = [Run.from_arrays(log.t, log.states, log.actions, model)]
+    return prepare_runs(model, runs), runs
+
+
+def kinds(found: PreparedRuns) -> set[Any]:
+    return {row["kind"] for row in found.quality}
+
+
+@pytest.mark.parametrize(
+    ("fault", "robot", "kind", "channel"),
+    [
+        ("states_drift", "own_quadrotor", "clock_drift", "vx"),
+        ("states_drift", "own_boat", "clock_drift", "x and y and yaw"),
+        ("commands_drift", "own_joint", "clock_drift", "current"),
+        ("wheel_reversed", "own_quadrotor", "opposite_sign", "roll"),
+        ("wheel_reversed", "own_omni", "opposite_sign", "uw"),
+    ],
+)
+def test_a_fault_of_a_channel_is_named_and_no_effect_is_tried(
+    tmp_path: Path, fault: str, robot: str, kind: str, channel: str
+) -> None:
+    log, truth = faulty_log(FAULTS[fault], robot, 79000)
+    found, runs = prepared(tmp_path, robot, log)
+    (message,) = (row["message"] for row in found.quality if row["kind"] == kind)
+    assert channel in message
+    assert "nothing was cut" in message
+    if kind == "clock_drift":
+        seconds = float(message.split(" s later than")[0].split()[-1])
+        assert seconds == pytest.approx(truth.size, rel=0.3)
+    shooting = data_at_horizon(found.runs, found.seconds).shooting
+    assert check_data_sufficiency(shooting, found.runs, runs).wrong
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind"), [("own_quadrotor", "outside"), ("own_servo", "effect"), ("own_joint", "plain")]
+)
+def test_a_good_log_has_no_such_fault(tmp_path: Path, robot: str, kind: str) -> None:
+    found, _ = prepared(tmp_path, robot, good_log(kind, robot, 79500))
+    assert not kinds(found) & {"clock_drift", "opposite_sign", "coarse_part"}
+
+
+def test_rows_from_which_a_state_has_coarse_steps_are_left_out(tmp_path: Path) -> None:
+    log, truth = faulty_log(FAULTS["quantised"], "own_servo", 79000)
+    found, runs = prepared(tmp_path, "own_servo", log)
+    assert truth.time is not None
+    assert found.runs[0].t[found.runs[0].stretches[-1].stop - 1] == pytest.approx(truth.time - 0.02, abs=0.05)
+    (row,) = (row for row in found.quality if row["kind"] == "coarse_part")
+    assert row["count"] == len(log.t) - len(found.runs[0].stretches[0])
+    assert f"t = {truth.time:.3f} s" in row["message"]
+    assert runs[0].duration == pytest.approx(float(log.t[-1]))
+
+
+def test_steps_throughout_or_soon_after_the_start_cut_nothing(tmp_path: Path) -> None:
+    log, _ = faulty_log(FAULTS["rate_quantised"], "own_servo", 79000)
+    found, runs = prepared(tmp_path / "whole", "own_servo", log)
+    assert "quantised" in kinds(found)
+    assert "coarse_part" not in kinds(found)
+    early = good_log("plain", "own_servo", 79000)
+    early.states[100:, 0] = 0.08 * np.round(early.states[100:, 0] / 0.08)
+    found, runs = prepared(tmp_path / "early", "own_servo", early)
+    assert "quantised" in kinds(found)
+    assert found.runs[0].duration == runs[0].duration
