@@ -65,8 +65,8 @@ cancel out: the policy holds the robot in place, as that of a boat at its buoy."
 
 
 _REMEDIES: Final = {
-    "dead band": "Free it if something blocks it, or give the model what holds it: a dead zone of its drive, or a force "
-    "such as a slope, wind or current.",
+    "dead band": "Free it if something blocks it, or give the model what holds it: a dead zone of its drive, or a "
+    "force such as a slope, wind or current.",
     "no decision": "An input of the filter is missing or refused, or it was ordered to stop: it drives on when all is "
     "back, or after 'safedpa go'.",
     "margin": "Give it another goal or more room, roll back to a model with a narrower margin, or calibrate again.",
