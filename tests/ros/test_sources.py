@@ -19,6 +19,7 @@ from safedpa.ros.sensor_messages import (
     DEPTH_IMAGE,
     GRID,
     POLYGON,
+    POLYGON_INSTANCE,
     RANGE,
     cone_of,
     corners_of,
@@ -34,6 +35,7 @@ from safedpa_services.ros_gateway.robot_file import parse_robot_file
 from safedpa_services.ros_gateway.sensor_inputs import TRANSFORMS, FootprintInput, LatestMessage, pose_paths
 from safedpa_services.ros_gateway.sensor_tables import LASER, ExclusionArea, FrameTopics, SourceTopic
 from safedpa_services.ros_gateway.sources import BodyFrames, SourceReader, SourceReading, SourceReceiver
+from safedpa_services.ros_gateway.speed_zones import ToggleInput
 
 NAN, INF = math.nan, math.inf
 FLOATS = [{"name": axis, "offset": 4 * index, "datatype": 7, "count": 1} for index, axis in enumerate("xyz")]
@@ -273,12 +275,83 @@ def test_an_exclusion_hides_its_points_and_what_is_behind_them_stays_unknown() -
     assert len(only(other).points) == 1, "the area is that of the source that names it"
 
 
+SQUARE = ((1.0, -0.2), (1.4, -0.2), (1.4, 0.2), (1.0, 0.2))
+
+
+def polygon_of(corners: Any, number: int | None = 1, stamp: int = 1, frame: str = "odom") -> bytes:
+    polygon = {"points": [{"x": float(x), "y": float(y)} for x, y in corners]}
+    if number is None:
+        return encode(POLYGON, {"header": head(frame, stamp), "polygon": polygon})
+    return encode(POLYGON_INSTANCE, {"header": head(frame, stamp), "polygon": {"polygon": polygon, "id": number}})
+
+
+def polygons(now: list[float], pose: list[float], **keys: Any) -> SourceReceiver:
+    topic = SourceTopic(topic="/x", type=POLYGON_INSTANCE, time_out=0.5, **keys)
+    frames = BodyFrames(FrameTopics(), 0.0, lambda frame: tuple(pose) if frame == "odom" else None, lambda: now[0])
+    return SourceReceiver(SourceReader(topic, (ExclusionArea("here", radius=1.1),), frames), lambda: now[0])
+
+
+def test_polygons_of_one_moment_all_count_and_each_until_its_time_out() -> None:
+    now, pose = [5.0], [0.0, 0.0, 0.0]
+    source = polygons(now, pose)
+    source.take(polygon_of(SQUARE, 1))
+    source.take(polygon_of([(y, x) for x, y in SQUARE], 2))
+    _, both = source.take_all()
+    assert ends(both).max(axis=0) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert 32 <= len(both.points) <= 40
+    assert not both.rays.free, "a polygon does not say what is free"
+    source.take(polygon_of(SQUARE, 2))
+    assert source.take_all() == [], "the same number and stamp are no newer data"
+    now[0], pose[0] = 5.4, 0.5
+    source.take(polygon_of(SQUARE, 1, stamp=2))
+    moved = only(source)
+    assert ends(moved)[:, 0].max() == pytest.approx(0.5, abs=0.02)
+    other = ends(moved)[ends(moved)[:, 1] > 0.5]
+    assert (other.min(axis=0), other[:, 0].max()) == (
+        pytest.approx([-0.7, 1.0], abs=0.02),
+        pytest.approx(-0.3, abs=0.02),
+    )
+    now[0] = 5.8
+    source.take(polygon_of(SQUARE, 1, stamp=3))
+    assert ends(only(source))[:, 1].max() < 0.3
+
+
+def test_polygons_that_cannot_be_used_are_refused_and_exclusions_hide_their_part() -> None:
+    source = polygons([5.0], [0.0, 0.0, 0.0], exclusions=("here",))
+    source.take(polygon_of(SQUARE))
+    reading = only(source)
+    assert np.hypot(*reading.points.T).min() > 1.1
+    assert -1.0 in reading.rays.ranges
+    source.take(polygon_of(SQUARE[:2], 2))
+    assert "2 corners" in source.why
+    source.take(polygon_of(SQUARE, 2, frame="nowhere"))
+    assert "no transform from 'nowhere'" in source.why
+    for number in range(70):
+        source.take(polygon_of(SQUARE, number, stamp=number + 5))
+    assert "wanted 64 at most" in source.why
+
+
+def test_an_exclusion_that_is_switched_off_hides_nothing() -> None:
+    switch = ToggleInput(False)
+    topic = SourceTopic(topic="/x", type=CLOUD, exclusions=("arm",), mount=(0.0, 0.0, 0.0))
+    frames = BodyFrames(FrameTopics(), 0.0, lambda _: None, lambda: 5.0)
+    now = [5.0]
+    reader = SourceReader(topic, (ExclusionArea("arm", radius=1.0),), frames, switches={"arm": switch})
+    source, counts = SourceReceiver(reader, lambda: now[0]), []
+    for stamp, on in enumerate((False, True, False), start=1):
+        switch.on, now[0] = on, 5.0 + stamp
+        source.take(cloud_of([[0.7, 0.0, 0.3]], stamp))
+        counts.append(len(only(source).points))
+    assert counts == [1, 0, 1]
+
+
 @settings(max_examples=80, deadline=None)
 @given(some.data())
 def test_mutated_messages_of_any_source_raise_nothing_and_give_finite_rays(data: some.DataObject) -> None:
     whole = {
         CLOUD: cloud_of(np.ones((6, 3))), DEPTH_IMAGE: image_of(np.ones((4, 6))), RANGE: range_of(1.0),
         GRID: grid_message(np.eye(6, dtype=int) * 100), LASER: encode(LASER, {"ranges": [1.0] * 4}),
+        POLYGON_INSTANCE: polygon_of(SQUARE), POLYGON: polygon_of(SQUARE, number=None),
     }  # fmt: skip
     kind = data.draw(some.sampled_from(sorted(whole)))
     message = bytearray(whole[kind])

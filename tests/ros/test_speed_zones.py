@@ -18,7 +18,7 @@ from safedpa.errors import InputError
 from safedpa.perception import Rays
 from safedpa.ros.encoding import encode
 from safedpa.ros.face import HolonomicFace
-from safedpa.ros.sensor_messages import POLYGON
+from safedpa.ros.sensor_messages import POLYGON, POLYGON_INSTANCE
 from safedpa.ros.transforms import pose_matrix
 from safedpa_services.command_line.group import safedpa
 from safedpa_services.ros_gateway.robot_file import LocalisationTopic, NominalActionTopic, parse_robot_file
@@ -26,7 +26,15 @@ from safedpa_services.ros_gateway.sensor_inputs import NominalInput
 from safedpa_services.ros_gateway.sensor_tables import SourceTopic, SpeedZone, VelocityPolygon
 from safedpa_services.ros_gateway.simulated_clock import CLOCK, SimulatedClock
 from safedpa_services.ros_gateway.sources import SourceReading
-from safedpa_services.ros_gateway.speed_zones import BOOL, SpeedZones, ToggleInput, ZonePolygon, scaled
+from safedpa_services.ros_gateway.speed_zones import (
+    BOOL,
+    FLOAT,
+    SpeedZones,
+    ToggleInput,
+    ZonePolygon,
+    ZoneRadius,
+    scaled,
+)
 
 BOX = ((0.5, 0.4), (0.5, -0.4), (-0.2, -0.4), (-0.2, 0.4))
 WIDE = ((1.0, 0.8), (1.0, -0.8), (-0.5, -0.8), (-0.5, 0.8))
@@ -103,6 +111,18 @@ def test_a_zone_from_a_topic_stops_the_robot_until_its_polygon_arrives() -> None
     assert (zones.limit((1.0, 0.0, 0.0), {"a": POINT}).share, zones.missing()) == (0.5, "")
     polygon.take(encode(POLYGON, {"polygon": {"points": points[:2]}}))
     assert "wanted 3 to" in polygon.why
+
+
+def test_a_zone_with_a_radius_from_a_topic_stops_the_robot_without_a_usable_one() -> None:
+    radius = ZoneRadius()
+    zones = SpeedZones((SpeedZone("t", "slowdown", radius_topic="/r", min_points=1),), {"t": radius})
+    shares = []
+    for sent in (None, 0.5, 0.2, math.nan, -1.0):
+        if sent is not None:
+            radius.take(encode(FLOAT, {"data": sent}))
+        shares.append(zones.limit((1.0, 0.0, 0.0), {"a": POINT}).share)
+    assert shares == [0.0, 0.5, 1.0, 0.0, 0.0]
+    assert "wanted more than 0" in zones.missing()
 
 
 def test_topics_switch_a_zone_and_all_zones() -> None:
@@ -267,7 +287,8 @@ MONITOR = """
         action_type: limit
         velocity_polygons: [on]
         "on": {points: [[1, 1], [1, -1], [0, 0]], linear_min: 0.0, linear_max: 1.0, theta_min: -1.0, theta_max: 1.0}
-      observation_sources: [scan, cloud, cost]
+      observation_sources: [scan, cloud, cost, tracks]
+      tracks: {type: polygon, topic: tracks, sampling_distance: 0.2}
       scan: {type: scan, topic: /scan}
       cloud: {type: pointcloud, topic: points, min_height: 0.1, exclusion_zones: [arm, off], source_timeout: 5.0}
       cost: {type: costmap, topic: costmap_raw, cost_threshold: 253, treat_unknown_as_obstacle: false}
@@ -291,18 +312,30 @@ def test_parameters_of_nav2_become_a_robot_file_and_differences_are_listed(tmp_p
         ("Stop", "stop", 6), ("Slow", "slowdown", 4), ("Fast", "limit", 4),
     ]  # fmt: skip
     assert (found.zones[1].radius, found.zones[1].sources) == (0.8, ("cloud",))
-    scan, cloud, cost = found.sources
-    assert (scan.time_out, cloud.time_out, cloud.height, cloud.exclusions) == (0.4, 1.0, (0.1, 0.5), ("arm",))
+    scan, cloud, cost, tracks = found.sources
+    assert (scan.time_out, cloud.time_out, cloud.height, cloud.exclusions) == (0.4, 1.0, (0.1, 0.5), ("arm", "off"))
+    assert [one.enabled for one in found.exclusions] == [True, False]
+    assert (tracks.type, tracks.sampling) == (POLYGON_INSTANCE, 0.2)
     assert (cost.occupied, found.clock.topic, found.monitor.state) == (99, "/clock", "/state")
     assert found.surroundings.footprint[2] >= 0.1
-    for part in ("'approach' is replaced", "source_timeout 5 s becomes 1 s", "off: an exclusion that is off"):
+    for part in ("'approach' is replaced", "source_timeout 5 s becomes 1 s", "tracks: for the filter, what is behind"):
         assert part in notice
+
+
+def test_radii_from_topics_are_zones_and_no_footprints(tmp_path, capsys) -> None:
+    text = MONITOR.replace("radius: 0.8,", "polygon_sub_topic: radius,")
+    text = text.replace("Foot: {type: polygon, action_type: approach,", "Foot: {type: circle, action_type: approach,")
+    found = converted(tmp_path, text)
+    assert found.zones[1].radius_topic == "/radius"
+    notice = capsys.readouterr().out
+    assert "Foot: its radius comes from a topic" in notice
+    assert "the disc of 0.25 m is a placeholder" in notice
 
 
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        ("action_type: stop", "action_type: halt", "Stop.action_type"), ("radius: 0.8,", "", "Slow.radius: missing"),
+        ("action_type: stop", "action_type: halt", "Stop.action_type"), ("radius: 0.8,", "", "Slow: got no radius"),
         ("[0.3, -0.3]", "[0.3, x]", "Stop.points"), ("type: scan,", "type: sonar,", "scan.type"),
         ("polygons: [Stop", "polygons: [Missing", "Missing: got no parameters"),
         ("slowdown_ratio: 0.4", "slowdown_ratio: .nan", "number"),

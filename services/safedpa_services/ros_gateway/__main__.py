@@ -49,7 +49,7 @@ from safedpa_services.ros_gateway.sensor_inputs import (
 )
 from safedpa_services.ros_gateway.simulated_clock import CLOCK, SimulatedClock
 from safedpa_services.ros_gateway.sources import BodyFrames, SourceReader, SourceReceiver, body_frames
-from safedpa_services.ros_gateway.speed_zones import BOOL, SpeedZones, ToggleInput, ZonePolygon
+from safedpa_services.ros_gateway.speed_zones import BOOL, FLOAT, SpeedZones, ToggleInput, ZonePolygon, ZoneRadius
 
 _POLICY = "policy"
 """Role whose certificate is used to publish nominal actions; its files are in the same folder as the robot's."""
@@ -202,8 +202,9 @@ def _sources(
     link: RosLink, robot_file: RobotFile, frames: BodyFrames, clock: Callable[[], float]
 ) -> tuple[SourceReceiver, ...]:
     found = []
+    excludes = {one.name: _switch(link, one.enable, on=one.enabled) for one in robot_file.exclusions}
     for topic in robot_file.sensors:
-        reader = SourceReader(topic, robot_file.exclusions, frames, robot_file.wire.frame)
+        reader = SourceReader(topic, robot_file.exclusions, frames, robot_file.wire.frame, excludes)
         found.append(SourceReceiver(reader, clock))
         link.hear(topic.topic, topic.type, found[-1].take)
         if topic.info:
@@ -225,13 +226,17 @@ def _footprint(
 def _zones(link: RosLink, robot_file: RobotFile, frames: BodyFrames) -> SpeedZones | None:
     if not robot_file.zones:
         return None
-    polygons, switches = {}, {}
+    shapes: dict[str, ZonePolygon | ZoneRadius] = {}
+    switches = {}
     for zone in robot_file.zones:
         switches[zone.name] = _switch(link, zone.enable, on=zone.enabled)
         if zone.topic:
-            polygons[zone.name] = ZonePolygon(lambda frame: frames.of(frame, time.monotonic()))
-            link.hear(zone.topic, POLYGON, polygons[zone.name].take)
-    return SpeedZones(robot_file.zones, polygons, switches, _switch(link, robot_file.monitor.enable, on=True))
+            shapes[zone.name] = ZonePolygon(lambda frame: frames.of(frame, time.monotonic()))
+            link.hear(zone.topic, POLYGON, shapes[zone.name].take)
+        if zone.radius_topic:
+            shapes[zone.name] = ZoneRadius()
+            link.hear(zone.radius_topic, FLOAT, shapes[zone.name].take)
+    return SpeedZones(robot_file.zones, shapes, switches, _switch(link, robot_file.monitor.enable, on=True))
 
 
 def _counted(link: RosLink, robot_file: RobotFile) -> dict[str, ToggleInput]:

@@ -16,14 +16,16 @@ from typing import Any, Final, final
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import need
 from safedpa.limits import file_of_at_most, readable
-from safedpa.ros.sensor_messages import CLOUD, COSTMAP, RANGE, covering_capsule
+from safedpa.ros.sensor_messages import CLOUD, COSTMAP, POLYGON_INSTANCE, RANGE, covering_capsule
 from safedpa_services.ros_gateway.sensor_tables import LASER
 
 __all__ = ["Conversion", "convert_collision_monitor"]
 
 _MOST_BYTES = 64 * 1024
 """A file with the parameters of all nodes of Nav2 has 15 KB."""
-_SOURCE_TYPES: Final = {"scan": LASER, "pointcloud": CLOUD, "range": RANGE, "costmap": COSTMAP}
+_SOURCE_TYPES: Final = {
+    "scan": LASER, "pointcloud": CLOUD, "range": RANGE, "costmap": COSTMAP, "polygon": POLYGON_INSTANCE,
+}  # fmt: skip
 _ACTIONS: Final = ("stop", "slowdown", "limit", "approach")
 _LONGEST_TIME_OUT = 1.0
 _INSCRIBED, _LETHAL, _SCALED = 253, 254, 252
@@ -176,6 +178,9 @@ def _approach(name: str, own: Mapping[str, Any], found: Conversion, footprint: d
         "time_before_collision and min_points do not count"
     )
     if _text(own, "type", "") == "circle":
+        if "radius" not in own:
+            found.differs(f"{name}: its radius comes from a topic, which no footprint can; enter the largest")
+            return footprint
         return {**footprint, "capsule": [0.0, 0.0, _number(own, "radius", 0.25)], "known": True}
     points = _points(f"{name}.points", own.get("points"))
     if not points:
@@ -209,9 +214,13 @@ def _shape(name: str, own: Mapping[str, Any], found: Conversion) -> dict[str, An
     if kind not in ("polygon", "circle", "velocity_polygon"):
         found.differs(f"{name}: type '{readable(kind)}' is not one of Nav2's; read as a polygon")
     if kind == "circle":
-        if "radius" not in own:
-            raise InputError(f"{name}.radius: missing; a radius from a topic is not supported, enter one")
-        return {"radius": _number(own, "radius", 0.0)}
+        if "radius" in own:
+            return {"radius": _number(own, "radius", 0.0)}
+        topic = _text(own, "polygon_sub_topic", "")
+        if not topic:
+            raise InputError(f"{name}: got no radius and no polygon_sub_topic, wanted one of them")
+        found.differs(f"{name}: until its radius arrives the robot is stopped, in Nav2 the zone does nothing")
+        return {"radius_topic": _topic(topic)}
     if kind == "velocity_polygon":
         found.differs(f"{name}: for a velocity outside all its polygons the last one counts, in Nav2 the previous one")
         parts = [_velocity_polygon(name, part, own) for part in _names(own, "velocity_polygons")]
@@ -250,16 +259,10 @@ def _sources(given: Mapping[str, Any], found: Conversion) -> tuple[list[dict[str
         known = {"pointcloud2": "pointcloud", "laserscan": "scan"}.get(kind.lower(), kind)
         if known != kind:
             found.differs(f"{name}: type '{readable(kind)}' is not one of Nav2's; read as {known}")
-        if known == "polygon":
-            found.differs(f"{name}: NOT CONVERTED: a source of polygons cannot be read; what only it sees is not seen")
-            continue
         if known not in _SOURCE_TYPES:
             raise InputError(f"{name}.type: got '{readable(kind)}'; {did_you_mean(kind, list(_SOURCE_TYPES))}")
         sources.append(_source(name, known, own, given, found))
         for area in _names(own, "exclusion_zones") if "exclusion_zones" in own else []:
-            if not _flag(_table(given, area), "enabled", False):
-                found.differs(f"{area}: an exclusion that is off; left out, since exclusions cannot be switched here")
-                continue
             areas[area] = _exclusion(area, _table(given, area), found)
             sources[-1]["exclusions"] = [*sources[-1].get("exclusions", []), areas[area]["name"]]
     return sources, list(areas.values())
@@ -293,13 +296,20 @@ def _source(
         cost = max(1, min(_LETHAL, int(_number(own, "cost_threshold", _INSCRIBED))))
         source["occupied"] = max(1, cost * 98 // _SCALED if cost <= _SCALED else cost - _LETHAL + 100)
         source["unknown_is_occupied"] = _flag(own, "treat_unknown_as_obstacle", True)
+    elif kind == "polygon":
+        source["sampling"] = min(max(_number(own, "sampling_distance", 0.1), 0.01), 10.0)
+        found.differs(f"{name}: for the filter, what is behind its polygons and next to them stays unknown")
     elif kind == "range" and "obstacles_angle" in own:
         found.differs(f"{name}: obstacles_angle is 1 degree")
     return source
 
 
 def _exclusion(name: str, own: Mapping[str, Any], found: Conversion) -> dict[str, Any]:
-    area: dict[str, Any] = {"name": _plain(name), "frame": _text(own, "frame_id", "")}
+    area: dict[str, Any] = {
+        "name": _plain(name), "frame": _text(own, "frame_id", ""), "enabled": _flag(own, "enabled", False),
+        "enable": f"/collision_monitor/{_plain(name)}/enable",
+    }  # fmt: skip
+    found.differs("NAME.enabled: a parameter in Nav2, here the topic of the key 'enable' (Bool)")
     if _text(own, "type", "polygon") == "circle":
         area["radius"] = _number(own, "radius", 0.0)
     else:

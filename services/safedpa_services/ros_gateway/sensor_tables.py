@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.ros.sensor_messages import CLOUD, COSTMAP, DEPTH_IMAGE, GRID, RANGE
+from safedpa.ros.sensor_messages import CLOUD, COSTMAP, DEPTH_IMAGE, GRID, POLYGON, POLYGON_INSTANCE, RANGE
 
 __all__ = [
     "LASER",
@@ -25,7 +25,9 @@ __all__ = [
 ]
 
 LASER = "sensor_msgs/msg/LaserScan"
-SOURCE_TYPES = (LASER, CLOUD, DEPTH_IMAGE, RANGE, GRID, COSTMAP)
+SOURCE_TYPES = (LASER, CLOUD, DEPTH_IMAGE, RANGE, GRID, COSTMAP, POLYGON, POLYGON_INSTANCE)
+_FRAMED = (GRID, COSTMAP, POLYGON, POLYGON_INSTANCE)
+"""Types whose messages name the frame of their contents, so that they have no mount."""
 ACTIONS = ("stop", "slowdown", "limit")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 _WIDEST = 100.0
@@ -46,7 +48,7 @@ class SourceTopic:
     """Frame of its messages; others are refused. Empty: any."""
     mount: tuple[float, ...] = ()
     """Pose in the body frame: x, y, yaw or x, y, z, roll, pitch, yaw [m, rad]. Empty: from tf. A camera looks along
-    x. Grids have no mount."""
+    x. Grids and polygons have no mount."""
     delay: float = 0.0
     """Time from the measurement to the arrival of its message [s]."""
     time_out: float = 0.5
@@ -64,6 +66,8 @@ class SourceTopic:
     """Topic of the CameraInfo of a depth image."""
     occupied: int = 100
     """Cost from which a cell of a grid is an obstacle: 0 to 100, as in ``nav_msgs/OccupancyGrid``."""
+    sampling: float = 0.1
+    """Largest distance [m] between the points of a polygon's outline that count in the speed zones."""
     unknown_is_occupied: bool = False
     """Whether a cell without information is an obstacle; otherwise something may hide in it."""
     enabled: bool = True
@@ -86,6 +90,10 @@ class ExclusionArea:
     """Frame of the area; empty: the body frame. Other frames need tf."""
     height: tuple[float, ...] = (-1e3, 1e3)
     """Band of heights in the body frame [m] to which it is limited."""
+    enabled: bool = True
+    """Whether it applies."""
+    enable: str = ""
+    """Topic (``std_msgs/Bool``) that sets ``enabled``."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +117,10 @@ class SpeedZone:
     action: str
     """``stop``, ``slowdown`` (by ``ratio``) or ``limit`` (to ``linear`` and ``angular``)."""
     points: tuple[tuple[float, ...], ...] = ()
-    """Corners in the body frame [m]; or a circle of ``radius``; or ``topic``; or ``velocity``."""
+    """Corners in the body frame [m]; or a circle of ``radius``; or a topic; or ``velocity``."""
     radius: float = 0.0
+    radius_topic: str = ""
+    """Topic (``std_msgs/Float32``) of the radius [m]."""
     topic: str = ""
     """Topic (``geometry_msgs/PolygonStamped``) of the corners."""
     velocity: tuple[VelocityPolygon, ...] = ()
@@ -221,7 +231,7 @@ def perception_text(sensors: Sequence[SourceTopic]) -> str:
     """
     lines = []
     for one in sensors:
-        repeats = one.type in (RANGE, GRID, COSTMAP)
+        repeats = one.type in (RANGE, *_FRAMED)
         lines += [f'[sources."{one.name}"]', f"time_out = {one.time_out}", f"repeats = {str(repeats).lower()}"]
     return "\n".join(lines) + "\n"
 
@@ -235,8 +245,8 @@ def _check_source(source: SourceTopic, areas: Sequence[str]) -> None:
             f"{key}: mount: got {list(source.mount)}, wanted x, y, yaw or x, y, z, roll, pitch, yaw in m and rad, "
             "or none for the pose from tf"
         )
-    if source.mount and source.type in (GRID, COSTMAP):
-        raise InputError(f"{key}: mount: got one for a grid, wanted none: its messages name its frame")
+    if source.mount and source.type in _FRAMED:
+        raise InputError(f"{key}: mount: got one for a {source.type}, wanted none: its messages name its frame")
     if bool(source.info) != (source.type == DEPTH_IMAGE):
         raise InputError(
             f"{key}: info: got '{source.info}', wanted the topic of CameraInfo of a depth image, else none"
@@ -249,6 +259,7 @@ def _check_source(source: SourceTopic, areas: Sequence[str]) -> None:
         ("nearest", source.nearest, 0.0, 10.0),
         ("farthest", source.farthest, source.nearest + 0.1, 100.0),
         ("occupied", source.occupied, 1, 100),
+        ("sampling", source.sampling, 0.01, 10.0),
     ):
         if not low <= value <= high:
             raise InputError(f"{key}: {name}: got {value:g}, wanted {low:g} to {high:g}")
@@ -262,10 +273,13 @@ def _check_zone(zone: SpeedZone, sources: Sequence[str]) -> None:
     key = f"zones '{zone.name}'"
     if zone.action not in ACTIONS:
         raise InputError(f"{key}: action: got '{zone.action}'; {did_you_mean(zone.action, ACTIONS)}")
-    shapes = [bool(zone.points), bool(zone.radius), bool(zone.topic), bool(zone.velocity)]
+    topic = bool(zone.topic or zone.radius_topic)
+    shapes = [bool(one) for one in (zone.points, zone.radius, zone.topic, zone.radius_topic, zone.velocity)]
     if sum(shapes) != 1:
-        raise InputError(f"{key}: got {sum(shapes)} of points, radius, topic and velocity, wanted one of them")
-    _check_shape(key, zone.points, zone.radius, not zone.topic and not zone.velocity)
+        raise InputError(
+            f"{key}: got {sum(shapes)} of points, radius, topic, radius_topic and velocity, wanted one of them"
+        )
+    _check_shape(key, zone.points, zone.radius, not topic and not zone.velocity)
     for part in zone.velocity:
         _check_shape(f"{key}: velocity", part.points, 0.0, True)
         _check_range(f"{key}: velocity.linear", part.linear, _WIDEST)

@@ -11,14 +11,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from safedpa.arrays import BoolArray, FloatArray
 from safedpa.errors import InputError
-from safedpa.perception import HeightBand, Rays, rays_of_grid, rays_of_points, rays_of_range
+from safedpa.perception import HeightBand, Rays, rays_of_grid, rays_of_points, rays_of_polygon, rays_of_range
 from safedpa.perception.zones import polygon_contains
 from safedpa.ros.decoding import DecodingError
 from safedpa.ros.encoding import decode
@@ -28,11 +28,15 @@ from safedpa.ros.sensor_messages import (
     COSTMAP,
     DEPTH_IMAGE,
     GRID,
+    POLYGON,
+    POLYGON_INSTANCE,
     RANGE,
     Pinhole,
     cone_of,
+    corners_of,
     depth_of,
     grid_of,
+    outline_points,
     pinhole_of,
     points_of,
     points_of_depth,
@@ -50,6 +54,7 @@ from safedpa_services.ros_gateway.sensor_inputs import (
     nanoseconds,
 )
 from safedpa_services.ros_gateway.sensor_tables import LASER, ExclusionArea, FrameTopics, SourceTopic
+from safedpa_services.ros_gateway.speed_zones import ToggleInput
 
 __all__ = ["BodyFrames", "SourceReader", "SourceReading", "SourceReceiver", "body_frames", "laser_rays"]
 
@@ -67,6 +72,8 @@ _FLAT = 0.05
 """rad; a laser or range sensor that is tilted by less is in the plane."""
 _GRID_RAYS = 720
 """Directions of a grid: at 5 m they are 4 cm apart, less than a usual cell."""
+_MOST_POLYGONS = 64
+"""Polygons of one source that are known at a time."""
 _ARC_STEP = math.pi / 180.0
 """rad between the points of a range cone that count in speed zones, as in Nav2."""
 
@@ -86,15 +93,18 @@ class SourceReading:
 
     def points_at(self, pose: Frame | None) -> FloatArray:
         """Returns the points (points, 2) [m] in the body frame of the robot at another ``pose``."""
-        if self.pose is None or pose is None or not len(self.points):
-            return self.points
-        (x, y, yaw), (to_x, to_y, to_yaw) = self.pose, pose
-        turn, away_x, away_y = yaw - to_yaw, x - to_x, y - to_y
-        cosine, sine = math.cos(turn), math.sin(turn)
-        offset_x = math.cos(to_yaw) * away_x + math.sin(to_yaw) * away_y
-        offset_y = math.cos(to_yaw) * away_y - math.sin(to_yaw) * away_x
-        px, py = self.points.T
-        return np.column_stack([offset_x + cosine * px - sine * py, offset_y + sine * px + cosine * py])
+        return moved_points(self.points, self.pose, pose)
+
+
+@final
+@dataclass(frozen=True)
+class _Polygon:
+    """A polygon of a source: corners (corners, 3) [m] in the body frame at ``pose``; arrival in s, stamp in ns."""
+
+    arrived: float
+    stamp: int
+    corners: FloatArray
+    pose: Frame | None
 
 
 @final
@@ -185,10 +195,17 @@ class SourceReader:
     """Converts decoded messages of one source; raises DecodingError for those that cannot be used."""
 
     def __init__(
-        self, topic: SourceTopic, areas: Sequence[ExclusionArea], frames: BodyFrames, odometry_frame: str = "odom"
+        self,
+        topic: SourceTopic,
+        areas: Sequence[ExclusionArea],
+        frames: BodyFrames,
+        odometry_frame: str = "odom",
+        switches: Mapping[str, ToggleInput] | None = None,
     ) -> None:
         self.topic, self._frames, self._odometry_frame = topic, frames, odometry_frame
-        self._areas = [area for area in areas if area.name in topic.exclusions]
+        self._own_areas = [area for area in areas if area.name in topic.exclusions]
+        self._switches = switches or {area.name: ToggleInput(area.enabled) for area in self._own_areas}
+        self._polygons: dict[int, _Polygon] = {}
         self._band = HeightBand(topic.height[0], topic.height[1])
         self.camera: Pinhole | None = None
         """Intrinsics of a depth camera; None before its CameraInfo arrived."""
@@ -199,7 +216,19 @@ class SourceReader:
             RANGE: self._range,
             GRID: self._grid,
             COSTMAP: self._grid,
+            POLYGON: self._polygon,
+            POLYGON_INSTANCE: self._polygon,
         }
+
+    @property
+    def _areas(self) -> list[ExclusionArea]:
+        """Exclusions of this source that apply now."""
+        return [area for area in self._own_areas if self._switches[area.name].on]
+
+    def repeats(self, message: Any, stamp: int) -> bool:
+        """Whether a polygon with a number has the stamp [ns] of the one before; 0: it has none."""
+        known = self._polygons.get(int(message.polygon.id))
+        return known is not None and known.stamp == stamp != 0
 
     def read(self, message: Any, now: float) -> SourceReading:
         """Returns the reading of a message that arrived at ``now`` [s]."""
@@ -307,6 +336,28 @@ class SourceReader:
         )  # 720 x 600 steps at most
         return rays, body[~excluded][:, :2]
 
+    def _polygon(self, message: Any, now: float, stamp: int) -> tuple[Rays, FloatArray]:
+        """The nearest of all polygons that are known: each counts for the time-out of its source."""
+        pose = self._frames.pose_in(self._odometry_frame)
+        corners = _moved(self._frames.of(message.header.frame_id, now, stamp), corners_of(message))
+        number = int(getattr(message.polygon, "id", 0))
+        known = {key: one for key, one in self._polygons.items() if 0.0 <= now - one.arrived <= self.topic.time_out}
+        known[number] = _Polygon(now, stamp, corners, pose)
+        if len(known) > _MOST_POLYGONS:
+            raise DecodingError(f"it is one of {len(known)} polygons, wanted {_MOST_POLYGONS} at most")
+        self._polygons = known
+        shapes = [moved_points(one.corners, one.pose, pose) for one in known.values()]
+        farthest = self.topic.farthest
+        each = [rays_of_polygon(shape[:, :2].tolist(), rays=_GRID_RAYS, farthest=farthest) for shape in shapes]
+        ranges = np.min([one.ranges for one in each], axis=0)
+        angles = each[0].first_angle + each[0].angle_step * np.arange(_GRID_RAYS)
+        ends = ranges[:, np.newaxis] * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(_GRID_RAYS)])
+        hit = ranges < farthest
+        ranges = np.where(hit & self._excluded(ends, now), -1.0, ranges)
+        points = np.vstack([outline_points(shape, self.topic.sampling) for shape in shapes])
+        points = points[~self._excluded(points, now) & (np.hypot(points[:, 0], points[:, 1]) < farthest)]
+        return replace(each[0], ranges=tuple(ranges.tolist())), points[:, :2]
+
     def _reduced(
         self,
         body: FloatArray,
@@ -353,6 +404,23 @@ class SourceReader:
             )
             found |= inside & (body[:, 2] >= area.height[0]) & (body[:, 2] <= area.height[1])
         return found
+
+
+def moved_points(points: FloatArray, before: Frame | None, now: Frame | None) -> FloatArray:
+    """Returns points (points, 2 or more) [m] of the body frame at the pose ``before`` in that at ``now``.
+
+    Points stay where they are if a pose is not known.
+    """
+    if before is None or now is None or not len(points):
+        return points
+    (x, y, yaw), (to_x, to_y, to_yaw) = before, now
+    turn, away_x, away_y = yaw - to_yaw, x - to_x, y - to_y
+    cosine, sine = math.cos(turn), math.sin(turn)
+    offset_x = math.cos(to_yaw) * away_x + math.sin(to_yaw) * away_y
+    offset_y = math.cos(to_yaw) * away_y - math.sin(to_yaw) * away_x
+    px, py = points[:, 0], points[:, 1]
+    flat = np.column_stack([offset_x + cosine * px - sine * py, offset_y + sine * px + cosine * py])
+    return np.column_stack([flat, points[:, 2:]])
 
 
 def laser_rays(scan: Any) -> tuple[float, float, FloatArray, float, float] | None:
@@ -403,7 +471,7 @@ class SourceReceiver(Receiver):
     def take(self, data: bytes, attachment: Attachment | None = None) -> None:
         """Takes a message, on the network's thread."""
         at = self._clock()
-        if self.topic.type not in (LASER, RANGE) and 0.0 <= at - self._last < _SHORTEST_GAP:
+        if self.topic.type not in (LASER, RANGE, POLYGON_INSTANCE) and 0.0 <= at - self._last < _SHORTEST_GAP:
             return
         if not self._publishers.accept(attachment, at):
             self._refuse(TWO_PUBLISHERS)
@@ -411,7 +479,8 @@ class SourceReceiver(Receiver):
         try:
             message = decode(self.topic.type, data)
             stamp = nanoseconds(message.header.stamp)
-            if self._repeats(stamp):
+            numbered = self.topic.type == POLYGON_INSTANCE  # those of one moment have one stamp
+            if self.reader.repeats(message, stamp) if numbered else self._repeats(stamp):
                 return
             reading = self.reader.read(message, at)
         except DecodingError as error:

@@ -23,9 +23,12 @@ from safedpa.ros.graph import Attachment
 from safedpa.ros.sensor_messages import POLYGON, corners_of
 from safedpa_services.ros_gateway.sensor_tables import SpeedZone, VelocityPolygon
 
-__all__ = ["BOOL", "Limit", "SpeedZones", "ToggleInput", "ZonePolygon", "scaled", "velocity_of"]
+__all__ = ["BOOL", "FLOAT", "Limit", "SpeedZones", "ToggleInput", "ZonePolygon", "ZoneRadius", "scaled", "velocity_of"]
 
 BOOL = "std_msgs/msg/Bool"
+FLOAT = "std_msgs/msg/Float32"
+_LARGEST_RADIUS = 100.0
+"""m"""
 _NUMBERS = {"": 0, "stop": 1, "slowdown": 2, "limit": 4}
 """``action_type`` of ``nav2_msgs/CollisionMonitorState``."""
 
@@ -92,7 +95,7 @@ class ZonePolygon:
         with self._lock:
             self._corners, self.why = (message.header.frame_id, corners), ""
 
-    def corners(self) -> FloatArray | None:
+    def shape(self) -> FloatArray | None:
         """Returns the corners (corners, 2) [m] in the body frame now; None if they are not known."""
         with self._lock:
             known = self._corners
@@ -105,6 +108,32 @@ class ZonePolygon:
             return None
         moved: FloatArray = (known[1] @ matrix[:3, :3].T + matrix[:3, 3])[:, :2]
         return moved
+
+
+@final
+class ZoneRadius:
+    """Radius of a zone that a topic (``std_msgs/Float32``) sets [m]; a message that cannot be used leaves none."""
+
+    def __init__(self) -> None:
+        self._radius: float | None = None
+        self.why = "no radius arrived yet"
+        """Why there is no radius; empty if there is one."""
+
+    def take(self, data: bytes, attachment: Attachment | None = None) -> None:
+        """Takes a message, on the network's thread."""
+        del attachment
+        try:
+            radius = float(decode(FLOAT, data).data)
+        except DecodingError as error:
+            self._radius, self.why = None, str(error)
+            return
+        usable = 0.0 < radius <= _LARGEST_RADIUS
+        self.why = "" if usable else f"its radius is {radius:g} m, wanted more than 0 and at most {_LARGEST_RADIUS:g}"
+        self._radius = radius if usable else None
+
+    def shape(self) -> float | None:
+        """Returns the radius [m]; None if it is not known."""
+        return self._radius
 
 
 @dataclass
@@ -132,11 +161,11 @@ class SpeedZones:
     def __init__(
         self,
         zones: Sequence[SpeedZone],
-        polygons: Mapping[str, ZonePolygon] | None = None,
+        shapes: Mapping[str, ZonePolygon | ZoneRadius] | None = None,
         switches: Mapping[str, ToggleInput] | None = None,
         all_on: ToggleInput | None = None,
     ) -> None:
-        self._zones, self._polygons = tuple(zones), polygons or {}
+        self._zones, self._shapes = tuple(zones), shapes or {}
         self._switches = switches or {zone.name: ToggleInput(zone.enabled) for zone in zones}
         self._all_on = all_on or ToggleInput(True)
         self._counts = {zone.name: _Counts() for zone in zones}
@@ -163,16 +192,16 @@ class SpeedZones:
 
     def missing(self) -> str:
         """Returns why a zone has no shape; empty if all have one."""
-        for name, polygon in self._polygons.items():
-            if polygon.corners() is None:
-                return f"the zone {name} has no shape: {polygon.why}"
+        for name, one in self._shapes.items():
+            if one.shape() is None:
+                return f"the zone {name} has no shape: {one.why}"
         return ""
 
     def _shape(self, zone: SpeedZone, nominal: Velocity) -> FloatArray | float | None:
         if zone.radius:
             return zone.radius
-        if zone.topic:
-            return self._polygons[zone.name].corners()
+        if zone.topic or zone.radius_topic:
+            return self._shapes[zone.name].shape()
         if zone.velocity:
             matching = (part for part in zone.velocity if _matches(part, nominal, holonomic=zone.holonomic))
             return np.array(next(matching, zone.velocity[-1]).points)

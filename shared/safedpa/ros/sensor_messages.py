@@ -22,6 +22,7 @@ __all__ = [
     "DEPTH_IMAGE",
     "GRID",
     "POLYGON",
+    "POLYGON_INSTANCE",
     "RANGE",
     "Cone",
     "CostGrid",
@@ -32,6 +33,7 @@ __all__ = [
     "depth_of",
     "flat_yaw",
     "grid_of",
+    "outline_points",
     "pinhole_of",
     "points_of",
     "points_of_depth",
@@ -44,10 +46,13 @@ RANGE: Final = "sensor_msgs/msg/Range"
 GRID: Final = "nav_msgs/msg/OccupancyGrid"
 COSTMAP: Final = "nav2_msgs/msg/Costmap"
 POLYGON: Final = "geometry_msgs/msg/PolygonStamped"
+POLYGON_INSTANCE: Final = "geometry_msgs/msg/PolygonInstanceStamped"
 
 _MOST_POINTS = 2_000_000
 """Points, pixels or cells of one message; a 128-beam lidar sends 260,000 points."""
 _MOST_CORNERS = 512
+_MOST_ON_EDGE = 1000
+"""Points on one edge."""
 _LARGEST_METRES = 1e4
 _FLOATS = {7: "f4", 8: "f8"}
 """``datatype`` of ``sensor_msgs/PointField`` that holds coordinates."""
@@ -241,14 +246,26 @@ def flat_yaw(x: float, y: float, z: float, w: float) -> float:
 
 
 def corners_of(message: Any) -> FloatArray:
-    """Returns the corners (corners, 3) [m] of a PolygonStamped; raises DecodingError for fewer than 3 or bad ones."""
-    points = message.polygon.points
+    """Returns the corners (corners, 3) [m] of a PolygonStamped or PolygonInstanceStamped.
+
+    Raises DecodingError for fewer than 3 or bad ones.
+    """
+    points = getattr(message.polygon, "polygon", message.polygon).points
     if not 3 <= len(points) <= _MOST_CORNERS:
         raise DecodingError(f"its polygon has {len(points)} corners, wanted 3 to {_MOST_CORNERS}")
     corners = np.array([(point.x, point.y, point.z) for point in points], dtype=np.float64)
     if not (np.abs(corners) < _LARGEST_METRES).all():
         raise DecodingError("a corner of its polygon is not finite or implausibly far away")
     return corners
+
+
+def outline_points(corners: FloatArray, apart: float) -> FloatArray:
+    """Returns points (points, 3) on the edges of a polygon (corners, 3), at most ``apart`` [m] from each other."""
+    found = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = min(max(math.ceil(float(np.linalg.norm(end - start)) / apart), 1), _MOST_ON_EDGE)
+        found.append(start + np.linspace(0.0, 1.0, count, endpoint=False)[:, np.newaxis] * (end - start))
+    return np.vstack(found)
 
 
 def covering_capsule(corners: FloatArray) -> tuple[float, float, float]:
