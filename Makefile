@@ -62,8 +62,9 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 	@deploy/test-fleet
 
 # Of those that stand in for a compiled class by one of their own, none is among them.
-TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/native/test_decisions.py tests/dynamics/test_recorded_step.py \
+TESTS_OF_COMPILED := tests/safety tests/native/test_decisions.py tests/dynamics/test_recorded_step.py \
 	tests/policy/test_fast_policy.py tests/policy/test_goal_seeker.py tests/robots/test_robot_physics.py \
+	$(filter-out %/test_filtered_robot.py %/test_filtered_robot_standing.py,$(wildcard tests/internals/safety/test_*.py)) \
 	$(addprefix tests/bus/test_,coalescing.py handshake.py inbox.py inbox_receiver.py joint_transport.py service_loop.py robot_slot.py)
 
 test-versions: environment  ## quick tests of the library on every other supported Python that is installed

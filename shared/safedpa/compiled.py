@@ -21,6 +21,16 @@ MODULES = (
     "safedpa.safety.margins.conformal",
     "safedpa.safety.margins.online",
     "safedpa.safety.deadlock.escape",
+    "safedpa.safety.deadlock.detector",
+    "safedpa.safety.prediction.command_history",
+    "safedpa.safety.prediction.dead_time",
+    "safedpa.safety.session.plausibility",
+    "safedpa.safety.session.session_memory",
+    "safedpa.safety.session.guarded_session",
+    "safedpa.safety.session.filter_session",
+    "safedpa.runtime.robot_session",
+    "safedpa.safety.barriers.cache",
+    "safedpa.safety.solver.constraints",
     "safedpa_sim.ground_forces",
 )
 """Modules of the services on the path of every tick, apart from the decision, which is C (``safedpa.native``).

@@ -62,6 +62,8 @@ class RobotSession(GuardedSession[StateMessage]):
     ) -> None:
         super().__init__(model, safe, margin, limits)
         self.held, self.scene = held, scene
+        # No properties: where these classes are compiled, they would be read as the attributes of the class above.
+        self.can_stop, self.quick = scene.can_stop, scene.quick
         self.changed_at = -1
         """First tick at which another model is active; -1: none."""
         self.prepared = (0, -1)
@@ -73,16 +75,6 @@ class RobotSession(GuardedSession[StateMessage]):
         """Epoch, and all sources named by its states."""
         self.rehearsed = False
         """Whether the fallback path was warmed up with this model."""
-
-    @property
-    def can_stop(self) -> bool:  # type: ignore[override]
-        """Whether the backup action brings the robot to rest."""
-        return self.scene.can_stop
-
-    @property
-    def quick(self) -> bool:  # type: ignore[override]
-        """Whether h is cheap enough to evaluate at hundreds of states per tick."""
-        return self.scene.quick
 
     @classmethod
     def create(

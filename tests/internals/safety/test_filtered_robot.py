@@ -270,5 +270,5 @@ def test_the_last_resort_is_the_backup_of_the_scene_within_the_bounds(backup: An
 @pytest.mark.parametrize(("can_stop", "speeds"), [(True, (3,)), (False, ())])
 def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(can_stop: bool, speeds: tuple[int, ...]):
     memory = driven()
-    memory.scene = SimpleNamespace(can_stop=can_stop)
+    memory.can_stop = can_stop
     assert memory.speeds == speeds

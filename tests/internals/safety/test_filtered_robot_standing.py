@@ -129,7 +129,7 @@ def test_a_next_state_with_a_number_that_is_none_is_none(monkeypatch: pytest.Mon
 @pytest.mark.parametrize("quick", [True, False])
 def test_for_how_long_it_stood_counts_where_a_robot_is_quick(monkeypatch: pytest.MonkeyPatch, quick: bool) -> None:
     memory, given = driven(), list[float]()
-    memory.deadlock_detector.seconds, memory.scene.quick = 7.0, quick
+    memory.deadlock_detector.seconds, memory.quick = 7.0, quick
     monkeypatch.setattr(type(memory.escape), "may_replace", lambda *_: True)
 
     def instead_of(_self: Any, verdict: Verdict, _here: Any, seconds: float) -> Verdict:

@@ -226,34 +226,44 @@ class GuardedSession(SessionMemory[StateT]):
             if self.latched and self._is_unanswered():
                 predicted = self._since_moved(state) or predicted
         if usable and not self.latched:
-            if self._monitor.accept(state.values, self.evidence, self.lost + self._gap):
-                self._free_memory = None
-            self.lost, self._fastest, self._overbraked = 0, 0.0, {}
-            self._unestimated = ()
-            self._believed = self._seen = _Believed(state.epoch, state.tick, state.values, state.until_action)
-            self._unasked, self._fastest_rates = 0, self._monitor.rates(state.values)
+            self._believe(state)
         elif predicted is not None and known is not None:
-            # Values that do not change at all may be frozen: they would make the robot brake for ever.
-            fresh = usable and any(state.values[index] != raw[index] for index in self._trusted if index < len(raw))
-            if not (fresh and len(self._trusted) == len(predicted)):
-                self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
-            self._unasked += _missing(known, state)
-            self._advance_unestimated(state, known)
-            for rate, size in self._monitor.rates(predicted).items():
-                self._fastest_rates[rate] = max(size, self._fastest_rates.get(rate, 0.0))
-            if fresh:
-                pairs = enumerate(zip(state.values, predicted, strict=True))
-                predicted = tuple([measured if at in self._trusted else guess for at, (measured, guess) in pairs])
-                self._overbraked = {}
-            elif self.limits is not None:
-                for unit in self._monitor.falling(known.values, predicted):
-                    more = self.limits.overbraking.get(unit, 0.0)
-                    self._overbraked[unit] = self._overbraked.get(unit, 0.0) + more
-            self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
-            # The fields of a state message are checked; only its values change.
-            state = replace(state, values=predicted)  # type: ignore[type-var]
+            state = self._predict_through(state, known, predicted, raw if usable else ())
         self._accepted = state
         return state
+
+    def _believe(self, state: StateT) -> None:
+        """Takes in a measured state."""
+        if self._monitor.accept(state.values, self.evidence, self.lost + self._gap):
+            self._free_memory = None
+        self.lost, self._fastest, self._overbraked, self._unestimated = 0, 0.0, {}, ()
+        self._believed = self._seen = _Believed(state.epoch, state.tick, state.values, state.until_action)
+        self._unasked, self._fastest_rates = 0, self._monitor.rates(state.values)
+
+    def _predict_through(self, state: StateT, known: _Believed, predicted: Plain, raw: Plain) -> StateT:
+        """The state with predicted values, but for those that are still measured and plausible.
+
+        ``raw``: the measured values of the state before; empty if those of this one are unusable.
+        """
+        # Values that do not change at all may be frozen: they would make the robot brake for ever.
+        fresh = any(state.values[index] != raw[index] for index in self._trusted if index < len(raw))
+        if not (fresh and len(self._trusted) == len(predicted)):
+            self.lost += max(1, state.tick - known.tick) if state.epoch == known.epoch else 1
+        self._unasked += _missing(known, state)
+        self._advance_unestimated(state, known)
+        for rate, size in self._monitor.rates(predicted).items():
+            self._fastest_rates[rate] = max(size, self._fastest_rates.get(rate, 0.0))
+        if fresh:
+            pairs = enumerate(zip(state.values, predicted, strict=True))
+            predicted = tuple([measured if at in self._trusted else guess for at, (measured, guess) in pairs])
+            self._overbraked = {}
+        elif self.limits is not None:
+            for unit in self._monitor.falling(known.values, predicted):
+                more = self.limits.overbraking.get(unit, 0.0)
+                self._overbraked[unit] = self._overbraked.get(unit, 0.0) + more
+        self._believed = _Believed(state.epoch, state.tick, predicted, state.until_action)
+        # The fields of a state message are checked; only its values change.
+        return replace(state, values=predicted)  # type: ignore[type-var]
 
     def watch_margin(self, state: StateT) -> None:
         """Compares the last prediction with the measured state; not with one that is itself predicted."""
