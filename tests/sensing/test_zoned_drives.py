@@ -1,11 +1,11 @@
-"""Drives behind the zones of Nav2's parameters, and shares of goals on the same drives."""
+"""Drives behind the zones of Nav2's parameters, by other sources, and shares of goals on the same drives."""
 
 from pathlib import Path
 
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.sensing.experiment import at_most_95, goal_shares, page_of
+from safedpa_lab.experiments.sensing.experiment import Drive, at_most_95, goal_shares, page_of, run_drive
 from safedpa_lab.experiments.sensing.planar import PlanarDrive, planar_experiment, run_planar_drive
 from safedpa_lab.experiments.sensing.planar import page_of as planar_page
 
@@ -43,6 +43,14 @@ def test_a_zone_whose_shape_comes_from_a_topic_is_refused_and_so_is_a_robot_with
         planar_experiment([1000], 0.1, 0, 1, ["differential_drive"], (), [monitor(tmp_path, text)])
     with pytest.raises(InputError, match=r"--monitor: got the robot 'drone'"):
         planar_experiment([1000], 0.1, 0, 1, ["drone"], (), [monitor(tmp_path)])
+
+
+@pytest.mark.parametrize("source", ["depth", pytest.param("cloud", marks=pytest.mark.long)])
+@pytest.mark.parametrize("guard", ["safedpa", pytest.param("monitor", marks=pytest.mark.long)])
+def test_a_car_drives_by_another_source_alone_and_so_do_its_peers(source: str, guard: str) -> None:
+    found = run_drive(Drive("pillars", 1001, 2.0, 1.5, guard, policy="way_seeker", source=source))
+    assert found["way"] > 0.3
+    assert not found["moving"]
 
 
 def drives(guard: str, goals: dict[str, tuple[int, int]], moving: tuple[str, ...] = ()) -> list[dict[str, object]]:

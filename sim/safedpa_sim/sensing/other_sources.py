@@ -17,10 +17,11 @@ from safedpa.arrays import FloatArray
 from safedpa.bus.messages.messages import ScanMessage
 from safedpa.errors import InputError, did_you_mean
 from safedpa.perception import Camera, Rays, rays_of_depth, rays_of_grid, rays_of_points, rays_of_range
-from safedpa_sim.sensing.laser import LaserSettings
+from safedpa_sim.sensing.laser import Laser, LaserSettings
 from safedpa_sim.sensing.shapes import Outline, cast
 
 SOURCES: Final = ("cloud", "depth", "range", "grid")
+KNOWN_SOURCES: Final = ("laser", *SOURCES)
 _HEIGHTS: Final = (0.2, 0.5, 0.8)
 """m; of the points of a cloud on each object."""
 _GROUND: Final = 0.25
@@ -34,13 +35,15 @@ _GRID, _CELL = 10.0, 0.05
 """m; edge of the grid around the robot, and of its cells."""
 
 
-def make_sources(kind: str, seed: int) -> tuple[OtherSource, ...]:
+def make_sources(kind: str, seed: int, laser: LaserSettings | None = None) -> tuple[OtherSource | Laser, ...]:
     """Returns the sensors of a kind around the robot: four cameras, sixteen ranges, or one.
 
-    Raises InputError for a kind that does not exist.
+    ``laser`` are the settings of a laser. Raises InputError for a kind that does not exist.
     """
-    if kind not in SOURCES:
-        raise InputError(f"source '{kind}': {did_you_mean(kind, SOURCES)}")
+    if kind not in KNOWN_SOURCES:
+        raise InputError(f"source '{kind}': {did_you_mean(kind, KNOWN_SOURCES)}")
+    if kind == "laser":
+        return (Laser(laser or LaserSettings(), seed),)
     count = {"depth": _CAMERAS, "range": _RANGES}.get(kind, 1)
     return tuple(OtherSource(kind, f"{kind}{index}", 2.0 * pi * index / count, seed + index) for index in range(count))
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 from safedpa.bus.messages.messages import ScanMessage
 from safedpa_sim.sensing.laser import Laser
+from safedpa_sim.sensing.other_sources import OtherSource
 from safedpa_sim.sensing.people import Person
 from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box
 
@@ -24,11 +25,11 @@ _STEP = 0.05
 
 @final
 class SimulatedSensors:
-    """The laser scanners and people of one car. ``glass`` holds the indices of polygons that rays pass through."""
+    """The sensors and people of one car. ``glass`` holds the indices of polygons that rays pass through."""
 
     def __init__(
         self,
-        lasers: Sequence[Laser],
+        lasers: Sequence[Laser | OtherSource],
         people: Sequence[Person] = (),
         glass: Sequence[int] = (),
         *,

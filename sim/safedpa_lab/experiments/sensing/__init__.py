@@ -61,6 +61,12 @@ EXPERIMENTS = (
             *scenes(8, 1000, "drives per kind of scene", "drive", 30.0),
             number("--coming", 1.5, "assumed speed of hidden people [m/s]"),
             integer("--people", 3, "number of people in the scene 'people'", least=0),
+            text(
+                "--source",
+                "laser",
+                "the only kind of sensor of filter and controller",
+                known="safedpa_sim.sensing.other_sources:KNOWN_SOURCES",
+            ),
             switch(
                 "--peers/--no-peers",
                 "also drive with other projects' collision monitors, and without any",
@@ -116,7 +122,7 @@ EXPERIMENTS = (
                 "--source",
                 "sources",
                 "the only kind of sensor; repeatable  [laser]",
-                known="safedpa_lab.experiments.sensing.planar:KNOWN_SOURCES",
+                known="safedpa_sim.sensing.other_sources:KNOWN_SOURCES",
             ),
             repeated(
                 "--monitor",

@@ -18,7 +18,7 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
-from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.safety.defaults import settings_named
@@ -40,7 +40,8 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car.loads import LOADS as TOWED
 from safedpa_sim.robots.car.robot import CarRobot
 from safedpa_sim.robots.car.scene import Scene
-from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
+from safedpa_sim.sensing import LaserSettings, Person, StepsOut
+from safedpa_sim.sensing.other_sources import KNOWN_SOURCES, make_sources
 from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 GUARDS = ("safedpa", "reported", "reported-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
@@ -76,10 +77,19 @@ class Drive:
     """rad"""
     people: int = PEOPLE
     """Number of people in the scene "people"."""
+    source: str = KNOWN_SOURCES[0]
+    """The only kind of sensor; noise, latency and field of view are those of a laser."""
 
 
-def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
-    """In the order of the data flow."""
+def repeating(names: Sequence[str]) -> dict[str, SourceSettings]:
+    """Returns the settings of sensors: all but a laser measure in coarse steps, and repeat while the robot stands."""
+    return {name: SourceSettings(repeats=True) for name in names if name != KNOWN_SOURCES[0]}
+
+
+def _nodes(
+    wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person], sensors: Sequence[str]
+) -> list[AbstractNode]:
+    """In the order of the data flow; ``sensors`` are names."""
     policy = PolicyNode(model, wanted.policy)
     peers: dict[str, Callable[[], AbstractNode]] = {
         "monitor": CollisionMonitor,
@@ -87,7 +97,7 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
         "time-to-collision": TimeToCollision,
         "nothing": NoFilter,
     }
-    settings = PerceptionSettings(coming=wanted.coming)
+    settings = PerceptionSettings(coming=wanted.coming, sources=repeating(sensors))
     if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
         eyes = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
         return [AdaptationNode(model), *eyes, policy, peers[wanted.guard]()]
@@ -104,8 +114,9 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     model = load_model("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking, wanted.people)
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
-    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser, wanted.seed),), people))
-    nodes = _nodes(wanted, model, scene, people)
+    sensors = SimulatedSensors(make_sources(wanted.source, wanted.seed, laser), people)
+    robot = CarRobot(scene, sensor_inputs=sensors)
+    nodes = _nodes(wanted, model, scene, people, sensors.names)
     way, microseconds, nominal_way, retained = 0.0, [], 0.0, 0.0
     for tick in drive(robot, nodes, round(wanted.seconds / PERIOD)):
         if tick.verdict.nominal:
@@ -142,6 +153,7 @@ def sensing_experiment(
     policy: str = POLICIES[0],
     record: Path | None = None,
     people: int = PEOPLE,
+    source: str = KNOWN_SOURCES[0],
 ) -> dict[str, Any]:
     """Every scene with every seed and load behind each guard; one row for each scene and guard.
 
@@ -150,7 +162,7 @@ def sensing_experiment(
     """
     kinds = [(scene, guard) for scene in scenes for guard in guards]
     wanted = [
-        Drive(scene, seed, seconds, coming, guard, load, policy, people=people)
+        Drive(scene, seed, seconds, coming, guard, load, policy, people=people, source=source)
         for scene, guard in kinds
         for seed in seeds
         for load in loads
@@ -165,7 +177,14 @@ def sensing_experiment(
             by_load.append({**row, "goals_a_minute": 60.0 * sum(goals) / (seconds * len(goals))})
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
     rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
-    return {**chosen, "people": people, "rows": rows, "by_load": by_load, "shares": goal_shares(found)}
+    return {
+        **chosen,
+        "people": people,
+        "source": source,
+        "rows": rows,
+        "by_load": by_load,
+        "shares": goal_shares(found),
+    }
 
 
 def at_most_95(hits: int, trials: int) -> float:
@@ -237,7 +256,7 @@ def run(options: Options, report_progress: ReportProgress) -> Result:
 
 
 _GUARDS = {
-    "safedpa": "this filter, laser alone",
+    "safedpa": "this filter, its sensors alone",
     "reported": "this filter, perfect knowledge",
     "reported-but-hiding": "this filter, knowing all but hidden people",
     "monitor": "nav2's collision monitor, its defaults (1.2 s, 6 points)",
@@ -255,7 +274,7 @@ def page_of(result: Mapping[str, Any]) -> str:
     hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in rows for what in row["which"]]
     towards = "car or load did not drive towards it, at less than 0.1 m/s: it came to them"
     return page(
-        "Drives with a laser",
+        f"Drives with {result.get('source', 'laser')} as the only sensor",
         f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, "
         f"controller {result.get('policy', 'goal_seeker')}, {result.get('people', PEOPLE)} people in the scene "
         "'people'. A collision is the car's where it was at 0.1 m/s or more. 'At most' is the one-sided bound at 95 %.",

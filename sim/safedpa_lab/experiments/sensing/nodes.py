@@ -47,25 +47,28 @@ _WHEELBASE = 0.32
 
 @final
 class ScanPoints:
-    """The newest scan's points in the body frame, moved by the robot's own way since."""
+    """The points of each source's newest scan in the body frame, moved by the robot's own way since."""
 
     def __init__(self) -> None:
         self._odometry = OdometryBuffer()
-        self._scan: ScanMessage | None = None
+        self._newest: dict[str, ScanMessage] = {}
 
     def hear(self, scan: ScanMessage) -> None:
         """Takes a scan."""
-        self._scan = scan
+        self._newest[scan.source] = scan
 
     def points(self, state: StateMessage) -> FloatArray | None:
-        """Points (n, 2) [m] at ``state``, called once in each tick; None without a scan that can be placed."""
+        """Points (n, 2) [m] at ``state``, called once in each tick; None if a source has no scan that can be placed."""
         x, y, yaw = state.values[:3]
         self._odometry.add(state.robot_time, (x, y, yaw))
-        pose = None if self._scan is None else self._odometry.at(self._scan.robot_time)
-        if self._scan is None or pose is None or state.robot_time - self._scan.robot_time > _TIME_OUT:
-            return None
-        ends = ScanRays(self._scan, pose, state, open_air=False).ends
-        apart = ends - (x, y)
+        ends = []
+        for source in state.sources:
+            scan = self._newest.get(source)
+            pose = None if scan is None else self._odometry.at(scan.robot_time)
+            if scan is None or pose is None or state.robot_time - scan.robot_time > _TIME_OUT:
+                return None
+            ends.append(ScanRays(scan, pose, state, open_air=False).ends)
+        apart = np.vstack([np.empty((0, 2)), *ends]) - (x, y)
         return np.column_stack(
             [cos(yaw) * apart[:, 0] + sin(yaw) * apart[:, 1], cos(yaw) * apart[:, 1] - sin(yaw) * apart[:, 0]]
         )

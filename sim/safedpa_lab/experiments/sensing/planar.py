@@ -17,7 +17,7 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import load_model, load_user_file_everywhere
 from safedpa.errors import InputError
-from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings
+from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.barriers.planar_body import IS_STATIONARY
@@ -29,13 +29,13 @@ from safedpa_lab.experiments.common.statistics import ratio_interval
 from safedpa_lab.experiments.common.workers import driven
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent, with_options
 from safedpa_lab.experiments.report import interval, markdown_table, page
-from safedpa_lab.experiments.sensing.experiment import at_most_95
+from safedpa_lab.experiments.sensing.experiment import at_most_95, repeating
 from safedpa_lab.experiments.sensing.nodes import ReportsEverything, edge_points
 from safedpa_lab.experiments.sensing.zoned import ZonedPolicy, converted, face_of
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
-from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.other_sources import SOURCES, make_sources
+from safedpa_sim.sensing import LaserSettings
+from safedpa_sim.sensing.other_sources import KNOWN_SOURCES, make_sources
 from safedpa_sim.sensing.people import walkers_in
 from safedpa_sim.sensing.stand_in_sensors import StandInSensors
 
@@ -46,7 +46,6 @@ ROBOTS: Final[Mapping[str, Path | None]] = {
     "omni": Path(__file__).with_name("omni.py"),
 }
 """By name, the file that declares each robot; None: it ships."""
-KNOWN_SOURCES: Final = ("laser", *SOURCES)
 ARMS: Final = ("safedpa", "reported")
 """What the filter knows: what the laser sees, or everything."""
 _APART: Final = 0.03
@@ -67,7 +66,7 @@ class PlanarDrive:
     coming: float = 1.5
     """m/s; speed that perception assumes for hidden people."""
     source: str = "laser"
-    """The only kind of sensor: a laser, or one of ``SOURCES``."""
+    """The only kind of sensor, of ``KNOWN_SOURCES``."""
     monitor: str = ""
     """File with the parameters of Nav2's collision monitor, whose zones limit the nominal action; empty: none."""
 
@@ -90,8 +89,7 @@ def run_planar_drive(wanted: PlanarDrive) -> dict[str, Any]:
     pose = (names.index(body.pose[0]), names.index(body.pose[1]), yaw)
 
     def sensors(stand_in: AbstractStandIn) -> StandInSensors:
-        laser = (Laser(LaserSettings(mount=(0.0, 0.0, 0.0)), wanted.seed),)
-        looks = laser if wanted.source == "laser" else make_sources(wanted.source, wanted.seed)
+        looks = make_sources(wanted.source, wanted.seed, LaserSettings(mount=(0.0, 0.0, 0.0)))
         polygons = getattr(stand_in, "polygons", ())
         empty = StandInSensors((), polygons=polygons, pose=pose)
         start = empty.pose(stand_in)[:2]
@@ -100,9 +98,7 @@ def run_planar_drive(wanted: PlanarDrive) -> dict[str, Any]:
 
     robot = StandInRobot(declared, 1.0 / declared.rate, wanted.seed, sensors=sensors)
     assert robot.sensors is not None
-    # A sensor of coarse steps repeats itself while the robot stands.
-    repeats = {name: SourceSettings(repeats=True) for name in robot.sensors.names if wanted.source != "laser"}
-    eyes = PerceptionNode(PerceptionSettings(coming=wanted.coming, sources=repeats))
+    eyes = PerceptionNode(PerceptionSettings(coming=wanted.coming, sources=repeating(robot.sensors.names)))
     everything = ReportsEverything(robot.sensors.solid(robot.stand_in), robot.sensors.people)
     looks = eyes if wanted.arm == ARMS[0] else everything
     policy: AbstractNode = PolicyNode(model, declared.default_controller)
