@@ -258,7 +258,7 @@ def test_drives_among_people_are_compared_with_those_with_perfect_knowledge() ->
     row = sensing.row_of(("crowd", "reported"), drives, reported, 30.0)
     assert row == {
         "scene": "crowd", "guard": "reported", "drives": 3, "drives_in_which_the_car_moved_into_something": 2,
-        "share_95": clopper_pearson_interval(2, 3),
+        "share_95": clopper_pearson_interval(2, 3), "at_most_95": sensing.at_most_95(2, 3),
         "which": ["seed 1, load none: a person", "seed 1, load none: a wall", "seed 3, load none: a person"],
         "of_them_it_did_not_drive_towards": 2, "touched_while_it_stood": 3, "drives_in_which_somebody_stepped_out": 2,
         "goals_beside_perfect_knowledge": ratio_interval(np.array([2.0, 0.0, 2.0]), np.array([2.0, 1.0, 3.0])),
@@ -317,7 +317,7 @@ def test_the_page_of_drives_among_people_lists_every_contact() -> None:
     page = sensing_page({"seeds": [1, 2, 3], "loads": ["none"], "seconds": 5.0, "rows": rows})
     assert "Into what (in 5 of these car or load" in page
     assert page.count("\n- people, ") == 3
-    assert "| 9 | 2 | 1.0 to 50.0 % | 4 | 1.3 |  | 33 |" in page
+    assert "| 9 | 2 | 1.0 to 50.0 % | 55.0 % | 4 | 1.3 |  | 33 |" in page
 
 
 def test_long_drives_count_standstills_and_crawls() -> None:
