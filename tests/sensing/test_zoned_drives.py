@@ -6,6 +6,8 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments.sensing.experiment import Drive, at_most_95, goal_shares, page_of, run_drive
+from safedpa_lab.experiments.sensing.losses import CHANGES, losses_experiment
+from safedpa_lab.experiments.sensing.losses import page_of as losses_page
 from safedpa_lab.experiments.sensing.planar import PlanarDrive, planar_experiment, run_planar_drive
 from safedpa_lab.experiments.sensing.planar import page_of as planar_page
 
@@ -51,6 +53,18 @@ def test_a_car_drives_by_another_source_alone_and_so_do_its_peers(source: str, g
     found = run_drive(Drive("pillars", 1001, 2.0, 1.5, guard, policy="way_seeker", source=source))
     assert found["way"] > 0.3
     assert not found["moving"]
+
+
+def test_each_lost_assumption_is_a_row_next_to_perfect_knowledge(tmp_path: Path) -> None:
+    names = ("as it is", "the laser looks over the load", "who stops is at rest after 2 s")
+    changes, record = {name: CHANGES[name] for name in names}, tmp_path / "drives.jsonl"
+    found = [losses_experiment([1001], 0.5, 1, 1, ["box"], record=record, changes=changes) for _ in range(2)]
+    assert found[0] == found[1], "drives of a record are not repeated"
+    assert [(row["load"], row["change"], row["drives"]) for row in found[0]["rows"]] == [
+        ("box", one, 1) for one in names
+    ]
+    page = losses_page({**found[0], "experiment": "sensing-losses"})
+    assert "| box | the laser looks over the load | 1 | 0 |" in page
 
 
 def drives(guard: str, goals: dict[str, tuple[int, int]], moving: tuple[str, ...] = ()) -> list[dict[str, object]]:

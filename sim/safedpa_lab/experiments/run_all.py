@@ -110,6 +110,7 @@ PARTS: Final = (
     Part("sensing-robots", 60, "sensing-robots --seeds 100 --first-seed 4000 --seconds 15", "--seeds 1 --seconds 1"),
     Part("sensing-peers", 5, "sensing --seeds 4 --first-seed 5100 --no-perfect-knowledge"),
     Part("sensing-curves", 10, "sensing-curves --seeds 8 --first-seed 4900"),
+    Part("sensing-losses", 60, f"sensing-losses --seeds 10 --first-seed 7100 {_LOADS}", "--seeds 1 --seconds 1"),
     Part("sensing-margins", 20),
     Part("meeting", 15, "meeting --seeds 3 --first-seed 4700 --seconds 20"),
     Part("adversary", 45, "adversary --seed 2000"),

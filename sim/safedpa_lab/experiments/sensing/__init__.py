@@ -140,6 +140,28 @@ EXPERIMENTS = (
         small=("--seeds", "1", "--seconds", "1", "--robot", "differential_drive"),
     ),
     Experiment(
+        name="sensing-losses",
+        help="Where a car with a laser loses goals among people: one assumption of perception removed at a time.",
+        run=f"{__name__}.losses:run",
+        parameters=(
+            *scenes(8, 1000, "drives per change and load", "drive", 30.0),
+            integer("--people", 3, "number of people", least=0),
+            repeated(
+                "--load",
+                "loads",
+                "what is towed; repeatable, each with every seed  [none]",
+                known="safedpa_lab.experiments.sensing.experiment:LOADS",
+            ),
+            PROCESSES,
+            RECORD,
+            FILE_OUT,
+            PAGE_OUT,
+        ),
+        report=f"{__name__}.losses:page_of",
+        extras=("sim",),
+        small=("--seeds", "1", "--seconds", "1"),
+    ),
+    Experiment(
         name="sensing-curves",
         help="A laser among people, made harder: faster people, noisier, older and narrower scans.",
         run=f"{__name__}.curves:run",

@@ -79,6 +79,12 @@ class Drive:
     """Number of people in the scene "people"."""
     source: str = KNOWN_SOURCES[0]
     """The only kind of sensor; noise, latency and field of view are those of a laser."""
+    fastest: float = 1.5
+    restless: float = 10.0
+    memory: float = 30.0
+    """Settings of perception: m/s and s."""
+    sees_load: bool = True
+    """Whether rays hit the load; otherwise the sensor looks over it."""
 
 
 def repeating(names: Sequence[str]) -> dict[str, SourceSettings]:
@@ -97,7 +103,10 @@ def _nodes(
         "time-to-collision": TimeToCollision,
         "nothing": NoFilter,
     }
-    settings = PerceptionSettings(coming=wanted.coming, sources=repeating(sensors))
+    settings = PerceptionSettings(
+        coming=wanted.coming, fastest=wanted.fastest, restless=wanted.restless, memory=wanted.memory,
+        sources=repeating(sensors),
+    )  # fmt: skip
     if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
         eyes = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
         return [AdaptationNode(model), *eyes, policy, peers[wanted.guard]()]
@@ -114,7 +123,7 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     model = load_model("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking, wanted.people)
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
-    sensors = SimulatedSensors(make_sources(wanted.source, wanted.seed, laser), people)
+    sensors = SimulatedSensors(make_sources(wanted.source, wanted.seed, laser), people, sees_load=wanted.sees_load)
     robot = CarRobot(scene, sensor_inputs=sensors)
     nodes = _nodes(wanted, model, scene, people, sensors.names)
     way, microseconds, nominal_way, retained = 0.0, [], 0.0, 0.0
