@@ -1,5 +1,6 @@
 """The live page without a browser: answers, consequences, decisions, and what pops up."""
 
+import asyncio
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ import pytest
 pytest.importorskip("nicegui")
 from nicegui import ui
 from tests.messages import finding_of, state_of, verdict_of
-from tests.workbench.tab import Tab
+from tests.workbench.tab import Tab, turns
 
 from safedpa.bus import Answer
 from safedpa_services.web.upload_store import FileStore
@@ -157,6 +158,41 @@ def test_without_an_earlier_model_there_is_no_way_back(shown):
 
     assert not shown(Link(reported(replace(STATUS, earlier=0))), look)
     assert shown(Link(reported(STATUS)), look)
+
+
+def test_a_browser_gets_the_next_picture_once_it_has_taken_the_last_one(shown, monkeypatch):
+    """One that draws too slowly would keep all of them; the end of the drive is shown at once."""
+    link, drawn = Link(reported(STATUS)), list[int]()
+
+    async def look(page, tab):
+        answer = asyncio.Event()
+
+        async def answered(_script, _seconds):
+            await answer.wait()
+
+        async def count():
+            before = len(drawn)
+            for _ in range(3):
+                redraw()
+                await turns()
+            return len(drawn) - before
+
+        monkeypatch.setattr("safedpa_services.workbench.live.page.run_script", answered)
+        monkeypatch.setattr(page, "show", lambda: drawn.append(1))
+        redraw = next(timer.callback for timer in tab.all(ui.timer) if timer.interval < 1.0)
+        waiting = await count()
+        answer.set()
+        await turns()
+        taken = await count()
+        answer.clear()
+        redraw()
+        link.ended = True
+        ended = await count()
+        answer.set()
+        await turns()
+        return waiting, taken, ended
+
+    assert shown(link, look) == (1, 3, 3)
 
 
 def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_seconds(shown):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from itertools import zip_longest
 from typing import Any
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from safedpa.bus import Answer, Request
 from safedpa.bus.monitor import is_stale
@@ -34,6 +34,8 @@ from safedpa_services.workbench.tab import AbstractTab, run_script
 
 _REDRAW_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
+_DRAWN_SECONDS = 10.0
+"""Longest time to wait until the browser has taken a picture before it gets the next one."""
 _END_TIMEOUT = 10.0
 _CONNECTION_LOST_SCRIPT = """<script>
   const lines = ['No connection to the live page.',
@@ -67,11 +69,12 @@ class LivePage(AbstractTab):
         self._earlier_models = 0
         self._drawn_candidates: Any = None
         self._drawn_errors: Any = None
-        self._ended = self._request_pending = False
+        self._ended = self._request_pending = self._is_drawing = False
+        self._client = ui.context.client
         ui.add_head_html(_CONNECTION_LOST_SCRIPT)
         link.pages_to_notify.add(self)  # before the page is built: the drive may end while it loads
         super().__init__()
-        ui.timer(_REDRAW_SECONDS, self.show)
+        ui.timer(_REDRAW_SECONDS, self._redraw)
         ui.timer(_STATUS_SECONDS, self.ask_status)
 
     def build_header(self) -> None:
@@ -170,6 +173,21 @@ class LivePage(AbstractTab):
         usual = "All services switch to an accepted model at the same tick."
         self._message.set_content(escaped(self._status_message or usual))
         self._show_candidates(history)
+
+    def _redraw(self) -> None:
+        """Redraws unless the browser has not taken the last picture yet: it keeps in memory what it has not drawn."""
+        if self._is_drawing and not self._link.ended:
+            return
+        self.show()
+        if not self._is_drawing and not self._ended:
+            self._is_drawing = True
+            background_tasks.create(self._await_browser())
+
+    async def _await_browser(self) -> None:
+        """Waits until the browser answers, which it does after all that was sent to it before."""
+        with self._client:
+            await run_script("return true", _DRAWN_SECONDS)
+        self._is_drawing = False
 
     def _show_error(self, history: RobotHistory) -> None:
         """Redraws the error only when it is new, once a second: these figures are the most expensive to draw."""

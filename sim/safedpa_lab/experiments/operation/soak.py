@@ -121,10 +121,11 @@ def _driven(
         running = subprocess.Popen(command, stdout=output, stderr=output)
     try:
         addresses = _addresses(folder, running)
-        with _browser(addresses) as browser:
+        with _browser(addresses) as driver:
             began, samples = time.monotonic(), list[Sample]()
             while running.poll() is None and (passed := time.monotonic() - began) < seconds + _END_SECONDS:
-                samples.append({"seconds": passed, **_memory(running.pid), **_files(folder), "page": _tree_mb(browser)})
+                page = sum(map(_tree_mb, _children(driver)))
+                samples.append({"seconds": passed, **_memory(running.pid), **_files(folder), "page": page})
                 if record is not None:
                     with record.open("a") as file:
                         file.write(json.dumps(samples[-1]) + "\n")
@@ -153,7 +154,7 @@ def _addresses(folder: Path, running: subprocess.Popen[bytes]) -> tuple[str, ...
 
 @contextmanager
 def _browser(addresses: Sequence[str]) -> Iterator[int]:
-    """Opens the pages in a headless Chromium; yields its process id."""
+    """Opens the pages in a headless Chromium; yields the id of the process that drives it, which is not counted."""
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if program is None:
         raise SafedpaError("soak: no Chromium; install it (Debian: apt-get install chromium)")
