@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.requests import ORDER, SENSE
+from safedpa.bus.messages.requests import CONFIRM, ORDER, SENSE
 from safedpa.bus.messages.service_info import setup_message
 from safedpa.systems.robots import DEFAULT_ROBOT
 
@@ -154,7 +154,7 @@ def safety_filter(options: argparse.Namespace) -> PreparedService:
 
 def _take_orders(bus: Bus, orders: StopOrders) -> None:
     """Answers stop orders about every robot, including robots that have not joined yet."""
-    bus.answer_requests(orders.answer, report_progress=partial(_log_order, "safety_filter"), kinds=(ORDER,))
+    bus.answer_requests(orders.answer, report_progress=partial(_log_order, "safety_filter"), kinds=(ORDER, CONFIRM))
     for robot, reason in orders.active.items():
         log_event(
             "order.restored",

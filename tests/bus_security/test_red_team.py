@@ -8,7 +8,7 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import ROSTER, STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
-from safedpa.bus.messages.requests import AGREED, LEASE, ORDER, REQUEST, SENSE, STATUS
+from safedpa.bus.messages.requests import AGREED, CONFIRM, LEASE, ORDER, REQUEST, SENSE, STATUS
 from safedpa.bus.security.access_control import roles_of
 from safedpa.errors import BusError
 from safedpa.live.node import DiagnosisNode
@@ -163,6 +163,7 @@ MAY_ASK = {
     REQUEST: {"operator", "workbench"},
     STATUS: {"operator", "workbench", *LOOP},
     ORDER: {"operator"},
+    CONFIRM: {"robot.r1"},
     SENSE: {"operator"},
     AGREED: LOOP,
     LEASE: {"safety_filter"},
@@ -185,6 +186,7 @@ def test_only_the_roles_of_the_table_may_ask(network: Any, guarded: bool) -> Non
         (REQUEST, diagnosis),
         (AGREED, safety_filter),
         (ORDER, safety_filter),
+        (CONFIRM, safety_filter),
         (SENSE, perception),
         (LEASE, network.router),
     ):

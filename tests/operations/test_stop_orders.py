@@ -48,8 +48,30 @@ def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
     assert orders.answer("r1", STOP).ok
     assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' is stopped, ordered by a test")
     assert orders.answer(EVERYBODY, STATUS).sentence == "the whole fleet may drive; still stopped: r1"
-    with pytest.raises(InputError, match="wanted stop, go or status"):
+    with pytest.raises(InputError, match="wanted stop, go, confirm or status"):
         orders.answer("r1", Request(do="accept"))
+
+
+def test_a_localisation_confirms_an_implausible_state_and_ends_no_order_of_a_person() -> None:
+    confirm = Request(do="confirm", who="/initialpose")
+    orders = StopOrders()
+    assert not orders.answer("r1", confirm).ok, "nothing is to be confirmed"
+    orders.latch("r1", "it jumped")
+    assert orders.answer("r1", confirm).ok
+    assert orders.reason("r1") == ""
+    for first in (True, False):
+        if first:
+            orders.answer("r1", STOP)
+        orders.latch("r1", "it jumped")
+        if not first:
+            orders.answer("r1", STOP)
+        assert not orders.answer("r1", confirm).ok
+        assert "ordered by a test" in orders.reason("r1")
+        assert orders.answer("r1", GO).ok
+    orders.latch("r1", "it jumped")
+    orders.answer(EVERYBODY, STOP)
+    assert not orders.answer("r1", confirm).ok
+    assert not orders.answer(EVERYBODY, confirm).ok
 
 
 @settings(max_examples=12)

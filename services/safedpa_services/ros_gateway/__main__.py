@@ -36,6 +36,7 @@ from safedpa.systems.registry import why_not_driven
 from safedpa.systems.robots import robot_named
 from safedpa_services.ros_gateway.gateway import TWIST, Gateway, HealthPublisher, Limits
 from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
+from safedpa_services.ros_gateway.pose_confirmation import CONFIRMED_POSE, PoseConfirmation
 from safedpa_services.ros_gateway.publisher_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file, uses_transforms
 from safedpa_services.ros_gateway.sensor_inputs import (
@@ -161,6 +162,7 @@ def make_gateway(robot_file: RobotFile, bus: Bus, policy_bus: Bus | None = None)
         yield Gateway(
             bus, link, robot_file, face, limits, sensor_inputs, command, health_publisher, period,
             clock=simulated or time.monotonic, policy_bus=policy_bus, zone_state=publishers[2],
+            confirmation=_confirmation(link, robot_file, bus, simulated or time.monotonic),
         )  # fmt: skip
 
 
@@ -196,6 +198,17 @@ def _sensor_inputs(
         sources=_sources(link, robot_file, frames, clock), footprint=_footprint(link, robot_file, frames, clock),
         zones=_zones(link, robot_file, frames), counted=_counted(link, robot_file),
     )  # fmt: skip
+
+
+def _confirmation(
+    link: RosLink, robot_file: RobotFile, bus: Bus, clock: Callable[[], float]
+) -> PoseConfirmation | None:
+    topic = robot_file.confirmation
+    if not topic.topic:
+        return None
+    found = PoseConfirmation(bus, robot_file.name, topic, robot_file.frame, clock)
+    link.hear(topic.topic, CONFIRMED_POSE, found.input.take)
+    return found
 
 
 def _sources(

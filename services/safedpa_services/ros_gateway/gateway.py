@@ -33,6 +33,7 @@ from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
+from safedpa_services.ros_gateway.pose_confirmation import PoseConfirmation
 from safedpa_services.ros_gateway.robot_file import RobotFile
 from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist
 from safedpa_services.ros_gateway.speed_zones import Limit, scaled, velocity_of
@@ -114,7 +115,10 @@ class Gateway:
         clock: Callable[[], float] = time.monotonic,
         policy_bus: Bus | None = None,
         zone_state: RosPublisher | None = None,
+        confirmation: PoseConfirmation | None = None,
     ) -> None:
+        self._confirmation = confirmation
+        self._verdict: VerdictMessage | None = None
         self._policy_bus, self._zone_state, self._limit = policy_bus or bus, zone_state, Limit()
         self._wall = time.monotonic if sensor_inputs.simulated is not None else clock
         """Clock of heartbeats, which must not stop with simulated time."""
@@ -169,6 +173,8 @@ class Gateway:
             pose = pose if localised is None else pose.seen_from(localised.read()[0])
             if math.isfinite(pose.x + pose.y + pose.yaw):
                 self._publish(pose, age)
+                if self._confirmation is not None:
+                    self._confirmation.check(pose, self._verdict)
                 action = self._await_action(published, begin + _DEADLINE_SHARE * self.period)
                 why = "" if action is not None else "no action of the filter arrived in time"
             else:
@@ -410,6 +416,7 @@ class Gateway:
             left = until - self._clock()
             for item in self._verdicts.take(max(0.0, left)):
                 if isinstance(item, ReceivedMessage) and isinstance(item.message, VerdictMessage):
+                    self._verdict = item.message
                     self._health_publisher.verdict(item.message)
             if self._wall() >= self._next_heartbeat:
                 self._next_heartbeat = self._wall() + _HEARTBEAT_SECONDS

@@ -102,6 +102,20 @@ class LocalisationTopic:
 
 
 @dataclass(frozen=True)
+class ConfirmationTopic:
+    """Poses that confirm an implausible state, ``geometry_msgs/PoseWithCovarianceStamped`` in the map's frame.
+
+    Such as a person's estimate in RViz (``/initialpose``), or a localisation that does not depend on the odometry.
+    """
+
+    topic: str = ""
+    distance: float = 0.3
+    """Largest distance [m] between such a pose and that of the state."""
+    angle: float = 0.3
+    """The same for the heading [rad]."""
+
+
+@dataclass(frozen=True)
 class ScanTopic:
     """A laser scanner, ``sensor_msgs/LaserScan``. With a scanner, perception detects obstacles; none are given here."""
 
@@ -152,6 +166,7 @@ class RobotFile(ServedRobot):
     nominal: NominalActionTopic = field(default_factory=NominalActionTopic)
     goal: GoalTopic = field(default_factory=GoalTopic)
     localisation: LocalisationTopic = field(default_factory=LocalisationTopic)
+    confirmation: ConfirmationTopic = field(default_factory=ConfirmationTopic)
     scans: tuple[ScanTopic, ...] = ()
     sources: tuple[SourceTopic, ...] = ()
     exclusions: tuple[ExclusionArea, ...] = ()
@@ -353,6 +368,10 @@ def _check_ages(found: RobotFile) -> None:
     for key, age in [*ages, ("localisation", found.localisation.largest_age)]:
         if not 0.0 < age <= 2.0:
             raise InputError(f"{key}.largest_age: got {age}, wanted more than 0 and at most 2 s")
+    for key, most in (("distance", 1.0), ("angle", 1.0)):
+        if not 0.0 < getattr(found.confirmation, key) <= most:
+            got = getattr(found.confirmation, key)
+            raise InputError(f"confirmation.{key}: got {got}, wanted more than 0 and at most {most:g}")
     if not abs(found.odometry.ahead) <= _WIDEST:
         raise InputError(f"odometry.ahead: got {found.odometry.ahead}, wanted at most {_WIDEST:g} m")
     if found.odometry.type not in (_ODOMETRY, _ODOMETRY.replace("/msg", "")):
@@ -411,6 +430,7 @@ def _more_topics(found: RobotFile) -> list[tuple[str, str]]:
         ("frames.moving", found.frames.moving),
         ("footprint.topic", found.footprint.topic),
         ("clock.topic", found.clock.topic),
+        ("confirmation.topic", found.confirmation.topic),
     ]
 
 

@@ -38,6 +38,7 @@ KINDS = MappingProxyType(
         "robot.forgotten": "A robot was silent for so long that a service drops its data.",
         "robot.second_refused": "A second robot uses a name that is already in use; its messages are ignored.",
         "robot.other_type": "A publisher of nominal actions has another type than configured.",
+        "robot.confirmed_pose": "A pose of the declared localisation agrees with an implausible state, or does not.",
         "robot.zone": "Another speed zone of the gateway limits the robot; the sentence names it.",
         "message.refused": "A message was malformed or out of order; the sentence says why.",
         "filter.fallback_entered": "The safety filter cannot decide and brakes; the sentence says why.",

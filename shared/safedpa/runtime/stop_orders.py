@@ -22,6 +22,7 @@ from safedpa.limits import parse_json, text_of_file
 EVERYBODY = "-"
 """Placeholder for the robot in an order for the whole fleet."""
 _FORMAT = 1
+_IMPLAUSIBLE = "because its state is implausible: "
 
 
 class StopOrders:
@@ -48,9 +49,11 @@ class StopOrders:
         self._ending = reason
 
     def latch(self, robot: str, reason: str) -> None:
-        """Stops a robot whose state is implausible for this reason, until ``go``."""
+        """Stops a robot whose state is implausible for this reason, until ``go``, or ``confirm`` if that is all."""
         with self._lock:
-            self._change({**self._active, robot: f"because its state is implausible: {reason}"})
+            before = self._active.get(robot, "")
+            ordered = f"{before}; and " if before and not before.startswith(_IMPLAUSIBLE) else ""
+            self._change({**self._active, robot: f"{ordered}{_IMPLAUSIBLE}{reason}"})
 
     @property
     def active(self) -> dict[str, str]:
@@ -69,17 +72,20 @@ class StopOrders:
             self._change({**_parsed(text, "what the filter before carried on"), **self._active})
 
     def answer(self, robot: str, request: Request) -> Answer:
-        """Handles ``stop``, ``go`` or ``status`` for a robot, or for the fleet (``-``).
+        """Handles ``stop``, ``go``, ``confirm`` or ``status`` for a robot, or for the fleet (``-``).
 
-        Raises InputError for any other request.
+        ``confirm`` lets a robot drive again that is stopped for an implausible state alone: a localisation vouches for
+        the next state. It ends no order of a person. Raises InputError for any other request.
         """
         if request.do == "status":
             reason = self.reason(robot)
             how = f"is stopped, {reason}" if reason else f"may drive{self._others()}"
             return Answer(ok=True, sentence=f"{_named(robot)} {how}")
-        if request.do not in ("stop", "go"):
-            raise InputError(f"order '{request.do}': wanted stop, go or status")
+        if request.do not in ("stop", "go", "confirm"):
+            raise InputError(f"order '{request.do}': wanted stop, go, confirm or status")
         with self._lock:
+            if request.do == "confirm" and not self._active.get(robot, "").startswith(_IMPLAUSIBLE):
+                return Answer(ok=False, sentence=f"refused: no implausible state alone stops {_named(robot)}")
             return self._stop(robot, request.who) if request.do == "stop" else self._go(robot)
 
     def _stop(self, robot: str, who: str) -> Answer:

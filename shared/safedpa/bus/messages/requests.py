@@ -18,6 +18,8 @@ STATUS = "status"
 """Last part of the key for ``status`` requests to the diagnosis; services may send these, but change nothing."""
 ORDER = "order"
 """Last part of the key for orders to the safety filter: ``stop``, ``go`` or ``status``."""
+CONFIRM = "confirm"
+"""Last part of the key under which a robot confirms its own state to the safety filter; ``confirm`` alone."""
 SENSE = "sense"
 """Last part of the key for requests to perception, which switch sources and zones: ``switch`` or ``status``."""
 AGREED = "agreed"
@@ -31,8 +33,8 @@ class Request:
     """A request to a service about one robot."""
 
     do: str
-    """To the diagnosis ``accept``, ``reject``, ``roll_back`` or ``status``; to the safety filter ``stop``, ``go`` or
-    ``status``; to perception ``switch`` or ``status``."""
+    """To the diagnosis ``accept``, ``reject``, ``roll_back`` or ``status``; to the safety filter ``stop``, ``go``,
+    ``confirm`` or ``status``; to perception ``switch`` or ``status``."""
     effect: str = ""
     """Name of the candidate to accept or reject."""
     model: str = ""
@@ -120,7 +122,7 @@ def robot_of_request(key: str) -> str:
     """Returns the robot that a request is about. Raises InputError unless the key names exactly one robot."""
     parts = key.split("/")
     # A wildcard would let one query address every robot of the fleet.
-    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, SENSE, AGREED, LEASE) or "*" in key:
+    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, CONFIRM, SENSE, AGREED, LEASE) or "*" in key:
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]
 

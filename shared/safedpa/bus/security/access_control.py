@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from safedpa.bus.messages.requests import AGREED, LEASE, ORDER, REQUEST, SENSE, STATUS, request_key
+from safedpa.bus.messages.requests import AGREED, CONFIRM, LEASE, ORDER, REQUEST, SENSE, STATUS, request_key
 from safedpa.bus.messages.topics import (
     ACTION,
     BUNDLE,
@@ -73,7 +73,7 @@ ROLES: dict[str, Role] = {
     role.name: role
     for role in (
         # A robot reads its own state to notice another robot under its name.
-        Role(ROBOT, (STATE, ACTION, VERDICT), looks=True),
+        Role(ROBOT, (STATE, ACTION, VERDICT), asks=(CONFIRM,), looks=True),
         Role("adaptation", (STATE, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
         Role("perception", (STATE, SCAN), answers=(SENSE,)),
         Role("policy", (STATE, SURROUNDINGS, LATENT, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
@@ -81,7 +81,7 @@ ROLES: dict[str, Role] = {
             "safety_filter",
             (STATE, SURROUNDINGS, LATENT, NOMINAL, MODEL),
             (STATUS, AGREED, LEASE),
-            (AGREED, ORDER),
+            (AGREED, ORDER, CONFIRM),
             takes_over=True,
         ),
         Role("diagnosis", (STATE, LATENT, VERDICT, HEALTH, TAKEOVER), answers=(REQUEST, STATUS)),

@@ -11,6 +11,7 @@ from safedpa.bus.messages.codec import Entry, decode, encode, pack_bundle, split
 from safedpa.bus.messages.messages import HealthMessage, Message, header
 from safedpa.bus.messages.requests import (
     AGREED,
+    CONFIRM,
     LEASE,
     REQUEST,
     STATUS,
@@ -182,8 +183,8 @@ class Bus:
     ) -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
-        A malformed request, one that ``answer`` refuses by InputError, and any request but ``status`` under the status
-        key is answered with the reason. ``report_progress(robot, request, answer)`` is called before the answer is
+        A malformed request, one that ``answer`` refuses by InputError, and any request but ``status`` or ``confirm``
+        under its key is answered with the reason. ``report_progress(robot, request, answer)`` is called before the answer is
         sent; the request is None if it was malformed.
         """
 
@@ -192,8 +193,8 @@ class Bus:
             try:
                 about, request = robot_of_request(key), decode(Request, payload)
                 # The router grants services the status key only; without this check it would open every request.
-                if key.endswith(f"/{STATUS}") and request.do != STATUS:
-                    raise MessageError(f"'{request.do}': got it under '{key}', wanted it under '.../{REQUEST}'")
+                if key.endswith((f"/{STATUS}", f"/{CONFIRM}")) and request.do != key.rpartition("/")[2]:
+                    raise MessageError(f"'{request.do}': got it under '{key}', wanted it under another key")
                 given = answer(about, request)
             except InputError as error:
                 given = Answer(ok=False, sentence=f"refused: {error}")
