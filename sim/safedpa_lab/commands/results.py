@@ -14,6 +14,10 @@ def command() -> None:
     """The provenance of results."""
 
 
+_MOST_NAMED = 5
+"""Packages that are named for a result; ``--json`` has all."""
+
+
 @command.command(name="check")
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/evidence/results"))
 @click.option("--strict", is_flag=True, help="exit with 1 if a result is older than its code, or has no provenance")
@@ -35,7 +39,9 @@ def _check(folder: Path, strict: bool, as_json: bool) -> int:
             if each.command:
                 click.echo(f"{'':34}{each.command}")
             if each.changed:
-                click.echo(f"{'':34}differ: {', '.join(each.changed)}")
+                more = len(each.changed) - _MOST_NAMED
+                rest = f" and {more} more" if more > 0 else ""
+                click.echo(f"{'':34}differ: {', '.join(each.changed[:_MOST_NAMED])}{rest}")
         reported = sum(not each.changed and each.rooms > 0 for each in found)
         click.echo(f"{reported} of {len(found)} were made by the current code")
     return int(strict and any(each.changed or not each.rooms for each in found))
