@@ -151,6 +151,17 @@ def test_a_weak_estimate_does_not_make_a_robot_without_a_state_brake_until_it_re
     assert min(speeds) > -0.3
 
 
+def test_a_robot_that_starts_while_its_state_is_lost_is_braked() -> None:
+    """It was at rest when it was last measured, and followed its nominal action for ``GRACE``."""
+    session, x, actions = throttle_session(), np.zeros(4), []
+    for tick in range(30):
+        verdict = session.decide(x if tick < 2 else None, [0.8 if tick else 0.0, 0.0], [3.0])
+        actions.append(float(verdict.action[0]))
+        x = load_model("dart_car").step(x, verdict.action)
+    assert min(actions) < -0.5
+    assert abs(x[3]) < 0.3
+
+
 def test_a_robot_without_a_state_brakes_whatever_its_latent_is() -> None:
     for wrong in ([4.48], ["a"], [np.nan], [1.0, 2.0], 4.48, object()):
         session, x = throttle_session(), [0.0, 0.0, 0.0, 1.5]

@@ -281,7 +281,11 @@ class GuardedSession(SessionMemory[StateT]):
     def brake(self, state: StateT, latent: FloatArray | None, reason: str, **known: Any) -> Verdict:
         """Returns the backup at the believed ``state`` because of ``reason``; at rest, the resting action."""
         verdict = self.filter.stop(reason, state.values, latent, can_stop=self.can_stop, **known)
-        if self.can_stop and self.lost and (self._has_turned_back() or self._is_at_rest(state, verdict.action, latent)):
+        if (
+            self.can_stop
+            and self.lost
+            and (self._has_turned_back(state) or self._is_at_rest(state, verdict.action, latent))
+        ):
             verdict = replace(verdict, action=self.filter.settings.resting_action)
         return replace(verdict, status=Status.fallback) if verdict.status is Status.stopped else verdict
 
@@ -512,14 +516,14 @@ class GuardedSession(SessionMemory[StateT]):
             values, memory = following
             self._unestimated = values
 
-    def _has_turned_back(self) -> bool:
-        """Whether the robot, predicted with the latent of its model, no longer moves the way it did.
+    def _has_turned_back(self, state: StateT) -> bool:
+        """Whether the latent of the model says that the robot no longer moves the way that the estimate says.
 
         The estimated latent may be wrong where the robot brakes: a throttle that hardly overcomes its friction looks
         weak. Without a measured speed, the robot would then brake until it drives the other way.
         """
-        began, now = () if self._seen is None else self._seen.values, self._unestimated
-        return bool(self.speeds and now) and sum(began[index] * now[index] for index in self.speeds) <= 0.0
+        values, now = state.values, self._unestimated
+        return bool(self.speeds and now) and sum(values[index] * now[index] for index in self.speeds) <= 0.0
 
     def _is_at_rest(self, state: StateT, action: FloatArray, latent: FloatArray | None) -> bool:
         following: Any = ()
