@@ -2,7 +2,7 @@
 // not drawn: the page then says so, and is loaded again before its memory grows without a limit. It begins with the newest
 // data.
 if (location.search.includes("proxy")) {  // a recording that is read once does not fall behind
-  const LARGEST_BYTES = 250e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
+  const LARGEST_BYTES = 250e6, LARGEST_SLOW_BYTES = 180e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
   let memory = null, frames = 0, slow = 0;
   const keep = (found) => { memory = (found.instance || found).exports.memory; return found; };
   for (const name of ["instantiate", "instantiateStreaming"]) {
@@ -15,9 +15,11 @@ if (location.search.includes("proxy")) {  // a recording that is read once does 
   notice.textContent = "This browser draws too slowly: the pictures may be old. 'safedpa status' shows the present.";
   notice.style = "position:fixed;top:0;left:30%;z-index:9;padding:4px 12px;background:#d55e00;color:#fff;font:14px sans-serif";
   setInterval(() => {
-    if (memory !== null && memory.buffer.byteLength > LARGEST_BYTES) location.reload();
     slow = frames < FEWEST_FRAMES && !document.hidden ? slow + 1 : 0;
     frames = 0;
+    // A slow browser reads what has waited for it at once: 180 MB were measured.
+    const largest = slow > 1 ? LARGEST_SLOW_BYTES : LARGEST_BYTES;
+    if (memory !== null && memory.buffer.byteLength > largest) location.reload();
     if (slow > 1) document.body.append(notice); else notice.remove();
   }, LOOK_MS);
 }
