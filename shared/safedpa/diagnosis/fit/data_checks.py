@@ -185,7 +185,8 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
         quality.append(finding_row("all", Finding("thinned", message, rows - retained)))
     for run in used:
         quality += [finding_row(run.name, item) for item in _constant_inputs(run)]
-    opposite = _opposite_answers(model, used, seconds)
+    # Not if a sign is known to be wrong in a part of a run: that part may be most of it.
+    opposite = [] if _severe_finding(runs) else _opposite_answers(model, used, seconds)
     quality += [finding_row("all", item) for item in opposite]
     used = [replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]]
     # A wrong sign looks like a drift to a test that assumes the signs, and any other such fault may as well.
