@@ -90,8 +90,10 @@ def drive(
             for scan in robot.scans():
                 bus.publish(SCAN, _NAME, scan)
             bus.publish(STATE, _NAME, state)
-            for loop in loops:
+            for node, loop in zip(nodes, loops, strict=True):
                 loop.turn(0.0)
+                while SCAN in node.listens and loop.inbox.waiting:
+                    loop.turn(0.0)  # a turn reads four messages of a topic; a ring of sensors sends more scans
             messages = [item.message for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)]
             actions = [message for message in messages if isinstance(message, ActionMessage)]
             verdicts = [message for message in messages if isinstance(message, VerdictMessage)]

@@ -164,9 +164,10 @@ def test_other_sources_alone_are_enough_to_drive(source: str) -> None:
 
 
 @pytest.mark.long
-def test_a_ring_of_range_sensors_alone_touches_nothing() -> None:
-    found = run_planar_drive(PlanarDrive("omni", 11, 4.0, 0, source="range"))
-    assert sum(found["statuses"].values()) == 80
+def test_a_ring_of_range_sensors_is_no_defect_and_touches_nothing() -> None:
+    found = run_planar_drive(PlanarDrive("omni", 7000, 3.0, 3, source="range"))
+    assert found["statuses"]["fallback"] <= 5
+    assert found["way"] > 0.2
     assert not found["moving"]
 
 

@@ -140,7 +140,9 @@ class SurroundingsTracker:
         sweep = ScanRays(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
         tracker.take(sweep, _own_cells(tracker.grid, pose, state))
         self._front_time = scan.robot_time  # also for a late scan: the front is advanced again from there
-        self.sources.processed(scan, sweep, tracker.contradicted)
+        # A cone has one reading for all its rays, and most of its arc is empty: it contradicts nothing.
+        cone = min(scan.ranges) == max(scan.ranges)
+        self.sources.processed(scan, sweep, 0.0 if cone else tracker.contradicted)
         if len(state.towed) == 3 and len(state.footprint) == 3 and len(tracker.lost):
             apart = tracker.lost - hitch_position(pose, state)
             if float(np.hypot(*apart.T).min()) < state.towed[2] + _STEP_TO_TRAILER:
