@@ -1,4 +1,5 @@
-"""Nothing is lost: F5, a closed tab, two tabs, Save during a search, a killed server. And nothing on the terminal."""
+"""Nothing is lost: F5, a closed tab, two tabs, Save during a search, a killed server with an open tab. And nothing on
+the terminal."""
 
 import json
 import os
@@ -139,12 +140,18 @@ def test_nothing_is_lost(browser, workbench, shared_workbench):
     other.wait_for_selector(".candidate", timeout=PATIENCE)
     other.click(".candidate.open >> text=Add")
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
-    page.close()
-    other.close()  # both tabs are gone
-    workbench.end(signal.SIGKILL)
+    other.close()
+    page.evaluate("window.is_old = true")
+    workbench.end(signal.SIGKILL)  # with one tab open
 
-    page = opened(browser, workbench.start(), 2)  # without arguments the last session goes on
+    new = opened(browser, workbench.start(), 2)  # without arguments the last session goes on
+    assert errors(new) == retained
+    new.close()
+    goes_on = f"window.is_old === undefined && {BARS.format(2)}"  # the open tab has the token of the session
+    page.wait_for_function(goes_on, polling=POLLING, timeout=PATIENCE)
     assert errors(page) == retained
+    page.get_by_label("select the cell of the map with the largest error").click()
+    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
     page.close()
     workbench.end()
     page = opened(browser, workbench.start("--session", workbench.folder / "out" / "session.json"), 2)
