@@ -32,6 +32,7 @@ from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
+from safedpa.runtime.stop_orders import IMPLAUSIBLE
 from safedpa_services.ros_gateway.gateway_inputs import SensorInputs
 from safedpa_services.ros_gateway.pose_confirmation import PoseConfirmation
 from safedpa_services.ros_gateway.robot_file import RobotFile
@@ -118,7 +119,8 @@ class Gateway:
         confirmation: PoseConfirmation | None = None,
     ) -> None:
         self._confirmation = confirmation
-        self._verdict: VerdictMessage | None = None
+        self._ordered = ""
+        """Reason of the stop order in the newest verdict."""
         self._policy_bus, self._zone_state, self._limit = policy_bus or bus, zone_state, Limit()
         self._wall = time.monotonic if sensor_inputs.simulated is not None else clock
         """Clock of heartbeats, which must not stop with simulated time."""
@@ -173,10 +175,13 @@ class Gateway:
             pose = pose if localised is None else pose.seen_from(localised.read()[0])
             if math.isfinite(pose.x + pose.y + pose.yaw):
                 self._publish(pose, age)
-                if self._confirmation is not None:
-                    self._confirmation.check(pose, self._verdict)
                 action = self._await_action(published, begin + _DEADLINE_SHARE * self.period)
                 why = "" if action is not None else "no action of the filter arrived in time"
+                if IMPLAUSIBLE in self._ordered:
+                    if self._confirmation is not None:
+                        self._confirmation.check(pose)
+                    if self._face.needs_speed:
+                        action, why = None, "the state is implausible, and the command of an action needs its speed"
             else:
                 why = "the odometry's orientation is not a rotation, or its position is not finite"
         sent = self._drive(action, why)
@@ -416,7 +421,7 @@ class Gateway:
             left = until - self._clock()
             for item in self._verdicts.take(max(0.0, left)):
                 if isinstance(item, ReceivedMessage) and isinstance(item.message, VerdictMessage):
-                    self._verdict = item.message
+                    self._ordered = item.message.ordered
                     self._health_publisher.verdict(item.message)
             if self._wall() >= self._next_heartbeat:
                 self._next_heartbeat = self._wall() + _HEARTBEAT_SECONDS

@@ -10,7 +10,6 @@ from typing import Final, final
 
 from safedpa.bus import Bus, Request
 from safedpa.bus.logging import log_event
-from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.bus.messages.requests import CONFIRM
 from safedpa.errors import BusError, InputError
 from safedpa.records.readers.bags.messages import yaw_of
@@ -34,7 +33,7 @@ def _paths() -> tuple[str, ...]:
 
 @final
 class PoseConfirmation:
-    """Asks the safety filter to ``confirm`` the state of a robot that brakes, once a declared pose agrees with it.
+    """Asks the safety filter to ``confirm`` an implausible state, once a declared pose agrees with it.
 
     A pose agrees if it is at most ``distance`` [m] and ``angle`` [rad] from the one that the state has. The filter
     refuses where anything else than an implausible state stops the robot, such as the order of a person.
@@ -53,11 +52,10 @@ class PoseConfirmation:
         self._seen: tuple[float, ...] = ()
         self._next = -math.inf
 
-    def check(self, pose: PoseAndTwist, verdict: VerdictMessage | None) -> None:
-        """Compares the newest confirmed pose with the one of the state; never blocks."""
+    def check(self, pose: PoseAndTwist) -> None:
+        """Compares the newest confirmed pose with the one of an implausible state; never blocks."""
         numbers, age, _ = self.input.read()
-        brakes = verdict is not None and verdict.status == "fallback"
-        if not brakes or not numbers or age > _LARGEST_AGE or self._clock() < self._next:
+        if not numbers or age > _LARGEST_AGE or self._clock() < self._next:
             return
         self._next = self._clock() + _PAUSE
         x, y, *quaternion = numbers

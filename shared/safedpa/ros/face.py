@@ -16,6 +16,8 @@ class AbstractFace(ABC):
 
     commands: tuple[str, ...]
     """Message types of its commands, the usual one first."""
+    needs_speed: bool = False
+    """Whether the command of an action depends on the measured speed: a wrong one makes it another action."""
 
     @abstractmethod
     def state(self, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> Numbers:

@@ -21,8 +21,9 @@ from safedpa.limits import parse_json, text_of_file
 
 EVERYBODY = "-"
 """Placeholder for the robot in an order for the whole fleet."""
+IMPLAUSIBLE = "because its state is implausible: "
+"""Part of the reason of an order that the filter gave itself."""
 _FORMAT = 1
-_IMPLAUSIBLE = "because its state is implausible: "
 
 
 class StopOrders:
@@ -52,8 +53,8 @@ class StopOrders:
         """Stops a robot whose state is implausible for this reason, until ``go``, or ``confirm`` if that is all."""
         with self._lock:
             before = self._active.get(robot, "")
-            ordered = f"{before}; and " if before and not before.startswith(_IMPLAUSIBLE) else ""
-            self._change({**self._active, robot: f"{ordered}{_IMPLAUSIBLE}{reason}"})
+            ordered = f"{before}; and " if before and not before.startswith(IMPLAUSIBLE) else ""
+            self._change({**self._active, robot: f"{ordered}{IMPLAUSIBLE}{reason}"})
 
     @property
     def active(self) -> dict[str, str]:
@@ -84,7 +85,7 @@ class StopOrders:
         if request.do not in ("stop", "go", "confirm"):
             raise InputError(f"order '{request.do}': wanted stop, go, confirm or status")
         with self._lock:
-            if request.do == "confirm" and not self._active.get(robot, "").startswith(_IMPLAUSIBLE):
+            if request.do == "confirm" and not self._active.get(robot, "").startswith(IMPLAUSIBLE):
                 return Answer(ok=False, sentence=f"refused: no implausible state alone stops {_named(robot)}")
             return self._stop(robot, request.who) if request.do == "stop" else self._go(robot)
 

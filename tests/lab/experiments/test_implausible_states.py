@@ -75,6 +75,14 @@ def test_frozen_states_do_not_change_the_estimate_with_which_a_robot_brakes(seed
     assert not found["hits"]
 
 
+@pytest.mark.parametrize("seed", [2075001, 2075002])
+def test_a_frozen_speed_does_not_turn_a_resting_throttle_into_a_speed(seed: int) -> None:
+    """The gateway publishes a throttle as the speed that it reaches: with a frozen speed, throttle 0 means drive on."""
+    found = run_state_drive(StateDrive("car_throttle", "none", seed, 8.0, StateFault("frozen"), gateway=True))
+    assert "does not change" in found["stopped"]
+    assert not found["hits"]
+
+
 @pytest.mark.parametrize("seed", [2068001, 2068003])
 def test_a_car_that_was_estimated_to_be_weak_does_not_reverse_when_its_state_is_lost(seed: int) -> None:
     """Its throttle brakes three times as hard as estimated at low throttle; it then reversed at 3 m/s."""

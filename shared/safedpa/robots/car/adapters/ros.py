@@ -77,6 +77,8 @@ class ThrottleCarFace(CarFace):
     full throttle.
     """
 
+    needs_speed = True
+
     def __init__(self, drive_gain: float = 4.48, wheelbase: float = 0.32, steer_limit: float = 0.6) -> None:
         super().__init__(wheelbase, steer_limit)
         self._reach = _HORIZON * drive_gain
