@@ -184,8 +184,8 @@ class Bus:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
         A malformed request, one that ``answer`` refuses by InputError, and any request but ``status`` or ``confirm``
-        under its key is answered with the reason. ``report_progress(robot, request, answer)`` is called before the answer is
-        sent; the request is None if it was malformed.
+        under its key is answered with the reason. ``report_progress(robot, request, answer)`` is called before the
+        answer is sent; the request is None if it was malformed.
         """
 
         def on_question(key: str, payload: bytes) -> bytes:
