@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +53,13 @@ class Finding:
     start_t: float | None = None
     """Time of the first occurrence, s."""
 
+    def accepted_in(self, keep: Sequence[str]) -> Finding:
+        """Returns it as one that a map accepts if its kind is in ``keep``: it then forbids no diagnosis."""
+        if self.kind not in keep:
+            return self
+        text = f"{self.message.split('; ')[0]}; kept, as the map says"
+        return replace(self, kind=f"kept_{self.kind}", message=text)
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -90,6 +97,8 @@ class Run(AbstractPlottedResult):
     actions: NDArray[np.float64]
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...] = ()
+    keep: tuple[str, ...] = ()
+    """Kinds of findings that the column map accepts."""
 
     @classmethod
     def from_arrays(

@@ -1,5 +1,6 @@
 """A fault of the data is found by the model's own prediction before any effect is tried, and not in a good log."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ from safedpa_lab.own_robots.data_faults import FAULTS, Log, faulty_log, good_log
 pytestmark = pytest.mark.slow
 
 
-def prepared(folder: Path, robot: str, log: Log) -> tuple[PreparedRuns, list[Run]]:
+def prepared(folder: Path, robot: str, log: Log, keep: tuple[str, ...] = ()) -> tuple[PreparedRuns, list[Run]]:
     load_user_file_everywhere(Path(models.__file__))
     file, _, _ = write_case(OwnCase("own_none", robot, 1, {}, 1), folder, [(log.t, log.states, log.actions)])
     model = load_model(file)
-    runs = [Run.from_arrays(log.t, log.states, log.actions, model)]
+    runs = [replace(Run.from_arrays(log.t, log.states, log.actions, model), keep=keep)]
     return prepare_runs(model, runs), runs
 
 
@@ -71,6 +72,18 @@ def test_rows_from_which_a_state_has_coarse_steps_are_left_out(tmp_path: Path) -
     assert row["count"] == len(log.t) - len(found.runs[0].stretches[0])
     assert f"t = {truth.time:.3f} s" in row["message"]
     assert runs[0].duration == pytest.approx(float(log.t[-1]))
+
+
+def test_both_are_kept_on_request(tmp_path: Path) -> None:
+    log, _ = faulty_log(FAULTS["quantised"], "own_servo", 79000)
+    kept, (run,) = prepared(tmp_path / "coarse", "own_servo", log, ("coarse_part",))
+    assert "coarse_part" not in kinds(kept)
+    assert kept.runs[0].duration == run.duration
+    log, _ = faulty_log(FAULTS["states_drift"], "own_boat", 79000)
+    kept, (run,) = prepared(tmp_path / "drift", "own_boat", log, ("clock_drift",))
+    assert "kept_clock_drift" in kinds(kept)
+    shooting = data_at_horizon(kept.runs, kept.seconds).shooting
+    assert not check_data_sufficiency(shooting, kept.runs, [run]).wrong
 
 
 def test_steps_throughout_or_soon_after_the_start_cut_nothing(tmp_path: Path) -> None:

@@ -185,6 +185,6 @@ def _finding_of(fitted: _DriftFit, run: Run) -> Finding:
         f"the clock of {' and '.join(names)} drifts: at the end {'they come' if len(names) > 1 else 'it comes'} "
         f"{seconds:.3g} s {'later' if fitted.drift > 0.0 else 'earlier'} than at the beginning, compared with the "
         f"prediction of the model ({abs(fitted.standard_errors):.0f} standard errors); nothing was cut; correct the "
-        "column's times, or diagnose parts of the log, in which it drifts less"
+        'column\'s times, or set keep = ["clock_drift"] in a column map if the robot itself changed'
     )
     return Finding("clock_drift", text, sum(len(part) for part in run.stretches), float(run.t[run.stretches[0].start]))

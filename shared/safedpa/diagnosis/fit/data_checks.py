@@ -191,7 +191,7 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
     used = [replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]]
     # A wrong sign looks like a drift to a test that assumes the signs, and any other such fault may as well.
     for index, run in enumerate(used) if not _severe_finding([*runs, *used]) else ():
-        drifting = clock_drifts(model, run, seconds)
+        drifting = [item.accepted_in(run.keep) for item in clock_drifts(model, run, seconds)]
         quality += [finding_row(run.name, item) for item in drifting]
         used[index] = replace(run, findings=(*run.findings, *drifting))
     return PreparedRuns(used, quality, seconds)
@@ -205,7 +205,7 @@ def _without_coarse_steps(run: Run) -> tuple[Run, list[Finding]]:
     first = float(run.t[run.stretches[0].start])
     begins = [item.start_t for item in run.findings if item.kind == "quantised" and item.start_t is not None]
     begin = min((at for at in begins if at > first), default=None)
-    if begin is None:
+    if begin is None or "coarse_part" in run.keep:
         return run, []
     (before,) = first_seconds([run], begin - first - 0.5 * run.period)
     if before.duration < max(FEWEST_SECONDS, _LEAST_PART * run.duration):
@@ -213,7 +213,7 @@ def _without_coarse_steps(run: Run) -> tuple[Run, list[Finding]]:
     unused = sum(len(part) for part in run.stretches) - sum(len(part) for part in before.stretches)
     message = (
         f"{unused} rows from t = {begin:.3f} s on were not used, since a state has coarse steps there and not before; "
-        "to use them, diagnose that part of the log by itself"
+        'to use them, set keep = ["coarse_part"] in a column map'
     )
     return before, [Finding("coarse_part", message, unused, begin)]
 

@@ -35,7 +35,8 @@ JOINS = ("mean", "sum", "difference", "norm", "first")
 
 
 KEEPABLE = (
-    "changed_command", "clock_drift", "dead_command", "frozen", "jump", "offset", "out_of_bounds", "stale_command",
+    "changed_command", "clock_drift", "coarse_part", "dead_command", "frozen", "jump", "offset", "out_of_bounds",
+    "stale_command",
 )  # fmt: skip
 """Kinds of findings whose rows a map can keep; by default they are cut."""
 

@@ -139,12 +139,7 @@ def _check_commands(
     findings += drive_findings(rows, stretches, system) if stretches else []
     if not stretches or findings:
         return stretches, findings
-    halves = [
-        Finding(f"kept_{item.kind}", f"{item.message.split('; ')[0]}; kept, as the map says", item.count, item.start_t)
-        if item.kind in mapping.keep
-        else item
-        for item in halves_findings(rows, stretches, system)
-    ]
+    halves = [item.accepted_in(mapping.keep) for item in halves_findings(rows, stretches, system)]
     return _cut_at(rows.t, stretches, [item for item in halves if item.kind == "jump"]), halves
 
 
@@ -206,7 +201,7 @@ def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: RawRows, f
     every = (*findings, *found, *derived, *whole)
     if not stretches:
         raise RunError(f"{path}: no usable stretch of rows" + _listed(every) + _REQUIREMENT)
-    return Run(readable(path.stem), system, rows.t, rows.states, rows.actions, tuple(stretches), every)
+    return Run(readable(path.stem), system, rows.t, rows.states, rows.actions, tuple(stretches), every, mapping.keep)
 
 
 def _compact(rows: RawRows, stretches: list[Stretch]) -> tuple[RawRows, list[Stretch]]:
