@@ -182,7 +182,7 @@ def test_hostile_drives_are_counted_by_kind() -> None:
 def test_drives_with_late_commands_are_reported_with_their_delay(corrected: int, beyond: int) -> None:
     statuses = Counter(passed=2, corrected=corrected, relaxed=9, violated=6, fallback=3)
     driven = DelayedDrives(Lateness(0.15, "both", "clock"), 7, 2, 5, 11, -0.5, statuses, 4, 1)
-    collisions, after, worse, goals, least = LateDrives().reported([driven]).rows
+    collisions, after, worse, goals, least = LateDrives().reported([(driven, 1.0)]).rows
     assert collisions.what.startswith("150 ms, reported by the clock: drives with a collision (corrected ")
     assert (collisions.measured, collisions.of) == (2, 7)
     assert (after.measured, after.of, after.held) == (1, 7, False)
@@ -293,7 +293,7 @@ def test_late_drives_are_grouped_by_who_knows_the_delay():
     rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held
     assert rows["150 ms, known to no one: relaxed and worse beyond corrected"].held is None
-    found[0].collided, found[0].statuses["relaxed"] = 1, 1000
+    found[0][0].collided, found[0][0].statuses["relaxed"] = 1, 1000
     rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held is False
     assert rows["200 ms, known to the model: relaxed and worse beyond corrected"].held is False

@@ -227,6 +227,8 @@ _CASES: Final = (
     *(Lateness(seconds, reported="none") for seconds in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)),
 )
 _SMALL_CASES: Final = (Lateness(0.2), Lateness(0.15, reported="none"))
+_HEAVIER: Final = 2.0
+"""Factor of the mass of the load in the drives that are on time, but heavier than the filter knows."""
 _LATE_FULL: Final = (40, 12.0)
 """Drives of each case, and seconds of each."""
 _LATE_SMALL: Final = (1, 3.0)
@@ -244,16 +246,34 @@ class LateDrives(AbstractAttack):
     sentence = "hostile drives whose commands arrive late, known and unknown"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
-        return [(case, seed, small) for case in (_SMALL_CASES if small else _CASES)]
+        cases = [(case, 1.0) for case in (_SMALL_CASES if small else _CASES)]
+        return [(*each, seed, small) for each in (*cases, (Lateness(0.0, reported="none"), _HEAVIER))]
 
-    def work(self, piece: Any) -> DelayedDrives:  # noqa: D102
-        case, seed, small = piece
+    def work(self, piece: Any) -> tuple[DelayedDrives, float]:  # noqa: D102
+        case, heavier, seed, small = piece
         count, seconds = _LATE_SMALL if small else _LATE_FULL
         margin = margin_with_delay(case) if case.reported == "model" and not small else None
-        return delayed_drives(case, count, 1000 * seed, seconds, margin=margin, policy=hostile_driver)
+        policy = hostile_driver if heavier == 1.0 else None
+        found = delayed_drives(case, count, 1000 * seed, seconds, margin=margin, policy=policy, heavier=heavier)
+        return found, heavier
 
     def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
-        return Result([row for found in answers for row in _late_rows(found)])
+        return Result(
+            [
+                row
+                for found, heavier in answers
+                for row in (_late_rows(found) if heavier == 1.0 else _heavier_rows(found, heavier))
+            ]
+        )
+
+
+def _heavier_rows(found: DelayedDrives, heavier: float) -> list[Row]:
+    """The car's own policy, since a hostile one hardly lets it move."""
+    ticks, name = sum(found.statuses.values()), f"load {heavier:g} times as heavy, on time"
+    return [
+        Row(f"{name}: verdicts that mention a delay", found.reported, ticks, most=0),
+        Row(f"{name}: drives with a collision", found.collided, found.drives, most=0),
+    ]
 
 
 def _late_rows(found: DelayedDrives) -> list[Row]:
