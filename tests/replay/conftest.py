@@ -104,6 +104,8 @@ class Fleet:
         self._bus = Bus(MemoryTransport(self._broker), "test")
         self._actions = self._bus.inbox((ACTION, TAKEOVER), keep_all=True)
         self._recorded = self._bus.inbox(tuple(TOPICS.values()), keep_all=True, clock=lambda: self.now)
+        self.metres = 0.0
+        """By how much the reported x is wrong."""
         self.heard: list[ReceivedMessage] = []
         self.takeovers: list[TakeoverMessage] = []
         self._loops: dict[str, tuple[Bus, ServiceLoop]] = {}
@@ -146,6 +148,12 @@ class Fleet:
         assert isinstance(node, PerceptionNode)
         assert node.switches.answer(ROBOT, Request(do="switch", switches=switches, who=who)).ok
 
+    def stop_order(self, do: str) -> None:
+        """An order of a person to the safety filter, or a confirmation."""
+        node = self._nodes["safety_filter"]
+        assert isinstance(node, SafetyFilterNode)
+        assert node.orders.answer(ROBOT, Request(do=do, who="a test")).ok
+
     def send(self, message: ModelMessage) -> None:
         """One step of a change of the model, as the diagnosis would say it."""
         stamp = {"epoch": self._epoch, "tick": self.robot.tick, "robot_time": self.robot.tick * PERIOD}
@@ -156,7 +164,9 @@ class Fleet:
         begin = self.now
         for scan in self.robot.scans():
             self._bus.publish(SCAN, ROBOT, scan)
-        self._bus.publish(STATE, ROBOT, self.robot.state_message())
+        state = self.robot.state_message()
+        x, *others = state.values
+        self._bus.publish(STATE, ROBOT, dataclasses.replace(state, values=(x + self.metres, *others)))
         for share in (0.01, 0.25, 0.6, 0.75):
             self.now = begin + share * PERIOD
             for service in self._services:

@@ -50,6 +50,28 @@ def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, 
     assert gaps_of(tape) == []
 
 
+@pytest.mark.parametrize("stops", [True, False])
+@pytest.mark.parametrize("ends", ["go", "confirm"])
+def test_a_drive_replays_after_a_stop_order_and_an_implausible_state_ended(
+    fleet_of: Any, tmp_path: Path, ends: str, *, stops: bool
+) -> None:
+    fleet = driven(fleet_of(), 20)
+    fleet.metres = 0.8
+    driven(fleet, 15)
+    fleet.stop_order(ends)
+    driven(fleet, 15)
+    if stops:
+        fleet.stop_order("stop")
+        driven(fleet, 5)
+        fleet.stop_order("go")
+        driven(fleet, 10)
+    verdicts = [item.message for item in fleet.heard if item.topic is VERDICT]
+    assert any("jumped" in verdict.sentence for verdict in verdicts[20:35])
+    assert not verdicts[-1].ordered
+    _, found = replayed(fleet.record(tmp_path / "drive.mcap"))
+    assert found.exact
+
+
 @pytest.mark.parametrize("controller", ["goal_seeker", "random", "planner"])
 def test_every_controller_replays(fleet_of: Any, tmp_path: Path, controller: str) -> None:
     ticks = 8 if controller == "planner" else 30

@@ -211,7 +211,7 @@ class Driver:
             unknown = unknown or self._changes.follow(node, robot, state, _model_fingerprint(message))
         inputs, missing = self._inputs(node, state, message)
         if isinstance(node, SafetyFilterNode) and isinstance(message, VerdictMessage):
-            node.orders.end(message.ordered)  # sender and recipient of the order do not affect the decision
+            node.orders.replay(robot, message.ordered)
         if isinstance(node, PerceptionNode):
             missing = missing or self._replay_scans(node, state, message)
         outputs = self._compute(node, state, inputs)

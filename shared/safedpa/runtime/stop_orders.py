@@ -56,6 +56,11 @@ class StopOrders:
             ordered = f"{before}; and " if before and not before.startswith(IMPLAUSIBLE) else ""
             self._change({**self._active, robot: f"{ordered}{IMPLAUSIBLE}{reason}"})
 
+    def replay(self, robot: str, reason: str) -> None:
+        """Has this recorded reason alone in force, whoever gave the order and for whom; empty: the robot may drive."""
+        with self._lock:
+            self._active = MappingProxyType({robot: reason} if reason else {})
+
     @property
     def active(self) -> dict[str, str]:
         """The orders in force by robot; ``-`` is the whole fleet."""
