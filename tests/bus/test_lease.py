@@ -132,7 +132,7 @@ def test_stop_orders_are_inherited_and_unreadable_ones_stop_the_fleet() -> None:
     assert not after.reason("r2")
     after.inherit("{")
     assert after.reason("r2")
-    with pytest.raises(InputError, match="wanted stop, go or status"):
+    with pytest.raises(InputError, match="wanted stop, go, confirm or status"):
         after.answer("r1", Request(do="dance"))
 
 
