@@ -258,6 +258,16 @@ def reached(ticks: list[DriveTick]) -> list[int]:
     return [round(1 + (first - measured) / 0.025) for measured in found[:, 1]]
 
 
+def test_steps_of_a_robot_that_waits_do_not_make_the_margin_smaller() -> None:
+    """A margin of a drive with an hour of rest is that of the drive alone."""
+    moving = drive()
+    at = (0.125, 0.0, 0.0, 0.0)
+    resting = [state_at(tick, at, applied=(0.0, 0.0)) for tick in range(6, 60)]
+    ticks = [*moving, *(DriveTick(state, latent_at(state)) for state in resting)]
+    assert len(barrier_residuals(CAR, SETTINGS, ticks)["obstacle"]) == len(moving)
+    assert barrier_residuals(CAR, SETTINGS, ticks[10:])["obstacle"].shape == (0, 4)
+
+
 @pytest.mark.parametrize(
     ("changed", "counted"),
     [

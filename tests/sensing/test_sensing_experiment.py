@@ -214,8 +214,8 @@ def test_what_curves_share_is_driven_once_and_the_progress_comes_to_its_end() ->
 
 def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[LaserSettings] = []
-    whole = sensing.Laser
-    monkeypatch.setattr(sensing, "Laser", lambda settings, seed: made.append(settings) or whole(settings, seed))
+    whole = sensing.make_sources
+    monkeypatch.setattr(sensing, "make_sources", lambda *given: made.append(given[2]) or whole(*given))
     usual = Drive("people", 1003, 0.1, 1.5)
     for name in ("noise", "latency", "field_of_view"):
         run_drive(replace(usual, **{name: 0.25}))

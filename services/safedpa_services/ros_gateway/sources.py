@@ -93,7 +93,7 @@ class SourceReading:
 
     def points_at(self, pose: Frame | None) -> FloatArray:
         """Returns the points (points, 2) [m] in the body frame of the robot at another ``pose``."""
-        return moved_points(self.points, self.pose, pose)
+        return _moved_points(self.points, self.pose, pose)
 
 
 @final
@@ -346,7 +346,7 @@ class SourceReader:
         if len(known) > _MOST_POLYGONS:
             raise DecodingError(f"it is one of {len(known)} polygons, wanted {_MOST_POLYGONS} at most")
         self._polygons = known
-        shapes = [moved_points(one.corners, one.pose, pose) for one in known.values()]
+        shapes = [_moved_points(one.corners, one.pose, pose) for one in known.values()]
         farthest = self.topic.farthest
         each = [rays_of_polygon(shape[:, :2].tolist(), rays=_GRID_RAYS, farthest=farthest) for shape in shapes]
         ranges = np.min([one.ranges for one in each], axis=0)
@@ -406,7 +406,7 @@ class SourceReader:
         return found
 
 
-def moved_points(points: FloatArray, before: Frame | None, now: Frame | None) -> FloatArray:
+def _moved_points(points: FloatArray, before: Frame | None, now: Frame | None) -> FloatArray:
     """Returns points (points, 2 or more) [m] of the body frame at the pose ``before`` in that at ``now``.
 
     Points stay where they are if a pose is not known.

@@ -34,6 +34,8 @@ _NOTHING = np.zeros((0, 4))
 # Minimum number of drives with errors below the clip. Without any, the margin would be 0.
 _NEAR = 10
 _DOUBLINGS = 40
+AT_REST = 0.01
+"""m/s; below it a robot counts as stationary."""
 
 
 def calibration_from_drives(
@@ -104,21 +106,29 @@ def barrier_residuals(
     """Returns the smallest h, predicted and measured, by kind of barrier (steps, 4); see ``HSample``.
 
     ``ticks`` are those of one start of one robot, in order. Steps are left out if the filter did not choose the action,
-    the latent is unknown, or the state has no valid scene. ``ErrorClip.errors`` converts the result to errors.
+    the latent is unknown, or the state has no valid scene, and if the robot rests before and after: any model predicts
+    that, and such steps would make the margin that of a robot that waits. ``ErrorClip.errors`` converts the result to
+    errors.
     """
     own = fingerprint(model)
     held = CalibratedModel(model, own, uncalibrated(settings, own))
     memory = RobotSession.create(held, settings, period=ticks[0].state.period if ticks else None)
     memory.margin.learns = False
     found: dict[str, list[HSample]] = {}
+    rested = False
     for index, tick in enumerate(ticks):
         memory.observe_state(tick.state)
+        before, rested = rested, _rests(memory, tick.state)
         for kind, seen in memory.margin.samples.items():
             if np.isfinite(seen).all():
-                found.setdefault(kind, []).append(seen)
+                found.setdefault(kind, []).extend([] if before and rested else [seen])
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
         continue_session(memory, tick, following)
-    return {kind: np.array(rows) for kind, rows in found.items()}
+    return {kind: np.array(rows).reshape(-1, len(HSample._fields)) for kind, rows in found.items()}
+
+
+def _rests(memory: RobotSession, state: StateMessage) -> bool:
+    return bool(memory.speeds) and all(abs(state.values[index]) < AT_REST for index in memory.speeds)
 
 
 def continue_session(memory: RobotSession, tick: DriveTick, following: StateMessage | None) -> None:

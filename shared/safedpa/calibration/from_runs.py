@@ -18,6 +18,7 @@ from typing import Protocol, final
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.calibration.from_drives import AT_REST
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
@@ -150,7 +151,11 @@ def is_period_of(model: PhysicsModel, period: float) -> bool:
 def _predictions(
     model: PhysicsModel, runs: Sequence[Run], estimator: Callable[[], LatentTrajectory] | None
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Yields (state, predicted next, measured next) for steps of the model's period, thinned out evenly."""
+    """Yields (state, predicted next, measured next) for steps of the model's period, thinned out evenly.
+
+    Steps in which the robot rests before and after are left out: see ``barrier_residuals``.
+    """
+    speeds = [index for index, each in enumerate(model.system.state) if each.unit == "m/s"]
     every = max(1, round(sum(_own_steps(model, run) for run in runs) / _MOST))
     latent = model.latent if model.latent_names else None
     number = 0
@@ -164,7 +169,8 @@ def _predictions(
             for row in range(len(t) - 1):
                 period = float(t[row + 1] - t[row])
                 near = is_period_of(model, period)
-                wanted = near and number % every == 0
+                rests = bool(speeds) and float(np.abs(states[row : row + 2, speeds]).max()) < AT_REST
+                wanted = near and number % every == 0 and not rests
                 number += near
                 if along is not None:
                     latent = along.latent

@@ -79,8 +79,9 @@ class Run(AbstractPlottedResult):
     ``name`` is that of its source, ``system`` names the states and actions with their units. ``t`` (samples,) [s] grows
     strictly within each stretch; ``states`` (samples, states); ``actions`` (samples, actions), where the action of a
     row is applied until the next row. ``stretches`` are the rows between defects: defective rows are removed; do not
-    compute across the border of two stretches. ``findings`` say what was found in the data. Time is that of the source,
-    possibly seconds since 1970: compute differences in float64.
+    compute across the border of two stretches. ``findings`` say what was found in the data; ``keep`` has the kinds
+    of them that the column map accepts. Time is that of the source, possibly seconds since 1970: compute differences in
+    float64.
 
     Example:
 
@@ -98,7 +99,6 @@ class Run(AbstractPlottedResult):
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...] = ()
     keep: tuple[str, ...] = ()
-    """Kinds of findings that the column map accepts."""
 
     @classmethod
     def from_arrays(

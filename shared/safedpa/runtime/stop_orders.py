@@ -57,7 +57,7 @@ class StopOrders:
             self._change({**self._active, robot: f"{ordered}{IMPLAUSIBLE}{reason}"})
 
     def replay(self, robot: str, reason: str) -> None:
-        """Has this recorded reason alone in force, whoever gave the order and for whom; empty: the robot may drive."""
+        """Has this recorded reason alone in force, from any sender and for any robot; empty: the robot may drive."""
         with self._lock:
             self._active = MappingProxyType({robot: reason} if reason else {})
 
