@@ -89,8 +89,12 @@ _LEASE_MILLISECONDS = 500
 # messages by 0.5 s and more, and peers that discovered each other do not re-establish a closed link. The end of a
 # process is noticed immediately regardless of the lease, because its socket closes.
 _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
-# s; how often a peer checks whether this process was suspended, and the suspension after which its links are gone.
+# s; how often a peer checks whether this process was suspended, and the suspension after which its links may be gone:
+# keep-alive messages are sent four times per lease.
 _SUSPENSION_CHECK, _LONGEST_SUSPENSION = 0.5, 0.75e-3 * _LEASE_ON_ONE_MACHINE_MILLISECONDS
+# s of it without processor time. A process that computes keeps its links, since Zenoh's own threads do not wait for the
+# interpreter; on a busy machine it computes for a part of the time.
+_LONGEST_IDLE = 0.5e-3 * _LEASE_ON_ONE_MACHINE_MILLISECONDS
 # Prefix of the endpoint of a Unix domain socket. Only users with access to its folder can connect.
 _LOCAL_SOCKET = "unixsock-stream/"
 # Time for a handshake after its first bytes. It takes 3 ms; Zenoh's default gives an unauthenticated client 5 s.
@@ -441,9 +445,8 @@ def _watch_for_suspensions(transport: weakref.ref[ZenohTransport], closed: threa
         known = transport()
         if known is None:
             return
-        # A process that computes is not suspended, however long this thread waits for the interpreter.
-        idle = time.monotonic() - woke - (time.process_time() - used)
-        if idle > _SUSPENSION_CHECK + _LONGEST_SUSPENSION:
+        passed = time.monotonic() - woke
+        if passed > _LONGEST_SUSPENSION and passed - (time.process_time() - used) > _LONGEST_IDLE:
             try:
                 known.rejoin()
             except Exception as error:  # noqa: BLE001
