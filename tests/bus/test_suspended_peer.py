@@ -56,6 +56,16 @@ def test_it_links_to_every_other_peer_again(tmp_path: Path) -> None:
             os.kill(echo.pid, signal.SIGCONT)
             assert until(answers, 10.0), f"no answer after {suspended} s"
             assert until(lambda: "safedpa/f/echo/alive" in other.alive("safedpa/f/*/alive"), 10.0)
+        # A starved process runs now and then, never long enough to keep its links.
+        end = time.monotonic() + 5.0
+        while time.monotonic() < end:
+            os.kill(echo.pid, signal.SIGSTOP)
+            time.sleep(0.4)
+            os.kill(echo.pid, signal.SIGCONT)
+            time.sleep(0.002)
+            answers()
+        heard.samples.clear()
+        assert until(answers, 10.0), "no answer after it was starved"
     finally:
         echo.kill()
         echo.wait()

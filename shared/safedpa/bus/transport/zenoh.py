@@ -95,6 +95,9 @@ _SUSPENSION_CHECK, _LONGEST_SUSPENSION = 0.5, 0.75e-3 * _LEASE_ON_ONE_MACHINE_MI
 # s of it without processor time. A process that computes keeps its links, since Zenoh's own threads do not wait for the
 # interpreter; on a busy machine it computes for a part of the time.
 _LONGEST_IDLE = 0.5e-3 * _LEASE_ON_ONE_MACHINE_MILLISECONDS
+# s by which a check is late on a machine that is too busy, and for which a link that is lost then counts as closed for
+# silence: without it, the other process has ended.
+_LATE_CHECK, _BUSY_SECONDS = 0.2, 6.0
 # Prefix of the endpoint of a Unix domain socket. Only users with access to its folder can connect.
 _LOCAL_SOCKET = "unixsock-stream/"
 # Time for a handshake after its first bytes. It takes 3 ms; Zenoh's default gives an unauthenticated client 5 s.
@@ -326,6 +329,11 @@ class ZenohTransport(AbstractTransport):
             self._declarations.append(declaration)
             self._declared.append(declaration(self._session))
 
+    def peers(self) -> frozenset[str]:
+        """Returns the identifiers of the sessions that this one has a link to."""
+        with self._lock:
+            return frozenset(str(each) for each in self._session.info.peers_zid())
+
     def rejoin(self) -> None:
         """Replaces the session by a new one, which every peer links to."""
         import zenoh
@@ -440,18 +448,25 @@ class ZenohTransport(AbstractTransport):
 
 
 def _watch_for_suspensions(transport: weakref.ref[ZenohTransport], closed: threading.Event) -> None:
-    woke, used = time.monotonic(), time.process_time()
+    woke, used, busy_until, linked = time.monotonic(), time.process_time(), 0.0, frozenset[str]()
     while not closed.wait(_SUSPENSION_CHECK):
         known = transport()
         if known is None:
             return
-        passed = time.monotonic() - woke
-        if passed > _LONGEST_SUSPENSION and passed - (time.process_time() - used) > _LONGEST_IDLE:
-            try:
+        now = time.monotonic()
+        passed, idle = now - woke, now - woke - (time.process_time() - used)
+        if passed > _SUSPENSION_CHECK + _LATE_CHECK:
+            busy_until = now + _BUSY_SECONDS
+        try:
+            peers = known.peers()
+            suspended = passed > _LONGEST_SUSPENSION and idle > _LONGEST_IDLE
+            if suspended or (linked - peers and now < busy_until):
                 known.rejoin()
-            except Exception as error:  # noqa: BLE001
-                # As in `answer`: a process that is joined in part would not be restarted.
-                sys.excepthook(type(error), error, error.__traceback__)
+                peers = frozenset()
+            linked = peers
+        except Exception as error:  # noqa: BLE001
+            # As in `answer`: a process that is joined in part would not be restarted.
+            sys.excepthook(type(error), error, error.__traceback__)
         del known
         woke, used = time.monotonic(), time.process_time()
 
