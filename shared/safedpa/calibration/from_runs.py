@@ -155,12 +155,12 @@ def _predictions(
 
     Steps in which the robot rests before and after are left out: see ``barrier_residuals``.
     """
-    speeds = [index for index, each in enumerate(model.system.state) if each.unit == "m/s"]
     every = max(1, round(sum(_own_steps(model, run) for run in runs) / _MOST))
     latent = model.latent if model.latent_names else None
     number = 0
     for run in runs:
         begun = min((float(t[0]) for t, _, _ in run.parts() if len(t)), default=0.0)
+        speeds = [index for index, each in enumerate(run.system.state) if each.unit == "m/s"]
         for t, states, actions in run.parts():
             if not len(t):
                 continue
