@@ -19,9 +19,9 @@ from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist
 HERE = PoseAndTwist(1.0, 2.0, 0.5, 0.0, 0.0)
 
 
-def pose_of(x: float, y: float, yaw: float, frame: str = "map") -> bytes:
+def pose_of(x: float, y: float, yaw: float, frame: str = "map", *, nanosecond: int = 1) -> bytes:
     turn = {"x": 0.0, "y": 0.0, "z": sin(yaw / 2.0), "w": cos(yaw / 2.0)}
-    header = {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": frame}
+    header = {"stamp": {"sec": 1, "nanosec": nanosecond}, "frame_id": frame}
     pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
     return encode(CONFIRMED_POSE, {"header": header, "pose": {"pose": pose, "covariance": [0.0] * 36}})
 
@@ -50,13 +50,14 @@ def test_a_pose_that_agrees_with_the_state_confirms_it(sent: Any, confirmed: boo
     with Bus(MemoryTransport(broker), "fleet") as gateway, Bus(MemoryTransport(broker), "fleet") as filtering:
         filtering.answer_requests(orders.answer, kinds=(ORDER, CONFIRM))
         confirmation = PoseConfirmation(gateway, "r1", ConfirmationTopic("/initialpose"), "map")
+        confirmation.check(HERE)
         if sent is not None:
             confirmation.input.take(pose_of(*sent))
         confirmation.check(HERE)
         assert wait_until(lambda: not orders.reason("r1"), 5.0 if confirmed else 0.2) is confirmed
 
 
-def test_an_old_pose_confirms_nothing_and_requests_are_a_second_apart() -> None:
+def test_each_pose_counts_once_and_only_if_it_came_since_the_state_became_implausible() -> None:
     now, asked, broker = [10.0], list[str](), MemoryBroker()
     orders = StopOrders()
 
@@ -67,17 +68,24 @@ def test_an_old_pose_confirms_nothing_and_requests_are_a_second_apart() -> None:
     with Bus(MemoryTransport(broker), "fleet") as gateway, Bus(MemoryTransport(broker), "fleet") as filtering:
         filtering.answer_requests(answer, kinds=(ORDER, CONFIRM))
         confirmation = PoseConfirmation(gateway, "r1", ConfirmationTopic("/initialpose"), "map", lambda: now[0])
+
+        def checked(seconds: float) -> None:
+            for _ in range(round(10 * seconds)):
+                now[0] += 0.1
+                confirmation.check(HERE)
+
         confirmation.input.take(pose_of(1.0, 2.0, 0.5))
-        now[0] += 1.5
-        confirmation.check(HERE)
+        checked(2.0)
         time.sleep(0.1)
-        assert asked == []
-        confirmation.input.take(pose_of(1.0, 2.0, 0.5).replace(b"\x01\x00\x00\x00\x01", b"\x01\x00\x00\x00\x02", 1))
-        for _ in range(5):
-            now[0] += 0.1
-            confirmation.check(HERE)
+        assert asked == [], "it is from before"
+        for nanosecond in range(2, 6):
+            confirmation.input.take(pose_of(1.0, 2.0, 0.5, nanosecond=nanosecond))
+            checked(2.0)
         assert wait_until(lambda: bool(asked))
-        assert asked == ["confirm"]
+        assert asked == ["confirm"], "a frozen pose with new stamps is the same pose"
+        confirmation.input.take(pose_of(1.01, 2.0, 0.5, nanosecond=9))
+        checked(2.0)
+        assert wait_until(lambda: len(asked) == 2)
 
 
 def test_nothing_but_a_confirmation_is_answered_under_its_key() -> None:

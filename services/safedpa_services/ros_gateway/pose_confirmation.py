@@ -36,7 +36,9 @@ class PoseConfirmation:
     """Asks the safety filter to ``confirm`` an implausible state, once a declared pose agrees with it.
 
     A pose agrees if it is at most ``distance`` [m] and ``angle`` [rad] from the one that the state has. The filter
-    refuses where anything else than an implausible state stops the robot, such as the order of a person.
+    refuses where anything else than an implausible state stops the robot, such as the order of a person. Only a pose
+    that arrived since the state became implausible counts, and no pose counts twice: one that is frozen like the state
+    would let the robot drive again and again.
     """
 
     def __init__(
@@ -50,21 +52,26 @@ class PoseConfirmation:
         self._bus, self._robot, self._topic, self._clock = bus, robot, topic, clock
         self.input = LatestMessage(CONFIRMED_POSE, _paths(), frame, clock)
         self._seen: tuple[float, ...] = ()
-        self._next = -math.inf
+        """The last pose that was compared."""
+        self._next, self._since, self._checked = -math.inf, math.inf, -math.inf
 
     def check(self, pose: PoseAndTwist) -> None:
-        """Compares the newest confirmed pose with the one of an implausible state; never blocks."""
+        """Compares the newest confirmed pose with the one of an implausible state, in each period; never blocks."""
         numbers, age, _ = self.input.read()
-        if not numbers or age > _LARGEST_AGE or self._clock() < self._next:
+        now = self._clock()
+        if now - self._checked > _PAUSE:
+            self._since = now  # the state has become implausible
+        self._checked = now
+        new = numbers and numbers != self._seen and age <= _LARGEST_AGE and now - age >= self._since
+        if not new or now < self._next:
             return
-        self._next = self._clock() + _PAUSE
+        self._seen, self._next = numbers, now + _PAUSE
         x, y, *quaternion = numbers
         apart = math.hypot(pose.x - x, pose.y - y)
         turned = abs(math.remainder(pose.yaw - yaw_of(*quaternion), math.tau))
         if apart <= self._topic.distance and turned <= self._topic.angle:
             threading.Thread(target=self._ask, name="confirm", daemon=True).start()
-        elif numbers != self._seen:  # the same pose again says nothing new
-            self._seen = numbers
+        else:
             self._tell(
                 f"the pose on {self._topic.topic} is {apart:.2g} m and {turned:.2g} rad from the state: not confirmed",
                 "warning",
