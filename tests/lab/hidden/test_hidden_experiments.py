@@ -80,8 +80,8 @@ def test_the_command_prints_one_document(tmp_path, capsys, monkeypatch):
 def test_the_diagnosed_model_needs_less_margin(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "steering_offset")])
     out = tmp_path / "found.json"
-    arguments = ["--hidden", "steering_offset", "--seeds", "1", "--seconds", "2", "--drives", "2"]
-    arguments += ["--drive-seconds", "20", "--processes", "1", "--out", str(out), "--json"]
+    arguments = ["--hidden", "steering_offset", "--seeds", "1", "--seconds", "2", "--drives", "4"]
+    arguments += ["--drive-seconds", "30", "--processes", "1", "--out", str(out), "--json"]
     assert safedpa.run(["experiment", "safety-pays", *arguments]) == 0
     result = json.loads(capsys.readouterr().out)
     retained = json.loads(out.read_text(encoding="utf-8"))
