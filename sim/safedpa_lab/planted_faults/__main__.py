@@ -1,10 +1,10 @@
 """Plants faults that developers make at random places of their classes, and asks whether the near tests notice.
 
-    python -m safedpa_lab.planted_faults --seed S [--faults 50] [--seconds 120] [--again [--place PATH]]
+    python -m safedpa_lab.planted_faults --seed S [--faults 50] [--class NAME] [--seconds 120] [--again [--place PATH]]
 
 ``make mutation`` mutates one module. This script draws from classes of faults (``fault_classes.py``: a sign of an
-error, a margin, held-out rows, units, a link's certificate, what is durable, ...) over all modules that they name.
-Each is planted in a copy of the working tree, where the tests that come to its place run until one fails
+error, a margin, held-out rows, units, what one module hands to another, ...) over all modules that they name. Each is
+planted in a copy of the working tree, where the tests that come to its place run until one fails
 (``working_copy.py``). They are looked for in the nearest files (``nearest_tests.py``). A test that fails without the
 fault as well is left out. Writes ``planted-S.json`` (place, difference, who noticed) and ``planted.md`` of all seeds
 into ``--out`` (default: ``build/mutation``) after each fault: a run that is cut goes on there. ``--again`` tries what
@@ -24,6 +24,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,13 @@ FILES, FAR = 60, 1000
 """Files of tests for each fault, those beyond the nearest only where none of these reaches it; all that there are."""
 
 
-def drawn(root: Path, seed: int, count: int) -> list[Fault]:
-    """So many faults, from one class after the other, each at a place that chance chooses; the same for a seed."""
+def drawn(root: Path, seed: int, count: int, kinds: Collection[str] = ()) -> list[Fault]:
+    """So many faults, from one class after the other, each at a place that chance chooses; the same for a seed.
+
+    ``kinds``: names of the classes; empty: all.
+    """
     chance = random.Random(seed)
-    left = {kind.name: faults_in(root, kind) for kind in CLASSES}
+    left = {kind.name: faults_in(root, kind) for kind in CLASSES if not kinds or kind.name in kinds}
     for found in left.values():
         chance.shuffle(found)
     names, chosen = list(left), list[Fault]()
@@ -64,6 +68,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--faults", type=int, default=50)
+    parser.add_argument("--class", dest="chosen", action="append", default=[], choices=[kind.name for kind in CLASSES])
     parser.add_argument("--seconds", type=float, default=120.0, help="to find tests that come to one fault")
     parser.add_argument("--again", action="store_true", help="what was not noticed, on the tests as they are now")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutation", help="folder of the records")
@@ -103,7 +108,7 @@ def planned(record: dict[str, Any], given: argparse.Namespace) -> list[dict[str,
         found = [row for row in record["faults"] if row.get("now", {}).get("result") != "noticed"]
         return [row for row in found if given.place in f"{row['fault']['path']}:{row['fault']['line']}"]
     if not record["faults"]:
-        for fault in drawn(ROOT, given.seed, given.faults):
+        for fault in drawn(ROOT, given.seed, given.faults, given.chosen):
             changed = difference(fault, (ROOT / fault.path).read_text(encoding="utf-8"))
             record["faults"].append({"fault": vars(fault), "difference": changed})
     return [row for row in record["faults"] if "now" not in row]

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from safedpa_lab.planted_faults.ast_changes import (
@@ -28,6 +29,7 @@ from safedpa_lab.planted_faults.ast_changes import (
     turned,
     unit_lost,
 )
+from safedpa_lab.planted_faults.interfaces import PRODUCT, handed_over, interfaces_of
 
 Change = Callable[[ast.AST], Iterator[ast.AST]]
 
@@ -48,12 +50,14 @@ class FaultClass:
     :param where: globs of files, from the root.
     :param words: regular expression that the names of the function and its class, or the statement, must match.
     :param changes: what a node of the tree may become.
+    :param derived: changes that depend on the whole product below a root.
     """
 
     name: str
     where: tuple[str, ...]
     phrase: str
     changes: tuple[Change, ...]
+    derived: Callable[[Path], tuple[Change, ...]] = lambda _: ()
 
 
 SAFETY, DIAGNOSIS = "shared/safedpa/safety/**/*.py", "shared/safedpa/diagnosis/**/*.py"
@@ -65,6 +69,14 @@ MARGINS = tuple(
 RECORDS, LIVE = "shared/safedpa/records/**/*.py", "shared/safedpa/live/*.py"
 COMPARE, FLEET, REPLAY = "shared/safedpa/comparison/*.py", "shared/safedpa/fleet/*.py", "shared/safedpa/replay/*.py"
 ADAPTATION = "shared/safedpa/adaptation/*.py"
+
+HANDED_OVER = "handed over"
+"""Name of the class of faults at the interfaces between modules."""
+
+
+def _hand_overs(root: Path) -> tuple[Change, ...]:
+    return (partial(handed_over, known=interfaces_of(root)),)
+
 
 CLASSES: tuple[FaultClass, ...] = (
     FaultClass("sign of an error over the margin", (*MARGINS, LIVE), r"error|margin|watch|shift|excess|gap", (turned,)),
@@ -156,6 +168,8 @@ CLASSES: tuple[FaultClass, ...] = (
         r"raise|refus|bound|limit|finite|largest",
         (guard_gone, dropped),
     ),
+    # What a constructor sets is missing at once: any test would notice.
+    FaultClass(HANDED_OVER, PRODUCT, r"^(?!__init__ )", (), _hand_overs),
 )
 
 
@@ -186,10 +200,11 @@ class Fault:
 def faults_in(root: Path, kind: FaultClass) -> list[Fault]:
     """Every place where a fault of the class could stand, in the order of files and lines."""
     files = sorted({path for glob in kind.where for path in root.glob(glob) if not path.name.startswith("generated_")})
-    return [fault for path in files for fault in _in_file(root, path, kind)]
+    makers = (*kind.changes, *kind.derived(root))
+    return [fault for path in files for fault in _in_file(root, path, kind, makers)]
 
 
-def _in_file(root: Path, path: Path, kind: FaultClass) -> Iterator[Fault]:
+def _in_file(root: Path, path: Path, kind: FaultClass, makers: Sequence[Change]) -> Iterator[Fault]:
     source, phrase = path.read_text(encoding="utf-8"), re.compile(kind.phrase)
     letters = source.encode()
     starts = [0]
@@ -202,7 +217,7 @@ def _in_file(root: Path, path: Path, kind: FaultClass) -> Iterator[Fault]:
 
     seen = set[tuple[int, int, str]]()
     for node, statement, function in places(ast.parse(source)):
-        changes = [change for make in kind.changes for change in make(node)]
+        changes = [change for make in makers for change in make(node)]
         notice = f"{function.rpartition('.')[2]} {letters[slice(*text(statement))].decode()}" if changes else ""
         if not phrase.search(notice.lower()):
             continue

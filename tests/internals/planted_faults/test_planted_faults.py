@@ -147,6 +147,45 @@ def test_a_fault_whose_file_has_changed_is_found_again_or_reported_as_gone(tree:
     assert there_now(tmp_path / "later", row) is None
 
 
+HANDED = {
+    "shared/safedpa/one.py": """
+class Message:
+    tick: int
+    epoch: int
+    until: float = 0.0
+class Session:
+    def __init__(self): self.seen = 0
+    def follow(self, state, document):
+        self.seen, self._own = state.tick, 1
+        self._own = 2
+        document["seen"] = self.seen
+        return Message(tick=state.tick, epoch=1, until=2.0)
+""",
+    "services/safedpa_services/two.py": """
+def read(session, message, document):
+    return session.seen, message.tick, message.epoch, message.until, document.get("seen", 3), document.get("own", 4)
+""",
+}
+
+
+def test_what_one_module_hands_to_another_is_derived_and_planted(tmp_path: Path) -> None:
+    from safedpa_lab.planted_faults.fault_classes import CLASSES, HANDED_OVER, faults_in
+
+    for name, text in HANDED.items():
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (kind,) = [one for one in CLASSES if one.name == HANDED_OVER]
+    found = {(fault.before, fault.after) for fault in faults_in(tmp_path, kind)}
+    given = "Message(tick=state.tick, epoch=1, until=2.0)"
+    assert found == {
+        ("self.seen, self._own = state.tick, 1", "self._own = 1"),
+        ('document["seen"] = self.seen', "pass"),
+        (given, "Message(tick=state.tick, epoch=1)"),
+        (given, "Message(tick=1, epoch=state.tick, until=2.0)"),
+        ('document.get("seen", 3)', "3"),
+    }
+
+
 @pytest.fixture(scope="module")
 def near() -> Any:
     """Of this very tree: a thousand files are read once."""
