@@ -63,6 +63,33 @@ def test_a_good_log_has_no_such_fault(tmp_path: Path, robot: str, kind: str) -> 
     assert not kinds(found) & {"clock_drift", "opposite_sign", "coarse_part"}
 
 
+def test_a_recalibrated_angle_is_no_gravity_and_a_relocalisation_only_cuts(tmp_path: Path) -> None:
+    log, truth = faulty_log(FAULTS["recalibrated"], "own_joint", 79000)
+    found, runs = prepared(tmp_path / "joint", "own_joint", log)
+    (row,) = (row for row in found.quality if row["kind"] == "offset")
+    assert row["start_t"] == truth.time
+    assert float(row["message"].split(" rad ")[0].split()[-1]) == pytest.approx(abs(truth.size), rel=0.05)
+    assert ("more" if truth.size > 0 else "less") in row["message"]
+    shooting = data_at_horizon(found.runs, found.seconds).shooting
+    assert check_data_sufficiency(shooting, found.runs, runs).wrong
+    kept, (run,) = prepared(tmp_path / "kept", "own_joint", log, ("offset",))
+    assert "kept_offset" in kinds(kept)
+    assert not check_data_sufficiency(shooting, kept.runs, [run]).wrong
+    log, _ = faulty_log(FAULTS["recalibrated"], "own_boat", 79000)
+    found, _ = prepared(tmp_path / "boat", "own_boat", log)
+    assert "jump" in kinds(found)
+    assert "offset" not in kinds(found)
+
+
+def test_of_a_log_that_is_mostly_out_of_bounds_no_effect_is_named(tmp_path: Path) -> None:
+    log, _ = faulty_log(FAULTS["degrees"], "own_quadrotor", 83000)
+    found, runs = prepared(tmp_path, "own_quadrotor", log)
+    shooting = data_at_horizon(found.runs, found.seconds).shooting
+    sufficient = check_data_sufficiency(shooting, found.runs, runs)
+    assert sufficient.wrong
+    assert "widen the bound" in sufficient.why_not
+
+
 def test_rows_from_which_a_state_has_coarse_steps_are_left_out(tmp_path: Path) -> None:
     log, truth = faulty_log(FAULTS["quantised"], "own_servo", 79000)
     found, runs = prepared(tmp_path, "own_servo", log)

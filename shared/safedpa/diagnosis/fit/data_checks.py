@@ -22,6 +22,7 @@ from safedpa.comparison.windows import check_runs, windows_of
 from safedpa.diagnosis.fit.clock_drift import clock_drifts
 from safedpa.diagnosis.fit.cross_validation import Heldout, heldout_of
 from safedpa.diagnosis.fit.multiple_shooting import Shooting, shooting_of, simulate
+from safedpa.diagnosis.fit.recalibrated_states import recalibrated_states
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import RunError
 from safedpa.records.run import Finding, Run
@@ -145,6 +146,8 @@ _SEVERE = (
     "swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent", "time_offset",
     "changed_command", "clock_drift", "stale_command", "offset",
 )  # fmt: skip
+# Share of the rows out of bounds from which a run is no measurement of the robot that the system describes.
+_MOST_OUTSIDE = 0.5
 # Correlation and gain of the measured with the predicted answer to a command from which its sign is certainly wrong.
 # Gains, lags and limits change the size of the answer, not its sign.
 _OPPOSITE_CORRELATION, _OPPOSITE_GAIN = -0.6, -0.3
@@ -191,9 +194,10 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
     used = [replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]]
     # A wrong sign looks like a drift to a test that assumes the signs, and any other such fault may as well.
     for index, run in enumerate(used) if not _severe_finding([*runs, *used]) else ():
-        drifting = [item.accepted_in(run.keep) for item in clock_drifts(model, run, seconds)]
-        quality += [finding_row(run.name, item) for item in drifting]
-        used[index] = replace(run, findings=(*run.findings, *drifting))
+        read = clock_drifts(model, run, seconds) or recalibrated_states(model, run, seconds)
+        wrong = [item.accepted_in(run.keep) for item in read]
+        quality += [finding_row(run.name, item) for item in wrong]
+        used[index] = replace(run, findings=(*run.findings, *wrong))
     return PreparedRuns(used, quality, seconds)
 
 
@@ -320,5 +324,10 @@ def _insufficient_data(shooting: Shooting, runs: Sequence[Run]) -> str:
 
 def _severe_finding(runs: Sequence[Run]) -> str:
     """Returns the first severe finding as text; empty if there is none."""
-    found = [f"{run.name}: {item.message}" for run in runs for item in run.findings if item.kind in _SEVERE]
-    return found[0] if found else ""
+    every = [(run, item) for run in runs for item in run.findings]
+    severe = [(run, item) for run, item in every if item.kind in _SEVERE]
+    # A few rows beyond a bound are outliers; where most of them are, the unit is wrong, or the bound.
+    outside = [
+        (run, item) for run, item in every if item.kind == "out_of_bounds" and item.count > _MOST_OUTSIDE * len(run.t)
+    ]
+    return next((f"{run.name}: {item.message}" for run, item in severe + outside), "")
