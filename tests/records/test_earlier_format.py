@@ -1,16 +1,17 @@
 """Files of format 1 convert to format 2 and mean the same; recordings of format 1 are also read directly."""
 
+import json
 from pathlib import Path
 
 import msgpack
 import pytest
 
-from safedpa.bus import TakeoverMessage, VerdictMessage, decode
+from safedpa.bus import SetupMessage, TakeoverMessage, VerdictMessage, decode
 from safedpa.errors import InputError
 from safedpa.records.earlier_format import current_key, current_payload, migrate
 from safedpa.records.readers.mcap import read_messages
 from safedpa.safety import load_settings
-from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration, margin_from_text
 from safedpa_services.command_line.group import safedpa
 
 SAMPLES = Path(__file__).parent / "samples"
@@ -41,6 +42,29 @@ def test_a_recording_is_read_directly_and_converted_to_the_same_messages(tmp_pat
     assert sum(len(verdict.nominal) == 1 for verdict in verdicts) == 100
     assert {key.rsplit("/", 1)[1] for key, _, _ in direct} >= {"nominal", "verdict", "state"}
     assert b"/wish" not in (tmp_path / "new.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("topic", ["setup", "model"])
+def test_the_margin_in_a_message_keeps_its_constants(topic: str) -> None:
+    margin = {"constants": {"ceiling.corridor": 0.4, "drive.ceiling.corridor": 0.3, "other": 1.0}, "coverage": 0.99}
+    fields = {"version": 1, "margin": json.dumps(margin)}
+    converted = json.loads(msgpack.unpackb(current_payload(topic, msgpack.packb(fields)))["margin"])
+    assert converted == {
+        "constants": {"clip.corridor": 0.4, "drive.clip.corridor": 0.3, "other": 1.0},
+        "coverage": 0.99,
+    }
+    for odd in ("", "no JSON", "[1]", '{"constants": 1}'):  # a hostile recording
+        payload = msgpack.packb({"version": 1, "margin": odd})
+        assert msgpack.unpackb(current_payload(topic, payload))["margin"] == odd
+
+
+def test_the_margin_of_a_recorded_filter_keeps_its_clips() -> None:
+    setups = [message for _, _, message in read_messages(RECORDING, []) if isinstance(message, SetupMessage)]
+    (margin,) = (margin_from_text(setup.margin) for setup in setups if setup.margin)
+    assert {name: value for name, value in margin.constants.items() if "clip" in name} == {
+        "clip.corridor": 0.4,
+        "drive.clip.corridor": 0.4,
+    }
 
 
 def test_settings_keep_their_values(tmp_path: Path) -> None:

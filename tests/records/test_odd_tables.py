@@ -99,6 +99,8 @@ def test_a_column_of_dates_does_not_hide_decimal_commas(tmp_path: Path) -> None:
     lines = ["date;" + HEADER.replace(",", ";"), *(f"27.11.2026 10:00:00;{line}" for line in GERMAN)]
     run = load_run(written(tmp_path / "drive.csv", lines), CAR)
     np.testing.assert_allclose(run.states[:, 0], [values[1] for values in ROWS], atol=0)
+    lines[3] = lines[3].replace(",", ".", 2)
+    assert "wanted a number with a decimal comma" in error_of(written(tmp_path / "point.csv", lines))
 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64"])

@@ -29,6 +29,11 @@ def test_the_bounds_are_the_robots_and_the_defaults_what_the_page_says() -> None
     assert pendulum.barriers == {"corridor_seconds": 0.25}
 
 
+def test_what_differs_from_the_defaults_is_shown() -> None:
+    settings = replace(FilterSettings.for_robot("car"), eta=0.3)
+    assert repr(settings) == "FilterSettings(system=car, action_low=(-0.6, -0.34), action_high=(2.0, 0.34), eta=0.3)"
+
+
 @pytest.mark.parametrize(
     "changes",
     [

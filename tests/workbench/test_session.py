@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.dynamics import Setting, fingerprint
+from safedpa.dynamics import Setting, fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_services.workbench.panels.error_map import (
@@ -231,19 +231,19 @@ def test_figures_show_measured_and_every_version(searched, theme):
     assert off[1] < 0.05 * off[0], "0.7 m/s without its drag, the sensor's noise with it"
 
 
-def test_refitted_free_parameters_are_a_version_of_their_own_that_cannot_be_undone(plain, runs):
+def test_refitted_free_parameters_are_a_version_of_their_own_that_cannot_be_undone(plain, runs, tmp_path):
     free = plain.with_settings({"base.drive_gain": Setting(4.0, free=True)})
     session = Session("free", runs, 1.0, jobs.first_versions(free, runs, 1.0, quiet))
     assert [version.label for version in session.versions] == ["given model", "free parameters refitted"]
     assert session.present.error < session.versions[0].error
     assert session.undo() == ""
     assert session.number == 1
+    save_model_files(session.present.step, runs, free, tmp_path, quiet)
+    assert load_model(tmp_path / "model.toml").latent_names == ("base.drive_gain",), "what was free stays free"
 
 
 @pytest.mark.long
 def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_path):
-    from safedpa.dynamics import load_model
-
     version = searched.fitted_version("quadratic_drag")
     notice = save_model_files(version.step, runs, plain, tmp_path / "out", quiet)
     assert f"safedpa up --model {tmp_path / 'out' / 'model.toml'} --margin" in notice

@@ -6,6 +6,7 @@ through them (``current_key``, ``current_payload``); ``migrate`` rewrites a file
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any, Final
@@ -55,7 +56,7 @@ def current_payload(topic: str, payload: bytes) -> bytes:
     names = _FIELDS.get(topic, {})
     if len(payload) > TOPICS[topic].largest_bytes:
         return payload  # the decoder refuses it unparsed
-    if topic != "setup" and not any(name.encode() in payload for name in names):
+    if topic not in ("setup", "model") and not any(name.encode() in payload for name in names):
         return payload  # most messages: nothing in them was renamed
     try:
         fields = msgpack.unpackb(payload)
@@ -67,7 +68,8 @@ def current_payload(topic: str, payload: bytes) -> bytes:
     renamed["version"] = FORMAT
     if topic == "setup":
         renamed["settings"] = _settings(_text(renamed.get("settings")))
-        renamed["margin"] = _margin(_text(renamed.get("margin")))
+    if topic in ("setup", "model"):
+        renamed["margin"] = _margin_of_message(_text(renamed.get("margin")))
     packed: bytes = msgpack.packb(renamed)
     return packed
 
@@ -88,6 +90,20 @@ def _margin(text: str) -> str:
     for earlier, current in _MARGIN_PREFIXES.items():
         text = re.sub(rf'(?m)^"{re.escape(earlier)}', f'"{current}', text)
     return _numbered(text)
+
+
+def _margin_of_message(text: str) -> str:
+    """Converts a margin as messages carry it, as JSON; what is none is returned unchanged."""
+    try:
+        document = json.loads(text)
+        constants = {_clip_name(name): value for name, value in document["constants"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return text
+    return json.dumps(document | {"constants": constants}, sort_keys=True)
+
+
+def _clip_name(name: str) -> str:
+    return next((new + name.removeprefix(old) for old, new in _MARGIN_PREFIXES.items() if name.startswith(old)), name)
 
 
 def _robot_file(text: str) -> str:
