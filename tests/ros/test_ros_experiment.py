@@ -46,21 +46,36 @@ def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str)
     assert {name for name in alongside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}
 
 
-@pytest.mark.parametrize("stall", [0.04, 0.3])
-def test_a_car_whose_process_was_suspended_does_not_drive_on_blindly(monkeypatch: pytest.MonkeyPatch, stall: float):
-    """It would make up for missed periods in a burst under one command, without control by the gateway."""
+def _turns(monkeypatch: pytest.MonkeyPatch, seconds: float, delays: dict[int, float]) -> list[float]:
+    """When the car drove its periods, if its process was suspended after some of them for so long [s]."""
     now, turns = [50.0], list[float]()
     monkeypatch.setattr(car.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(car.time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
     driven = object.__new__(car.Car)
-    driven.options, driven.ended, driven.stalled = argparse.Namespace(seconds=1.0), False, 0.0
+    driven.options, driven.ended, driven.stalled = argparse.Namespace(seconds=seconds), False, 0.0
 
     def turn(k: int, at: float) -> None:
         turns.append(now[0])
-        now[0] += stall if k == 10 else 0.0
+        now[0] += delays.get(k, 0.0)
+        driven.ended = k > 1000
 
     monkeypatch.setattr(driven, "turn", turn)
     monkeypatch.setattr(driven, "account", dict)
     driven.run()
+    return turns
+
+
+@pytest.mark.parametrize("stall", [0.04, 0.3])
+def test_a_car_whose_process_was_suspended_does_not_drive_on_blindly(monkeypatch: pytest.MonkeyPatch, stall: float):
+    """It would make up for missed periods in a burst under one command, without control by the gateway."""
+    turns = _turns(monkeypatch, 1.0, {10: stall})
     assert max(turns.count(moment) for moment in turns) <= 3, "so many periods at once"
     assert len(turns) == 50, "a second of driving all the same"
+
+
+@pytest.mark.parametrize("delay", [0.08, 0.15, 0.5])
+def test_a_car_drives_at_its_own_rate_again_after_a_busy_machine(monkeypatch: pytest.MonkeyPatch, delay: float) -> None:
+    turns = _turns(monkeypatch, 10.0, dict.fromkeys(range(20, 60), delay))
+    assert max(turns.count(moment) for moment in turns) <= 6, "so many periods at once"
+    assert turns[-1] - turns[-101] == pytest.approx(100 * 0.02), "the last 100 periods"
+    assert len(turns) == pytest.approx(500, abs=1), "the drive lasts as long as asked"

@@ -30,8 +30,8 @@ _PERIOD = 0.02
 _DRIVER_PATIENCE = 0.25
 """s; the driver brakes by itself without a command for so long."""
 _STALL = 0.1
-"""s between two periods after which this process was held up, or the whole machine: the drive goes on from there. Made
-up for in a burst, they would be driven by one command; a gateway believes no odometry that is older than that."""
+"""s; a period that begins later was delayed by this process or the machine: the drive goes on from there. Made up for
+in a burst, the missed periods would be driven by one command; a gateway accepts no older odometry."""
 _IS_STATIONARY = 0.05
 """m/s."""
 _JUMP = 1000.0
@@ -180,13 +180,14 @@ class Car:
 
     def run(self) -> dict[str, Any]:
         """Drives, and says what came of it."""
-        start, k, last = time.monotonic(), 0, time.monotonic()
+        start, k = time.monotonic(), 0
         while (at := time.monotonic() - start) < self.options.seconds and not self.ended:
-            if time.monotonic() - last > _STALL:
-                self.stalled += time.monotonic() - last
-                start += time.monotonic() - last
-                at = time.monotonic() - start
-            last = time.monotonic()
+            # Only the delay, not the whole time since the last period: the schedule would run ahead of the clock, and
+            # its own waiting would count as the next delay.
+            late = at - k * _PERIOD
+            if late > _STALL:
+                self.stalled += late
+                start, at = start + late, at - late
             self.turn(k, at)
             k += 1
             time.sleep(max(0.0, start + k * _PERIOD - time.monotonic()))
