@@ -143,6 +143,18 @@ def test_missed_periods_are_skipped(rig: Rig) -> None:
     assert times[5] - times[1] > 10.05, "otherwise the four periods after it would take no time"
 
 
+def test_ticks_count_the_missed_periods(rig: Rig) -> None:
+    """The state has moved for so long: a filter that knows of one period would find it implausible."""
+    ticks: list[int] = []
+
+    def before(turn: int) -> None:
+        ticks.extend(message.tick for message in rig.messages() if isinstance(message, StateMessage))
+        rig.now[0] += 0.42 if turn == 3 else 0.0
+
+    rig.turns(6, before)
+    assert ticks == [0, 1, 2, 11, 12]
+
+
 def test_a_gateway_sends_a_heartbeat_four_times_a_second(rig: Rig) -> None:
     rig.turns(60)
     beats = [message.robot_time for message in rig.messages() if isinstance(message, HealthMessage)][:-1]

@@ -163,6 +163,7 @@ class Gateway:
     def turn(self, begin: float) -> float:
         """Runs one period that starts at ``begin`` [s]; returns the start of the next one."""
         self._listen(begin)
+        begin = self._skip_missed(begin)
         self._check_intruder()
         self._check_types()
         self._check_restart()
@@ -188,8 +189,16 @@ class Gateway:
         self._report_gateway(sent, age, stamp, self._clock() - published)
         self._listen(begin + _DEADLINE_SHARE * self.period)
         self.tick += 1
-        following = begin + self.period
-        return max(following, self._clock() - self.period)  # missed periods are skipped
+        return begin + self.period
+
+    def _skip_missed(self, begin: float) -> float:
+        """Returns the begin of the present period [s] if the process was held up since ``begin``; counts the ticks.
+
+        Otherwise the filter would compare a motion of several periods with its prediction for one.
+        """
+        missed = max(0, math.floor((self._clock() - begin) / self.period))
+        self.tick += missed
+        return begin + missed * self.period
 
     def _refusal(self, age: float) -> str:
         if self._intruder:
