@@ -144,7 +144,8 @@ class GuardedSession(SessionMemory[StateT]):
     def braking(self) -> str:
         """Why the backup acts instead of a decision about the nominal action; empty if it does not."""
         if self.latched:
-            return f"the state is implausible, {self.latched}; confirm where the robot is to let it drive"
+            reason = f"the state is implausible, {self.latched}"
+            return f"{reason}; confirm where the robot is, by 'safedpa go' or confirm(), to let it drive"
         # Without a state to predict from, the filter itself refuses this one.
         if self._believed is None:
             return ""
