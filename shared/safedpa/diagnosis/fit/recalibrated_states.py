@@ -12,7 +12,7 @@ A fall of the windows after it, and a rise of those before, says that the sensor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from safedpa.arrays import FloatArray
 from safedpa.comparison.rollout import rollout_at
 from safedpa.comparison.windows import Windows, windows_of
 from safedpa.dynamics import PhysicsModel
-from safedpa.records.run import Finding, Run
+from safedpa.records.run import Finding, Run, Stretch
 
 __all__ = ["recalibrated_states"]
 
@@ -29,6 +29,8 @@ _OVERLAP, _TESTED_WINDOWS = 0.5, 400
 _LEAST_WINDOWS = 10
 # Steps of time between two stretches that are one jump and no gap.
 _LONGEST_STEP = 1.75
+# Stretches that follow one another beyond which they are outliers, and no new calibration.
+_MOST_BORDERS = 50
 # Usual errors of one step from which a difference is a jump, and the largest jumps that are looked at.
 _JUMP, _MOST_JUMPS = 10.0, 5
 # Falls of the log of the squares after the jump: of one state, and of all together.
@@ -39,12 +41,19 @@ _CLIP = 9.0
 
 def recalibrated_states(model: PhysicsModel, run: Run, seconds: float) -> list[Finding]:
     """Returns a finding for the state whose changed reading explains most, if any; windows last ``seconds``."""
+    borders = [
+        (before, after)
+        for before, after in zip(run.stretches, run.stretches[1:], strict=False)
+        if 0.0 < float(run.t[after.start] - run.t[before.stop - 1]) < _LONGEST_STEP * run.period
+    ]
+    if not 0 < len(borders) <= _MOST_BORDERS:
+        return []
     every = windows_of([run], seconds, every=_OVERLAP * seconds)
     windows = every.select(np.unique(np.linspace(0, len(every) - 1, _TESTED_WINDOWS).astype(np.int64)))
     found = []
     # Predictions may overflow where the model is unstable; those windows are left out.
     with np.errstate(all="ignore"):
-        for row, state, size in _jumps(model, run):
+        for row, state, size in _jumps(model, run, borders):
             after = windows.t[windows.start] >= run.t[row]
             falls = [_falls(model, windows.select(np.flatnonzero(part)), state, size) for part in (after, ~after)]
             if falls[0].max() > _FALL_OF_ONE and falls[0].sum() > _FALL_OF_ALL and falls[1].sum() < 0.0:
@@ -52,17 +61,17 @@ def recalibrated_states(model: PhysicsModel, run: Run, seconds: float) -> list[F
     return [_finding_of(run, *max(found)[1:])] if found else []
 
 
-def _jumps(model: PhysicsModel, run: Run) -> Iterator[tuple[int, int, float]]:
-    """Yields (row after it, state, size) of the largest jumps between two stretches, where one state jumps."""
+def _jumps(
+    model: PhysicsModel, run: Run, borders: Sequence[tuple[Stretch, Stretch]]
+) -> Iterator[tuple[int, int, float]]:
+    """Yields (row after it, state, size) of the largest jumps between two stretches, of the state that jumps most."""
     steps = windows_of([run], run.period, every=run.period)
     usual = np.median(np.abs(_residuals(model, steps)), axis=0) + 1e-12
-    found = []
-    for before, after in zip(run.stretches, run.stretches[1:], strict=False):
-        period = float(run.t[after.start] - run.t[before.stop - 1])
-        if not 0.0 < period < _LONGEST_STEP * run.period:
-            continue
-        at, latent = before.stop - 1, model.latent if model.latent_names else None
+    latent, found = model.latent if model.latent_names else None, []
+    for before, after in borders:
+        at = before.stop - 1
         memory = model.initial_memory(run.actions[at], latent)
+        period = float(run.t[after.start] - run.t[at])
         predicted, _ = model.advance(run.states[at], run.actions[at], memory, latent, period=period)
         jump = run.system.difference(run.states[after.start], predicted)
         state = int(np.argmax(np.abs(jump) / usual))
