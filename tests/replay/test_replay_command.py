@@ -36,6 +36,15 @@ def aged(path: Path) -> Path:
     return path
 
 
+def with_own_policy(path: Path) -> Path:
+    """The box drive, as if the nominal actions came from the robot's own policy, which is no service."""
+    with McapRecorder(path) as recorder:
+        for key, at, topic, payload in read_payloads(BOX):
+            if topic is not SETUP or decode(SetupMessage, payload).service != "policy":
+                recorder.write(key, payload, at, at)
+    return path
+
+
 def other(payload: bytes) -> bytes:
     verdict = decode(VerdictMessage, payload)
     changed = dataclasses.replace(verdict, status="passed", sentence="all is well", slack=1.0)
@@ -171,3 +180,13 @@ def test_a_recording_is_not_written_into_the_run_that_is_read(
     assert code == 2
     assert ("would count as a recording of this run" in err) is refused
     assert ("the file is empty" in err) is not refused
+
+
+def test_nominal_actions_of_the_robots_own_policy_are_accepted_as_recorded(capsys, tmp_path: Path) -> None:
+    code, out, _ = run(capsys, str(with_own_policy(tmp_path / "own.mcap")))
+    assert code == 0
+    assert "policy: no setup was recorded; its outputs are accepted as recorded" in out
+    assert "identical: every field" in out
+    recorded = [decode(VerdictMessage, payload) for _, _, topic, payload in read_payloads(BOX) if topic is VERDICT]
+    assert f"smallest h_now {min(verdict.h_now for verdict in recorded):.3g}\n" in out
+    assert f" {sum(verdict.status == 'passed' for verdict in recorded)} passed" in out

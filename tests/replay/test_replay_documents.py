@@ -26,6 +26,9 @@ def test_the_document_of_a_replay_has_all_that_the_lines_say(capsys: pytest.Capt
         {"service": name, "compared": counts, "identical": counts, "differing": 0, "rounded": 0, "spans": [], "lost": 0}
         for name, counts in sent.items()
     ]
+    recorded = [decode(VerdictMessage, payload) for _, _, topic, payload in read_payloads(BOX) if topic is VERDICT]
+    assert document.pop("verdicts") == Counter(verdict.status for verdict in recorded)
+    assert document.pop("least_h_now") == min(verdict.h_now for verdict in recorded)
     assert document == {
         "format": 1, "robot": "r1", "files": [BOX], "states": 120, "seconds": [0.0, 5.95], "agrees": True,
         "exact": True, "assumed": [], "findings": [], "not_recorded": [], "differences": [],

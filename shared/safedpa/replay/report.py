@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from safedpa.bus import (
     Message,
     SurroundingsMessage,
     Topic,
+    VerdictMessage,
     encode,
     key_of,
 )
@@ -38,6 +41,7 @@ def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[
     yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {files}"
     yield from note_lines(tape, assumed)
     yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
+    yield from _verdict_lines(tape)
     for part in found.services:
         yield from _service_lines(part)
     differing = sorted(
@@ -57,6 +61,20 @@ def note_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
     """Lines with findings about the recording and the assumptions that replace missing data."""
     yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
     yield from (f"  assumed: {sentence}" for sentence in assumed)
+
+
+def recorded_verdicts(tape: RobotTape) -> tuple[dict[str, int], float | None]:
+    """Returns how many recorded verdicts have each status, and their smallest h now; None without a known h."""
+    verdicts = [item.message for item in tape.computed["safety_filter"] if isinstance(item.message, VerdictMessage)]
+    known = [verdict.h_now for verdict in verdicts if isfinite(verdict.h_now)]
+    return dict(Counter(verdict.status for verdict in verdicts).most_common()), min(known, default=None)
+
+
+def _verdict_lines(tape: RobotTape) -> Iterator[str]:
+    counts, least = recorded_verdicts(tape)
+    if counts:
+        known = "h not known" if least is None else f"smallest h_now {least:.3g}"
+        yield f"  verdicts       {', '.join(f'{count} {status}' for status, count in counts.items())}; {known}"
 
 
 def _service_lines(part: ServiceReplay) -> Iterator[str]:
@@ -97,12 +115,15 @@ def _short(value: Any) -> str:
 def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> dict[str, Any]:
     """JSON document of a replay."""
     begin, end = tape.seconds()
+    counts, least = recorded_verdicts(tape)
     return {
         "format": 1,
         "robot": tape.robot,
         "files": [str(path) for path in tape.files],
         "states": len(tape.states),
         "seconds": [begin, end],
+        "verdicts": counts,
+        "least_h_now": least,
         "agrees": found.agrees,
         "exact": found.exact,
         "assumed": assumed,

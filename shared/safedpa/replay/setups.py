@@ -81,12 +81,13 @@ def complete_setups(tape: RobotTape, model: str = "", settings: str = "") -> lis
     """Adds a setup for every service that has outputs but none; returns sentences about the assumptions.
 
     Without ``model``, the shipped model with the fingerprint of the recorded latents is used. Raises InputError if
-    there is none.
+    there is none. Outputs of a perception without a setup are accepted as recorded, and so are those of a policy if
+    the other services have setups: the robot's own policy is no service.
     """
-    perception = PerceptionNode.name
-    accepted = tape.computed[perception] and not tape.setups.get(perception)
-    notes = [f"{perception}: no setup was recorded; its outputs are accepted as recorded"] if accepted else []
-    lacking = [name for name in REPLAYED if tape.computed[name] and not tape.setups.get(name)]
+    lacking = [name for name in (PerceptionNode.name, *REPLAYED) if tape.computed[name] and not tape.setups.get(name)]
+    accepted = {PerceptionNode.name, *(["policy"] if tape.setups.get("safety_filter") else [])} & {*lacking}
+    notes = [f"{name}: no setup was recorded; its outputs are accepted as recorded" for name in sorted(accepted)]
+    lacking = [name for name in lacking if name not in accepted]
     if not lacking:
         return notes
     found = load_model(model) if model else _shipped_model(tape)
