@@ -104,7 +104,7 @@ def test_the_document_of_a_replay_is_complete() -> None:
     """Three states at 2, 2.5 and 3 s; one service of three differs, and two fields in their last digits."""
     assert document_of(tape_of(), replay_of(1, differing=1, rounded=2), [], []) == {
         "format": 1, "robot": "r1", "files": ["a.mcap"], "states": 3, "seconds": [2.0, 3.0], "agrees": False,
-        "exact": False, "assumed": [], "findings": [], "not_recorded": [],
+        "exact": False, "assumed": [], "findings": [], "not_recorded": [], "verdicts": {}, "least_h_now": None,
         "services": [
             {"service": name, "compared": {"latent": 5} if own else {}, "identical": {"latent": 5} if own else {},
              "differing": int(own), "rounded": 2 * own, "spans": [], "lost": 0}
