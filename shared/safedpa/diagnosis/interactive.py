@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from safedpa.comparison.rollout_error import rollout_error
-from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
+from safedpa.diagnosis import diagnose as diagnosing
+from safedpa.diagnosis.diagnose import candidate_of, experiment_for
 from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, displayed_windows, prepare_runs
 from safedpa.diagnosis.fit.least_squares import fit, relinearized
@@ -100,7 +101,7 @@ def proposal(
     # Trials of the step before are starts for this one: most parameters hardly move.
     before = {t.trial.effects[0]: t.trial for t in search.candidates if len(t.trial.effects) == 1}
     search.candidates = []
-    search.library = library = library_for(step.model)
+    search.library = library = diagnosing.library_for(step.model)
     # Four more units for pairs and the residual, which take about as long as four effects.
     every = len(library) + 4
     trials = fit_trials(search.current, library, search.shooting, before, lambda done: report_progress(done, every))

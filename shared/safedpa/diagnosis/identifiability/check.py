@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from safedpa.diagnosis import diagnose as diagnosing
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
-from safedpa.diagnosis.diagnose import library_for
 from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, data_at_horizon, prepare_runs
 from safedpa.diagnosis.report_schema import Detectable
 from safedpa.diagnosis.search.initial_model import base_bound_message, base_error_message, initial_search
@@ -59,7 +59,7 @@ def check_identifiability(model: PhysicsModel, runs: Sequence[Run]) -> Identifia
     search = initial_search(model, evidence.shooting, evidence.heldout)
     sizes: Sequence[Detectable] = ()
     if sufficiency.enough:
-        library = library_for(model)
+        library = diagnosing.library_for(model)
         found = detectable_sizes(search.current, library, search.shooting, search.error)
         sizes = with_manoeuvres(found, search.current, library)
     return IdentifiabilityCheck(

@@ -13,8 +13,9 @@ from itertools import pairwise
 import numpy as np
 
 from safedpa.arrays import FloatArray
+from safedpa.diagnosis import diagnose as diagnosing
 from safedpa.diagnosis.detectable import changed_values
-from safedpa.diagnosis.diagnose import diagnose, library_for
+from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.fit.data_checks import MOST_ROWS, data_at_horizon, prepare_runs
 from safedpa.diagnosis.fit.trial import with_effect_at
 from safedpa.diagnosis.identifiability.check import IdentifiabilityCheck, check_identifiability
@@ -75,7 +76,7 @@ def rehearse_diagnosis(
 
     Raises InputError for a name that the model could not lack, RunError for unusable runs.
     """
-    library = _chosen(library_for(model), names)
+    library = _chosen(diagnosing.library_for(model), names)
     model = refitted_to_runs(model, runs)
     noise = measured_noise(runs)
     # Each simulation has its own seed, so that a result does not depend on which other effects are rehearsed.
