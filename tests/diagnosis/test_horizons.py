@@ -265,12 +265,7 @@ def log(tmp_path_factory):
 
 @pytest.fixture
 def few_everywhere(monkeypatch):
-    for module in (
-        "safedpa.diagnosis.diagnose",
-        "safedpa.diagnosis.identifiability.check",
-        "safedpa.diagnosis.identifiability.rehearsal",
-    ):
-        monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in LIBRARY])
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in LIBRARY])
 
 
 @pytest.fixture

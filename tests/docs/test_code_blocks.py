@@ -109,7 +109,7 @@ def test_the_block_of_the_workbench_adds_the_effect(
 ) -> None:
     del drive
     library = [effect("car", name) for name in FEW]
-    monkeypatch.setattr("safedpa.diagnosis.interactive.library_for", lambda _: library)
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: library)
     run("workbench", {})
     assert [item.name for item in load_model(tmp_path / "model.toml").effects][-1] == "steering_offset"
 

@@ -54,12 +54,7 @@ def inputs(tmp_path_factory):
 def few(monkeypatch):
     """Reduces the library of effects, which saves time; the files do not depend on it."""
     names = ("quadratic_drag", "rolling_resistance")
-    for module in (
-        "safedpa.diagnosis.diagnose",
-        "safedpa.diagnosis.identifiability.check",
-        "safedpa.diagnosis.identifiability.rehearsal",
-    ):
-        monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in names])
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 
 
 def sums(folder, names):

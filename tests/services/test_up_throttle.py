@@ -65,7 +65,7 @@ def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
     """
     names = ("turning_drag", "viscous_drag", "rolling_resistance", "drive_dead_zone")
     nearest = [effect("car", name) for name in names]
-    monkeypatch.setattr("safedpa.diagnosis.interactive.library_for", lambda _: nearest)
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: nearest)
     logs = sorted((data_folder / "dart_rc_car").glob("91*/*.csv"))[:2]
     if not logs:
         pytest.skip(f"no car logs in {data_folder}")

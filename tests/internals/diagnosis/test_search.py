@@ -185,7 +185,7 @@ def test_an_interactive_step_looks_for_a_formula_if_no_effect_passes(library, pa
     search: Any = SimpleNamespace(candidates=[], current=None, shooting=None, added=[], region=None)
     did: list[Any] = []
     monkeypatch.setattr(interactive, "_copied", lambda _: SimpleNamespace(**vars(search)))
-    monkeypatch.setattr(interactive, "library_for", lambda _: library)
+    monkeypatch.setattr(diagnose, "library_for", lambda _: library)
     monkeypatch.setattr(interactive, "fit_trials", lambda *_: [])
     monkeypatch.setattr(interactive, "add_best_trial", lambda *given: did.append(given) or passed)
     monkeypatch.setattr(interactive, "find_unexplained_structure", lambda *_: "rest")
