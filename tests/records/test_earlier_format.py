@@ -53,7 +53,7 @@ def test_the_margin_in_a_message_keeps_its_constants(topic: str) -> None:
         "constants": {"clip.corridor": 0.4, "drive.clip.corridor": 0.3, "other": 1.0},
         "coverage": 0.99,
     }
-    for odd in ("", "no JSON", "[1]", '{"constants": 1}'):  # a hostile recording
+    for odd in ("", "no JSON", "[1]", '{"constants": 1}', "[" * 20_000):  # a hostile recording
         payload = msgpack.packb({"version": 1, "margin": odd})
         assert msgpack.unpackb(current_payload(topic, payload))["margin"] == odd
 

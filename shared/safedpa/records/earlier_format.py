@@ -15,7 +15,7 @@ import msgpack
 
 from safedpa.bus.messages.topics import TOPICS
 from safedpa.errors import InputError
-from safedpa.limits import parse_toml, text_of_file
+from safedpa.limits import parse_json, parse_toml, text_of_file
 from safedpa.records.readers.own_process import in_own_process
 
 __all__ = ["FORMAT", "current_key", "current_payload", "migrate", "without_removed_settings"]
@@ -95,9 +95,9 @@ def _margin(text: str) -> str:
 def _margin_of_message(text: str) -> str:
     """Converts a margin as messages carry it, as JSON; what is none is returned unchanged."""
     try:
-        document = json.loads(text)
+        document = parse_json(text)
         constants = {_clip_name(name): value for name, value in document["constants"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, InputError):
         return text
     return json.dumps(document | {"constants": constants}, sort_keys=True)
 

@@ -90,6 +90,18 @@ def test_of_a_log_that_is_mostly_out_of_bounds_no_effect_is_named(tmp_path: Path
     assert "widen the bound" in sufficient.why_not
 
 
+def test_of_a_log_that_is_out_of_bounds_for_a_while_the_rest_is_used(tmp_path: Path) -> None:
+    log = good_log("plain", "own_quadrotor", 79500)
+    log.states[400:1200, 0] = 25.0
+    found, runs = prepared(tmp_path, "own_quadrotor", log)
+    (row,) = (row for row in found.quality if row["kind"] == "out_of_bounds")
+    assert row["count"] == 800
+    for most_rows in (40_000, 700):  # thinned to fewer rows than were cut
+        used = prepare_runs(load_model(tmp_path / "given" / "model.toml"), runs, most_rows)
+        shooting = data_at_horizon(used.runs, used.seconds).shooting
+        assert "bound" not in check_data_sufficiency(shooting, used.runs, runs).why_not
+
+
 def test_rows_from_which_a_state_has_coarse_steps_are_left_out(tmp_path: Path) -> None:
     log, truth = faulty_log(FAULTS["quantised"], "own_servo", 79000)
     found, runs = prepared(tmp_path, "own_servo", log)

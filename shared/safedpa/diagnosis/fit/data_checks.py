@@ -328,6 +328,14 @@ def _severe_finding(runs: Sequence[Run]) -> str:
     severe = [(run, item) for run, item in every if item.kind in _SEVERE]
     # A few rows beyond a bound are outliers; where most of them are, the unit is wrong, or the bound.
     outside = [
-        (run, item) for run, item in every if item.kind == "out_of_bounds" and item.count > _MOST_OUTSIDE * len(run.t)
+        (run, item)
+        for run, item in every
+        if item.kind == "out_of_bounds" and item.count > _MOST_OUTSIDE * _rows_of_log(run)
     ]
     return next((f"{run.name}: {item.message}" for run, item in severe + outside), "")
+
+
+def _rows_of_log(run: Run) -> float:
+    """Rows of the log by its time: those that were cut or thinned out are no longer in the run."""
+    span = float(run.t[-1] - run.t[0]) / run.period if len(run.t) > 1 and run.period > 0.0 else 0.0
+    return max(float(len(run.t)), span + 1.0)
