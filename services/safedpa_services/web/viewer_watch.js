@@ -2,7 +2,7 @@
 // not drawn: the page then says so, and is loaded again before its memory grows without a limit. It begins with the newest
 // data.
 if (location.search.includes("proxy")) {  // a recording that is read once does not fall behind
-  const LARGEST_BYTES = 250e6, LARGEST_SLOW_BYTES = 180e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
+  const LARGEST_BYTES = 200e6, LARGEST_SLOW_BYTES = 150e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
   let memory = null, frames = 0, slow = 0;
   const keep = (found) => { memory = (found.instance || found).exports.memory; return found; };
   for (const name of ["instantiate", "instantiateStreaming"]) {

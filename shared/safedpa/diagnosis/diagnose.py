@@ -164,17 +164,21 @@ def _remainder(search: SearchState) -> Remainder | None:
     """Returns what the last model leaves of unseen data, with a sentence if it is neither noise nor disturbance."""
     found = _remaining(search.current, search.shooting)
     first = search.first_error.value if search.added else None
-    return None if found is None else with_sentence(found, search.error.value, first)
+    return None if found is None else with_sentence(found, search.error, first, _state_names(search))
 
 
 def _one_explains(likely: Sequence[JudgedTrial], search: SearchState) -> bool:
     """Returns whether one of the likely effects leaves only noise and a disturbance of unseen data."""
     for item in likely:
         found = _remaining(item.trial, search.shooting)
-        error = search.error.value if item.error is None else item.error.value
-        if found is None or not with_sentence(found, error, None).sentence:
+        error = item.error or search.error
+        if found is None or not with_sentence(found, error, None, _state_names(search)).sentence:
             return True
     return False
+
+
+def _state_names(search: SearchState) -> tuple[str, ...]:
+    return search.shooting.windows.system.state_names
 
 
 def _tried(search: SearchState) -> tuple[int, int]:

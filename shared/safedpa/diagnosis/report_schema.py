@@ -268,6 +268,14 @@ class Remainder:
     """Difference of these mean squares in standard errors."""
     noise_share: float
     """Share of the squares that measurement noise explains, estimated from these recordings."""
+    state: str = ""
+    """State with the largest significant share of its own; empty if no state has one."""
+    state_share: float = 0.0
+    """Share of the squares of that state that depends on the drive."""
+    state_errors: float = 0.0
+    """Its standard errors over independent blocks."""
+    noise_by_state: tuple[float, ...] = ()
+    """``noise_share`` of each state."""
     sentence: str = ""
     """Size and place of what neither noise nor a disturbance from outside explains; empty if they explain it."""
 

@@ -10,7 +10,9 @@ import pytest
 from safedpa.diagnosis.fit.data_checks import PreparedRuns, check_data_sufficiency, data_at_horizon, prepare_runs
 from safedpa.dynamics import load_model
 from safedpa.dynamics.user_files import load_user_file_everywhere
-from safedpa.records import Run
+from safedpa.records import Run, load_run
+from safedpa_lab.hidden import cases_of
+from safedpa_lab.hidden import write_case as write_hidden
 from safedpa_lab.own_robots import models
 from safedpa_lab.own_robots.cases import OwnCase, write_case
 from safedpa_lab.own_robots.data_faults import FAULTS, Log, faulty_log, good_log
@@ -61,6 +63,16 @@ def test_a_fault_of_a_channel_is_named_and_no_effect_is_tried(
 def test_a_good_log_has_no_such_fault(tmp_path: Path, robot: str, kind: str) -> None:
     found, _ = prepared(tmp_path, robot, good_log(kind, robot, 79500))
     assert not kinds(found) & {"clock_drift", "opposite_sign", "coarse_part"}
+
+
+@pytest.mark.parametrize(("suite", "seed"), [("ordinary", 1995572000), ("ordinary", 1371787591), ("hard", 3216918331)])
+def test_a_missing_effect_is_no_drifting_clock(tmp_path: Path, suite: str, seed: int) -> None:
+    # In one of six logs the drive differs between beginning and end so much that the effect looks like a drift.
+    (case,) = (case for case in cases_of(suite, 16, 91003) if case.seed == seed)
+    log = write_hidden(case, tmp_path)
+    model = load_model(log.model)
+    found = prepare_runs(model, [load_run(path, model.system) for path in log.runs])
+    assert "clock_drift" not in kinds(found)
 
 
 def test_a_recalibrated_angle_is_no_gravity_and_a_relocalisation_only_cuts(tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ A drift looks like a delay, which grows with the time. To first order, the resid
 
 where dr/ds is the change of the residual if the channels are read a row later, and answer_j what the prediction owes to
 the command j. Missing physics is the same throughout, or changes the size of an answer; only a drift has s1. It is
-confirmed by predictions with the channels read at the drifting times, compared with a constant delay.
+confirmed by predictions with the channels read at the drifting times, compared with a constant delay. Where the drive
+differs between the beginning and the end of a log, missing physics looks like a drift as well. So s1 is fitted again,
+together with what each effect of the library would change.
 
 Source: Huber, Annals of Mathematical Statistics 35, 1964 (clipped residuals); Frisch and Waugh, Econometrica 1, 1933
 (nuisance columns are projected out); Liang and Zeger, Biometrika 73, 1986 (standard errors from blocks).
@@ -22,7 +24,9 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.comparison.rollout import rollout_at
 from safedpa.comparison.windows import Windows, windows_of
+from safedpa.diagnosis.fit.trial import initial_values, with_effect_at
 from safedpa.dynamics import PhysicsModel
+from safedpa.effects import effects_of
 from safedpa.records.run import Finding, Run
 from safedpa.systems import System
 
@@ -38,6 +42,9 @@ _BLOCK_OF_WINDOWS = 4
 # Standard errors, rows, and the falls of the log of the squares that a drift needs: of one state, and of all together.
 # Good logs had at most 7.6 standard errors, and those no such fall; logs with a drift at least 10, and 0.9 of all.
 _SURE_OF_DRIFT, _DRIFTING_ROWS, _FALL_OF_ONE, _FALL_OF_ALL = 8.0, 2.0, 0.3, 0.4
+# Sizes at which each effect is tried next to a drift, the standard errors that the drift needs then, and the share of
+# the variance below which a column is a sum of others.
+_SIZES_OF_EFFECT, _SURE_NEXT_TO_EFFECTS, _DEPENDENT = 2, 5.0, 1e-6
 # Lengths of a window, beyond which a drift is no small change of the times.
 _LONGEST_DRIFT = 2.0
 # Deviations beyond which a residual counts no more.
@@ -80,7 +87,29 @@ def clock_drifts(model: PhysicsModel, run: Run, seconds: float) -> list[Finding]
                 fall = _fall_by_drift(model, windows, fitted)
                 if fall.max() > _FALL_OF_ONE and fall.sum() > _FALL_OF_ALL:
                     found.append((float(fall.sum()), fitted))
-    return [_finding_of(max(found, key=lambda item: item[0])[1], run)] if found else []
+        if not found:
+            return []
+        fitted = max(found, key=lambda item: item[0])[1]
+        effects = _effects_of_library(model, windows, residual)
+        again = _fitted_drift(model, windows, fitted.channels, residual, answers, effects)
+    return [_finding_of(fitted, run)] if _agrees(again, fitted) else []
+
+
+def _agrees(one: _DriftFit, other: _DriftFit) -> bool:
+    return one.drift * other.drift > 0.0 and abs(one.standard_errors) > _SURE_NEXT_TO_EFFECTS
+
+
+def _effects_of_library(model: PhysicsModel, windows: Windows, residual: FloatArray) -> FloatArray:
+    """Returns what each effect that the model lacks would change of the residual, (windows, states, columns)."""
+    have, actions, found = {item.name for item in model.effects}, set(model.system.action_names), []
+    for item in effects_of(model.system.name).values():
+        if item.name in have or not set(item.needs) <= actions:
+            continue
+        fitted_at_period = item.at_period(model.period)
+        starts = initial_values(fitted_at_period)
+        for index in np.unique(np.linspace(0, len(starts) - 1, _SIZES_OF_EFFECT).astype(np.int64)):
+            found.append(_residual_of(with_effect_at(model, fitted_at_period, starts[index]), windows) - residual)
+    return np.stack(found, axis=-1) if found else np.zeros((*residual.shape, 0))
 
 
 def _channels_of(system: System) -> Iterator[_Channels]:
@@ -133,35 +162,51 @@ def _along(windows: Windows, rows: FloatArray) -> FloatArray:
 
 
 def _fitted_drift(
-    model: PhysicsModel, windows: Windows, channels: _Channels, residual: FloatArray, answers: FloatArray
+    model: PhysicsModel,
+    windows: Windows,
+    channels: _Channels,
+    residual: FloatArray,
+    answers: FloatArray,
+    effects: FloatArray | None = None,
 ) -> _DriftFit:
-    """Fits s0 and s1 to the residuals of all states, with a nuisance of its own for each state."""
+    """Fits s0, s1 and the sizes of effects to the residuals of all states; each state has nuisances of its own."""
+    effects = np.zeros((*residual.shape, 0)) if effects is None else effects
     later, earlier = (_residual_of(model, _read_later(windows, channels, sign * _READ_LATER)) for sign in (1.0, -1.0))
     slope, tau = (earlier - later) / (2.0 * _READ_LATER), _along(windows, windows.time[windows.start])
     good = (np.isfinite(residual) & np.isfinite(slope) & np.isfinite(answers).all(axis=-1)).all(axis=1)
-    gram, moment, equations = np.zeros((2, 2)), np.zeros(2), []
+    good &= np.isfinite(effects).all(axis=(1, 2))
+    count = 2 + effects.shape[-1]
+    gram, moment, equations = np.zeros((count, count)), np.zeros(count), []
     for state in range(residual.shape[1]) if good.sum() >= _LEAST_WINDOWS else ():
         own, values = answers[good, state], residual[good, state]
         if np.var(slope[good, state]) <= 1e-16 * max(1.0, float(np.var(values))):
             continue
         common = np.column_stack([np.ones(len(own)), tau[good], own, own * tau[good, None]])
         common /= np.maximum(np.sqrt((common**2).mean(axis=0)), 1e-12)
-        columns = np.column_stack([values, slope[good, state], slope[good, state] * tau[good]])
+        drifts = [slope[good, state], slope[good, state] * tau[good]]
+        columns = np.column_stack([values, *drifts, effects[good, state]])
         columns = columns - common @ np.linalg.lstsq(common, columns, rcond=1e-8)[0]
         wanted, known = columns[:, 0], columns[:, 1:]
-        rest = np.abs(wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0])
+        rest = np.abs(wanted - known @ np.linalg.lstsq(known, wanted, rcond=1e-8)[0])
         scale = 1.4826 * float(np.median(rest)) + 1e-9 * float(np.std(values)) + 1e-300
         weight = np.minimum(1.0, _HUBER * scale / np.maximum(rest, 1e-300))[:, None] / scale**2
         gram, moment = gram + (weight * known).T @ known, moment + (weight * known).T @ wanted
         equations.append((wanted, known, weight))
     if not equations:
         return _DriftFit(channels, 0.0, 0.0, 0.0)
-    inverse = np.linalg.pinv(gram)
+    inverse = _inverse_of(gram)
     solved = inverse @ moment
     scores = sum(weight * known * (wanted - known @ solved)[:, None] for wanted, known, weight in equations)
     blocks = np.add.reduceat(scores, np.arange(0, len(scores), _BLOCK_OF_WINDOWS), axis=0)
     error = float(np.sqrt((inverse @ blocks.T @ blocks @ inverse)[1, 1]))
     return _DriftFit(channels, float(solved[0]), float(solved[1]), float(solved[1]) / max(error, 1e-300))
+
+
+def _inverse_of(gram: FloatArray) -> FloatArray:
+    """Returns the pseudo-inverse of a matrix of products whose columns have different units."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(gram / scale, rcond=_DEPENDENT, hermitian=True) / scale)
 
 
 def _fall_by_drift(model: PhysicsModel, windows: Windows, fitted: _DriftFit) -> FloatArray:

@@ -14,10 +14,10 @@ are tried on unseen folds:
 - of the size of the residual of each window on the sizes of the states and actions in it: what grows with the command
   is no disturbance from outside, even if its mean is 0.
 
+The first of them is also judged state by state, next to functions of one variable (``state_shares``).
+
 Commands may change at any time between two rows. What that makes of the residual grows with the command as well, so
 its expected squares are subtracted before sizes are compared.
-
-``noise_share`` is the share of the residual's squares that measurement noise explains.
 
 Source: Hoerl and Kennard, Technometrics 12, 1970 (ridge regression); Billings and Voon, International Journal of
 Control 44, 1986 (tests of residuals against all functions of past inputs and outputs); Breusch and Pagan, Econometrica
@@ -27,8 +27,7 @@ Control 44, 1986 (tests of residuals against all functions of past inputs and ou
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,10 +35,12 @@ from safedpa.arrays import FloatArray
 from safedpa.comparison.actuators import lag_output
 from safedpa.comparison.rollout import effective_actions
 from safedpa.comparison.where import POSITION
+from safedpa.diagnosis.fit.cross_validation import HeldoutError
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.multiple_shooting import Shooting, measurement_noise
 from safedpa.diagnosis.fit.trial import EffectTrial, standardized_gain, trial_of
 from safedpa.diagnosis.report_schema import Remainder
+from safedpa.diagnosis.residuals.state_shares import PENALTIES, RidgeRegression, largest_state_share
 from safedpa.diagnosis.residuals.weak_sindy import (
     FEW,
     PastAction,
@@ -70,8 +71,12 @@ _RATIO, _SURE_RATIO, _ERROR_RATIO = 2.0, 4.5, 0.02
 # Held-out error, in units of the usual change, above which a rest that is not measurement noise is no disturbance: the
 # hardest recordings in which nothing is missing have 0.11. And the share of noise that excuses it.
 _LARGE, _MOSTLY_NOISE = 0.15, 0.3
-# Penalties that are compared, relative to the mean curvature of the columns.
-_PENALTIES = (3e-3, 3e-2, 0.3)
+# The same of one state, with effects or without: after all effects were found, a real car had at most 0.15. A robot of
+# one state has nothing to compare with, and what no library explains of a real one may be larger (tanks: 0.32).
+_LARGE_IN_STATE = 0.2
+# The error of one state that what depends on the drive has to make, and its part of the first error where effects were
+# found: of a fast servo with nothing hidden, whose commands change between the rows, it was 0.012.
+_SIZE_IN_STATE, _PART_IN_STATE = 0.02, 0.15
 # Fewer windows leave no fold to fit hundreds of terms in.
 _MIN_WINDOWS = 12
 # Frequencies that are compared, up to half of one per window.
@@ -109,21 +114,31 @@ def remainder_of(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) 
         fitted = fit(trial.fit.model, trial.fit.paths, windows, trial.fit.scale, steps=2)
         tried.append((trial_of(fitted, windows, (), None), windows))
     best, windows = min(tried, key=lambda item: item[0].fit.value)
-    found = [test(best, windows, states) for test in (_dependence, _periodic, _weakening, _ringing, _gain_by_size)]
-    share, errors = max(found, key=lambda item: item[0])
+    ridge = _on_everything(best, windows, states)
+    found = [test(best, windows, states) for test in (_periodic, _weakening, _ringing, _gain_by_size)]
+    share, errors = max(_dependence(ridge), *found, key=lambda item: item[0])
     spread, variable, spread_errors = _spread(best, windows, _squares_by_timing(best, windows))
-    return Remainder(share, errors, spread, variable, spread_errors, noise_share(best, windows))
+    noise = _noise_by_state(best, windows)
+    of_state = largest_state_share(best, windows, states, ridge)
+    return Remainder(
+        share, errors, spread, variable, spread_errors, _mean_noise_share(noise), of_state.state, of_state.share,
+        of_state.standard_errors, tuple(noise.tolist()),
+    )  # fmt: skip
 
 
-def _dependence(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
-    """Returns the share of unseen squares that a function of everything measured predicts, and its standard errors."""
+def _on_everything(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> RidgeRegression:
+    """Returns the regression of the missing rates on functions of everything measured."""
     every, past = terms_of(shooting.windows.system, usual_sizes(shooting)), _past_actions(shooting)
     if len(states) * (len(every) + len(past)) > _MOST_COLUMNS:
         every = [term for term in every if len(term.factors) < 2]
-    problem = regression_of(trial, shooting, states, [*every, *past])
-    now, ridge = problem.unseen([]), _Ridge(problem)
-    remaining = min((ridge.unseen(penalty) for penalty in _PENALTIES), key=lambda squares: float(squares.sum()))
-    return 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), problem.block_gain(now, remaining)
+    return RidgeRegression(regression_of(trial, shooting, states, [*every, *past]))
+
+
+def _dependence(ridge: RidgeRegression) -> tuple[float, float]:
+    """Returns the share of unseen squares that a function of everything measured predicts, and its standard errors."""
+    now = ridge.problem.unseen([])
+    remaining = min(((ridge.unseen(penalty) ** 2).sum(axis=1) for penalty in PENALTIES), key=np.sum)
+    return 1.0 - float(remaining.sum() / max(now.sum(), 1e-300)), ridge.problem.block_gain(now, remaining)
 
 
 def _periodic(trial: EffectTrial, shooting: Shooting, states: Sequence[str]) -> tuple[float, float]:
@@ -234,33 +249,57 @@ def _weakening_terms(trial: EffectTrial, shooting: Shooting) -> list[RowTerm]:
     return found
 
 
-def with_sentence(found: Remainder, error: float, first: float | None) -> Remainder:
+def with_sentence(found: Remainder, error: HeldoutError, first: float | None, states: Sequence[str]) -> Remainder:
     """Returns the remainder with its sentence if noise and a disturbance from outside do not explain it.
 
-    ``error`` is the held-out error in units of the usual change; ``first`` that without the effects that were found,
-    None if none was found.
+    ``error`` is the held-out error in units of the usual change, of ``states``; ``first`` that without the effects that
+    were found, None if none was found.
     """
-    share = _SHARE_CLEAR if found.standard_errors > _CLEAR else _SHARE
-    share = _SHARE_REAL if first is not None and error > _REAL else share
-    size = _SIZE if first is None else max(_SIZE, _PART * first)
-    if found.share > share and found.standard_errors > _SURE and structural_error(found, error) > size:
+    if depends_on_drive(found, error.value, first):
         text = (
             f"{found.share:.0%} of what remains of unseen data depends on states, actions, their past or the time"
             f" ({found.standard_errors:.1f} standard errors)"
         )
-    elif first is None and found.spread > _RATIO and found.spread_errors > _SURE_RATIO and error > _ERROR_RATIO:
+    elif first is None and found.spread > _RATIO and found.spread_errors > _SURE_RATIO and error.value > _ERROR_RATIO:
         text = (
             f"the mean square of what remains of unseen data differs by a factor of {found.spread:.1f} between small "
             f"and large {found.spread_of}, so it is no disturbance from outside"
         )
-    elif first is None and error > _LARGE and found.noise_share < _MOSTLY_NOISE:
+    elif first is None and error.value > _LARGE and found.noise_share < _MOSTLY_NOISE:
         text = (
-            f"an error of {error:.2g} of the usual change remains; measurement noise explains {found.noise_share:.0%} "
-            "of it, and it is too large for a disturbance"
+            f"an error of {error.value:.2g} of the usual change remains; measurement noise explains "
+            f"{found.noise_share:.0%} of it, and it is too large for a disturbance"
         )
     else:
-        text = ""
+        text = _sentence_of_state(found, error, first, states)
     return replace(found, sentence=text)
+
+
+def depends_on_drive(found: Remainder, error: float, first: float | None) -> bool:
+    """Returns whether a share of all squares that matters depends on what was driven; see ``with_sentence``."""
+    share = _SHARE_CLEAR if found.standard_errors > _CLEAR else _SHARE
+    share = _SHARE_REAL if first is not None and error > _REAL else share
+    size = _SIZE if first is None else max(_SIZE, _PART * first)
+    return found.share > share and found.standard_errors > _SURE and structural_error(found, error) > size
+
+
+def _sentence_of_state(found: Remainder, error: HeldoutError, first: float | None, states: Sequence[str]) -> str:
+    """Returns the sentence about one state that is predicted worse than the others; empty if there is none."""
+    if found.state:
+        own = float(error.per_state[list(states).index(found.state)] * np.sqrt(found.state_share))
+        if own > max(_SIZE_IN_STATE, _PART_IN_STATE * (first or 0.0)):
+            return (
+                f"{found.state_share:.0%} of what remains of {found.state} of unseen data depends on states, actions "
+                f"or their past ({found.state_errors:.1f} standard errors)"
+            )
+    rest = error.per_state * (np.array(found.noise_by_state) < _MOSTLY_NOISE)
+    worst = int(np.argmax(rest))
+    if len(rest) > 1 and rest[worst] > _LARGE_IN_STATE:
+        return (
+            f"an error of {rest[worst]:.2g} of the usual change of {states[worst]} remains; measurement noise explains "
+            f"{found.noise_by_state[worst]:.0%} of it, and it is too large for a disturbance"
+        )
+    return ""
 
 
 def structural_error(found: Remainder, error: float) -> float:
@@ -272,31 +311,6 @@ def _past_actions(shooting: Shooting) -> list[PastAction]:
     steps = float(np.median(shooting.windows.steps))
     rows = sorted({max(1, round(age * steps)) for age in _AGES})
     return [PastAction(name, count) for name in shooting.windows.system.action_names for count in rows]
-
-
-@dataclass(frozen=True)
-class _Ridge:
-    """Ridge regression on the columns of a regression, without a penalty on those that are always included."""
-
-    problem: Regression
-
-    @cached_property
-    def _scaled(self) -> tuple[FloatArray, FloatArray]:
-        """Returns the products over all windows but those of each fold, with unit diagonals, and the sizes."""
-        size = np.sqrt(np.maximum(np.diag(self.problem.whole), 1e-300))
-        size[-1] = 1.0
-        return (self.problem.whole - self.problem.grams) / np.outer(size, size), size
-
-    def unseen(self, penalty: float) -> FloatArray:
-        """Returns the squares (windows,) with coefficients fitted without the window's fold."""
-        problem = self.problem
-        grams, size = self._scaled
-        square, right = grams[:, :-1, :-1], grams[:, :-1, -1]
-        weights = np.where(np.arange(square.shape[-1]) < problem.always, 1e-9, penalty)
-        values = -np.linalg.solve(square + np.diag(weights), right[..., None])[..., 0] / size[:-1]
-        values = values[np.unique(problem.fold, return_inverse=True)[1]]
-        remaining = problem.residual + (problem.columns @ values[..., None])[..., 0]
-        return np.asarray((remaining**2).sum(axis=1))
 
 
 def _squares_by_timing(trial: EffectTrial, shooting: Shooting) -> FloatArray:
@@ -344,8 +358,10 @@ def _sizes_in_windows(shooting: Shooting) -> dict[str, FloatArray]:
     return found
 
 
-def noise_share(trial: EffectTrial, shooting: Shooting) -> float:
-    """Returns the share of the residual's squares that measurement noise explains, as the mean over the states."""
-    noise = measurement_noise(shooting.windows)
-    found = np.minimum(1.0, (noise / np.maximum(trial.fit.scale, 1e-12)) ** 2)
-    return float(np.mean(found[np.isfinite(found)])) if np.isfinite(found).any() else 0.0
+def _noise_by_state(trial: EffectTrial, shooting: Shooting) -> FloatArray:
+    """Returns the share of each state's squares that measurement noise explains, (states,); NaN if unknown."""
+    return np.minimum(1.0, (measurement_noise(shooting.windows) / np.maximum(trial.fit.scale, 1e-12)) ** 2)
+
+
+def _mean_noise_share(by_state: FloatArray) -> float:
+    return float(np.mean(by_state[np.isfinite(by_state)])) if np.isfinite(by_state).any() else 0.0

@@ -258,12 +258,15 @@ class Regression:
         """Returns the coefficients of the chosen columns, fitted to all windows."""
         return self.solve(chosen, self.whole)[self.always :]
 
-    def unseen(self, chosen: Sequence[int]) -> FloatArray:
-        """Returns the squares (windows,) with coefficients fitted without the window's fold."""
+    def unseen_residual(self, chosen: Sequence[int]) -> FloatArray:
+        """Returns the residual (windows, n) with coefficients fitted without the window's fold."""
         columns = self.columns[..., self._index(chosen)]
         values = self.solve(chosen, self.whole - self.grams)[np.unique(self.fold, return_inverse=True)[1]]
-        remaining = self.residual + (columns @ values[..., None])[..., 0]
-        return np.asarray((remaining**2).sum(axis=1))
+        return np.asarray(self.residual + (columns @ values[..., None])[..., 0])
+
+    def unseen(self, chosen: Sequence[int]) -> FloatArray:
+        """Returns its squares (windows,)."""
+        return np.asarray((self.unseen_residual(chosen) ** 2).sum(axis=1))
 
     def reductions(self, chosen: Sequence[int]) -> FloatArray:
         """Returns how much each column reduces the squares together with the chosen ones; used only for their order."""
