@@ -2,9 +2,9 @@
 
     python -m safedpa_lab.ros.car PORT SECONDS SEED [--straight] [--no-policy] [--freeze-after S] ...
 
-``--straight``: the policy drives by itself, past any filter. It says ``there``, waits for a line ``go``, and prints one
-JSON line at its end. Further lines while it drives: ``mark`` (something happens now), ``freeze`` (its odometry ends),
-``rewind`` (its clock jumps back), ``end``.
+``--straight``: the policy drives by itself, past any filter. ``--speed``: the most that the policy asks for [m/s]. It
+says ``there``, waits for a line ``go``, and prints one JSON line at its end. Further lines while it drives: ``mark``
+(something happens now), ``freeze`` (its odometry ends), ``rewind`` (its clock jumps back), ``end``.
 """
 
 from __future__ import annotations
@@ -154,6 +154,7 @@ class Car:
         if self.policy is None:
             return
         speed, steer = blind_policy(self.world.state, self.goal)
+        speed = min(speed, self.options.speed)
         drive = self.T["ackermann_msgs/msg/AckermannDrive"](steer, 0.0, speed, 0.0, 0.0)
         self.policy.publish(header=self.header(), drive=drive)
 
@@ -233,6 +234,7 @@ def _main() -> None:
         parser.add_argument(f"--{name}", action="store_true")
     for name in ("freeze-after", "policy-ends", "rewind-after"):
         parser.add_argument(f"--{name}", type=float, default=0.0)
+    parser.add_argument("--speed", type=float, default=math.inf)
     found = Car(parser.parse_args())
     threading.Thread(target=found.listen, daemon=True).start()
     sys.stdout.write("there\n")

@@ -193,7 +193,7 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
     quality += [finding_row("all", item) for item in opposite]
     used = [replace(used[0], findings=(*used[0].findings, *opposite)), *used[1:]]
     # A wrong sign looks like a drift to a test that assumes the signs, and any other such fault may as well.
-    for index, run in enumerate(used) if not _severe_finding([*runs, *used]) else ():
+    for index, run in enumerate(used) if not _severe_finding(runs, used) else ():
         read = clock_drifts(model, run, seconds) or recalibrated_states(model, run, seconds)
         wrong = [item.accepted_in(run.keep) for item in read]
         quality += [finding_row(run.name, item) for item in wrong]
@@ -304,7 +304,7 @@ class DataSufficiency:
 def check_data_sufficiency(shooting: Shooting, used: Sequence[Run], runs: Sequence[Run]) -> DataSufficiency:
     """Decides whether the data allow a verdict about physics; ``used`` are the prepared ones of ``runs``."""
     # Wrong columns are reported first: more data of the same kind would not help.
-    wrong = _severe_finding([*runs, *used])
+    wrong = _severe_finding(runs, used)
     return DataSufficiency(wrong, True) if wrong else DataSufficiency(_insufficient_data(shooting, used), False)
 
 
@@ -322,20 +322,20 @@ def _insufficient_data(shooting: Shooting, runs: Sequence[Run]) -> str:
     return ""
 
 
-def _severe_finding(runs: Sequence[Run]) -> str:
-    """Returns the first severe finding as text; empty if there is none."""
-    every = [(run, item) for run in runs for item in run.findings]
+def _severe_finding(read: Sequence[Run], used: Sequence[Run] = ()) -> str:
+    """Returns the first severe finding of runs as they were read, and of what is used of them; empty if none."""
+    every = [(run, item) for run in (*read, *used) for item in run.findings]
     severe = [(run, item) for run, item in every if item.kind in _SEVERE]
     # A few rows beyond a bound are outliers; where most of them are, the unit is wrong, or the bound.
     outside = [
         (run, item)
-        for run, item in every
+        for run in read
+        for item in run.findings
         if item.kind == "out_of_bounds" and item.count > _MOST_OUTSIDE * _rows_of_log(run)
     ]
     return next((f"{run.name}: {item.message}" for run, item in severe + outside), "")
 
 
-def _rows_of_log(run: Run) -> float:
-    """Rows of the log by its time: those that were cut or thinned out are no longer in the run."""
-    span = float(run.t[-1] - run.t[0]) / run.period if len(run.t) > 1 and run.period > 0.0 else 0.0
-    return max(float(len(run.t)), span + 1.0)
+def _rows_of_log(run: Run) -> int:
+    """Rows of the log with those that were cut; not of a run that was thinned since."""
+    return len(run.t) + sum(item.count for item in run.findings if item.kind == "cut")

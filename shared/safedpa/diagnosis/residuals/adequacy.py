@@ -76,7 +76,7 @@ _LARGE, _MOSTLY_NOISE = 0.15, 0.3
 _LARGE_IN_STATE = 0.2
 # The error of one state that what depends on the drive has to make, and its part of the first error where effects were
 # found: of a fast servo with nothing hidden, whose commands change between the rows, it was 0.012.
-_SIZE_IN_STATE, _PART_IN_STATE = 0.02, 0.15
+_SIZE_IN_STATE, _PART_IN_STATE = 0.02, 0.25
 # Fewer windows leave no fold to fit hundreds of terms in.
 _MIN_WINDOWS = 12
 # Frequencies that are compared, up to half of one per window.
